@@ -166,7 +166,7 @@ def test_the_vote_is_the_majority_of_three():
     f = presets.alphabeta(LINE, SENSOR, **OPTIONS)
     for older, old, new in product((0.0, 1.0), repeat=3):
         state = f.init(PRIOR._replace(mean=PRIOR.mean.expand(1, 2)))
-        state = state._replace(used=state.used + 9, known=state.known + 2, flags=tensor([[old], [older]]))
+        state = state._replace(used=state.used + 9, flag_count=state.flag_count + 2, flags=tensor([[old], [older]]))
         after, _ = f.step(state, tensor([300.0 if new else 0.0]))
         assert bool(after.manoeuvre.item()) == (older + old + new >= 2)
 

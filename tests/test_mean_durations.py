@@ -91,7 +91,7 @@ def test_interacting_models_are_the_moment_form_with_that_chain():
 
 def test_models_that_hardly_ever_end_do_end_in_single_precision():
     f = presets.imm(BANK, SENSOR, durations=1e5).float()
-    torch.testing.assert_close(f.ends(torch.tensor([1e-4])).double(), tensor(1.5e-9), rtol=1e-6, atol=0)
+    torch.testing.assert_close(f.restart_probability(torch.tensor([1e-4])).double(), tensor(1.5e-9), rtol=1e-6, atol=0)
 
 
 def test_one_duration_is_the_same_for_all():
@@ -180,7 +180,7 @@ def test_what_no_measurement_foretells_is_an_outlier_as_often_as_in_the_long_run
         state, _ = f.step(state, tensor(0.0, 0.0))
     view = f.with_sensor(sensor)
     alone = view.unremembered(state)
-    log_mode, block = view.outliers.ahead(alone.outlier, alone.forgotten, torch.tensor(True))
+    log_mode, block = view.outliers.predict(alone.outlier, alone.relaxation, torch.tensor(True))
     torch.testing.assert_close(log_mode.exp()[:, 0, 0], tensor(0.75, 0.25))
     assert (block == 1).all()
     off, _ = f.step(state, tensor(300.0, 300.0), dt=0.0, sensor=sensor)

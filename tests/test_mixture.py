@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra.gaussian import moment_match
-from torchfra.gaussian.mixture import shared
+from torchfra.gaussian.mixture import share_roots
 from torchfra.types import Gaussian
 
 
@@ -74,12 +74,12 @@ def test_its_gradient_is_that_of_finite_differences_down_to_weights_of_zero(logi
 def test_weights_of_any_sum_are_shared_as_by_softmax_and_their_sum_is_that_of_logsumexp(k, scale, seed):
     log_weights = scale * torch.randn(k, 3, generator=torch.Generator().manual_seed(seed)).double()
     log_weights[1:, 0] = -torch.inf
-    roots, log_sum = shared(log_weights)
+    roots, log_sum = share_roots(log_weights)
     torch.testing.assert_close(roots.square(), log_weights.softmax(0))
     torch.testing.assert_close(log_sum, log_weights.logsumexp(0))
 
 
 def test_shares_and_their_sum_have_exact_gradients():
     log_weights = torch.tensor([[0.3, -40.0], [-1.0, 2.0], [0.5, 2.0]], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(shared, (log_weights,))
-    assert torch.autograd.gradgradcheck(shared, (log_weights,))
+    assert torch.autograd.gradcheck(share_roots, (log_weights,))
+    assert torch.autograd.gradgradcheck(share_roots, (log_weights,))

@@ -115,9 +115,11 @@ def test_a_tracker_has_it():
 
 def test_an_estimate_without_its_past_and_what_is_neither_are_refused():
     f = FILTERS["srckf"]()
-    with pytest.raises(ValueError, match="of: expected an estimate made with past=True"):
+    with pytest.raises(ValueError, match="estimate: expected one made with past=True"):
         protection_level(f, f(measured(), prior()))
-    with pytest.raises(ValueError, match="of: expected an estimate or what step has returned, received Tensor"):
+    with pytest.raises(
+        ValueError, match="estimate: expected an estimate or a state that step has returned, received Tensor"
+    ):
         protection_level(f, measured())
 
 

@@ -1,4 +1,4 @@
-"""The prediction side: fading factors where the motion no longer holds; and estimates of the measurement noise."""
+"""Adaptation: fading factors, which widen a prediction whose motion no longer holds, and noise estimates."""
 
 from torchfra.adaptive.fading import Fading, Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa

@@ -30,11 +30,11 @@ class Memory(NamedTuple):
 
 
 class NoFading(nn.Module):
-    """Nothing fades: the motion always holds."""
+    """No fading factors."""
 
     @property
     def plain(self) -> bool:
-        """Whether it does nothing."""
+        """Whether there are no fading factors."""
         return type(self) is NoFading
 
     def of(self, motion: Motion) -> NoFading:
@@ -42,7 +42,7 @@ class NoFading(nn.Module):
         return self
 
     def begin(self, mean: Tensor, m: int) -> Memory | None:
-        """What is remembered before the first step."""
+        """The memory of innovations before the first step."""
         return None
 
     def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
@@ -65,22 +65,23 @@ class NoFading(nn.Module):
 class Fading(NoFading):
     """Multiple fading factors: recent innovations compared with the covariance that the model predicts for them.
 
-    One factor per track, 1 or more, multiplies the covariance of the faded states that was carried over from the last
-    step, before process noise is added.  Groups of states may take different shares of it: what is above 1 is then
+    One factor per track, 1 or more, multiplies the propagated covariance ``F P F^T`` of the faded states, before
+    process noise is added.  Groups of states may have different shares: then the part of the factor above 1 is
     multiplied by the group's share.
 
     Args:
-        weakening: beta, share of the measurement noise that is taken off the innovations: above 1 reacts less.
+        weakening: beta, factor on the measurement noise that is subtracted from the innovations: the larger, the
+            weaker the reaction.
         forgetting: rho, memory of the innovations.
-        fading_max: no factor above this; infinity for the paper's own formula.
+        fading_max: largest factor; infinity for the paper's own formula.
         rcond: singular values of the measurement matrix below this share of the largest are left out of its inverse; 0
-            for the paper's own formula, which explodes where lines of sight become parallel.
-        states: which state components fade: a slice, or several, which are groups.  By default the position of the
+            for the paper's own formula, which is unbounded where lines of sight become parallel.
+        states: state components that fade: a slice, or several slices as groups.  By default the position of the
             filter's motion; with a ``share`` position, velocity and so on, as groups.
-        share: of each group, ``(..., groups)``, 0 or more; by default all have the whole factor.
-        trace: ``"full"`` compares whole traces, ``"position"`` those of the faded components.
+        share: share of each group, ``(..., groups)``, 0 or more; by default 1 for all.
+        trace: ``"full"`` compares full traces, ``"position"`` those of the faded components.
 
-    A trace that is zero or NaN gives a factor of 1.
+    If a trace is zero or NaN the factor is 1.
 
     Raises:
         ValueError: a value out of its range.
@@ -119,10 +120,10 @@ class Fading(NoFading):
             self._check_share()
 
     def of(self, motion: Motion) -> Fading:
-        """A copy for the states of a motion, which shares the values; this module itself where ``states`` were given.
+        """A copy for the states of a motion, which shares the values; this module itself if ``states`` were given.
 
         Raises:
-            ValueError: a share that is not for each group.
+            ValueError: not one share for each group.
         """
         if self._states_given:
             return self
@@ -143,15 +144,15 @@ class Fading(NoFading):
             raise ValueError(f"share: expected (..., {len(self.states)}), received {tuple(self.share.raw.shape)}")
 
     def begin(self, mean: Tensor, m: int) -> Memory:
-        """The empty memory of ``m`` measured elements, for tracks of state ``mean (..., n)``."""
+        """The empty memory for ``m`` measured elements and tracks of state ``mean (..., n)``."""
         nothing = mean.new_zeros((*mean.shape[:-1], m, m))
         return Memory(nothing, nothing)
 
     def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
-        """The memory after one more ``residual (..., m)``; entries not ``measured (..., m)`` stay as they were.
+        """The memory after one more ``residual (..., m)``; entries that are not ``measured (..., m)`` do not change.
 
-        A residual whose square no number of its precision holds counts as not measured: its moment would be infinite
-        from then on, and so would gradients.
+        A residual whose square overflows counts as missing: otherwise the moment and its gradients would be infinite
+        from then on.
         """
         moment, begun = memory
         used = in_range(residual)
@@ -166,15 +167,15 @@ class Fading(NoFading):
         """The fading factor ``(...)``.
 
         Args:
-            prediction: not faded.
-            whitened: the measurement against that prediction.
-            memory: with this step's innovation in it.
-            weights: ``(..., m)`` robust weights that divide the measurement noise; ones if it is trusted.
+            prediction: without a fading factor.
+            whitened: the measurement compared with that prediction.
+            memory: of innovations, that of this step included.
+            weights: ``(..., m)`` robust weights that divide the measurement noise; ones for the nominal noise.
         """
         d = whitened.reads
         root = prediction.belief.scale_tril[..., :d, :d]
-        # A prediction with a certain component, or from a certain belief, cannot fade: its zero pivots are replaced by
-        # ones here, and its factor is 1 in the end.
+        # A prediction with a component of zero variance cannot fade: its zero pivots are replaced by ones here, and its
+        # factor is 1 in the end.
         certain = root.diagonal(dim1=-2, dim2=-1) == 0
         h = torch.linalg.solve_triangular(
             root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False
@@ -210,7 +211,7 @@ class Fading(NoFading):
         excess = factor.unsqueeze(-1) - 1
         if self.share is not None:
             excess = self.share(factor) * excess
-        # One column per state: the group it belongs to, if any.
+        # One column per state, with a 1 in the row of its group, if it has one.
         group = torch.zeros(len(self.states), spread.shape[-2], dtype=factor.dtype, device=factor.device)
         for row, states in zip(group, self.states, strict=True):
             row[states] = 1

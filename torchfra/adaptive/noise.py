@@ -1,4 +1,4 @@
-"""The noise side: estimates of the measurement noise."""
+"""Estimates of the measurement noise."""
 
 from __future__ import annotations
 
@@ -28,57 +28,57 @@ class NoiseMemory(NamedTuple):
 
 
 class NominalNoise(nn.Module):
-    """Nothing is estimated: the measurement noise is what the sensor says."""
+    """No estimate: the measurement noise is the sensor's."""
 
     adapt = "never"
-    """When it learns: ``"innovation"``, before the update, ``"residual"``, after it, or never."""
+    """When the estimate is updated: ``"innovation"``, before the measurement update, or ``"residual"``, after it."""
 
     @property
     def plain(self) -> bool:
-        """Whether it does nothing."""
+        """Whether nothing is estimated."""
         return type(self) is NominalNoise
 
     def excess(self, whitened: Whitened) -> Tensor:
-        """``(..., m)`` one measurement's estimate of the variances; zeros here."""
+        """The estimate ``(..., m)`` of the variances by one measurement; zeros here."""
         return torch.zeros_like(whitened.residual)
 
     def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
-        """The memory after one more ``excess (..., m)``, of which ``weight (..., m)`` is the target's probability."""
+        """The memory after one more ``excess (..., m)``, which is the target's with probability ``weight (..., m)``."""
         return memory
 
     def begin(self, mean: Tensor) -> NoiseMemory | None:
-        """What is remembered before the first step."""
+        """The memory before the first step."""
         return None
 
     def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
-        """The memory after one more measurement, if ``when`` is when this side learns; else the memory before.
+        """The memory after one more measurement if ``when`` equals ``adapt``; else the memory as it is.
 
         Args:
-            memory: before.
-            whitened: the measurement, in units of the nominal noise, against the prediction (``"innovation"``) or
-                against the belief after the update (``"residual"``).
+            memory: before the measurement.
+            whitened: the measurement, in units of the nominal noise, compared with the prediction (``"innovation"``) or
+                with the belief after the update (``"residual"``).
             measured: ``(..., m)`` 1 where measured.
-            when: which of the two.
+            when: ``"innovation"`` or ``"residual"``.
         """
         return memory
 
-    def known(self, whitened: Whitened, memory: Any) -> Whitened:
+    def rescale(self, whitened: Whitened, memory: Any) -> Whitened:
         """The measurement in units of the estimated noise, here the nominal one."""
         return whitened
 
     def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
-        """A root ``(..., m, m)`` from units of the known noise back in those of the nominal noise."""
+        """A root ``(..., m, m)`` in units of the estimated noise, converted to units of the nominal noise."""
         return root
 
     def scale(self, memory: Any) -> Tensor | None:
-        """``(..., m)`` estimated variances as multiples of the nominal ones; None where nothing is estimated."""
+        """``(..., m)`` estimated variances as multiples of the nominal ones; None without an estimate."""
         return None
 
 
 class SageHusa(NominalNoise):
     """Estimates the variance of the measurement noise on line, with forgetting, sensor by sensor.
 
-    Scatter of the innovations beyond what the prediction's uncertainty explains is taken for measurement noise:
+    The part of the innovations' second moment that the predicted covariance does not explain is the measurement noise:
 
         R <- (1 - g d) R + g d (e e^T - H P H^T),   d = (1 - b) / (1 - b^(k + 2)),
 
@@ -86,16 +86,16 @@ class SageHusa(NominalNoise):
 
     Args:
         blocks: elements of a measurement that belong to one sensor, ``Sensor.blocks``.
-        forgetting: b; 1 / (1 - b) innovations are remembered.
+        forgetting: b; the memory is that of 1 / (1 - b) innovations.
         confidence: one for each block, ``(..., blocks)``, or one for all.
         confidence_in: ``"nominal"``: in the current estimate, so that a high confidence changes it slowly;
-            ``"measured"``: in the new innovation.  At 0.5 both give the same.
-        lowest: share of the nominal variance that the estimate does not fall below.
-        highest: multiple of it that the estimate does not rise above.
-        warmup: number of first innovations that do not change the estimate: after a poor prior they reflect the prior
-            more than the noise.
-        adapt: ``"innovation"``, before the update, as above; ``"residual"``: after it, by ``r r^T + H P H^T`` of what
-            is left, which is always positive.
+            ``"measured"``: in the new innovation.  At 0.5 both are equal.
+        lowest: lower bound of the estimate, as a share of the nominal variance.
+        highest: upper bound of the estimate, as a multiple of the nominal variance.
+        warmup: number of first innovations that do not change the estimate: after a prior that is far off they reflect
+            the prior more than the noise.
+        adapt: ``"innovation"``: before the update, as above; ``"residual"``: after it, by ``r r^T + H P H^T`` of the
+            residual and the posterior, which is always positive.
 
     Raises:
         ValueError: a value out of its range, or not one confidence for each block.
@@ -140,7 +140,7 @@ class SageHusa(NominalNoise):
         self.register_buffer("element", torch.tensor([element[i] for i in sorted(element)]), persistent=False)
 
     def begin(self, mean: Tensor) -> NoiseMemory:
-        """Nominal noise remembered, for tracks of state ``mean (..., n)``."""
+        """The memory of nominal noise, for tracks of state ``mean (..., n)``."""
         one = mean.new_ones((*mean.shape[:-1], len(self.element)))
         return NoiseMemory(one, one, 0 * one)
 
@@ -149,20 +149,17 @@ class SageHusa(NominalNoise):
         return self(memory, self.excess(whitened), measured) if when == self.adapt else memory
 
     def excess(self, whitened: Whitened) -> Tensor:
-        """One measurement's estimate ``(..., m)`` of the variances, such as ``e^2 - H P H^T``.
-
-        For ``"residual"`` it is what was measured against the belief after the update.
-        """
+        """The estimate ``(..., m)`` of the variances by one measurement: ``e^2 - H P H^T``, or ``r^2 + H P H^T``."""
         predicted = whitened.spread.square().sum(-1)
         predicted = predicted if whitened.subtracted is None else predicted - whitened.subtracted.square().sum(-1)
-        # A finite number, however large: the estimate has a bound, and where it stands there 0 times infinity is NaN.
+        # Finite, as the gradient at the bound of the estimate would be 0 times infinity.
         squared = whitened.residual.square().clamp_max(torch.finfo(predicted.dtype).max)
         return squared + (predicted if self.adapt == "residual" else -predicted)
 
     def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
         """The memory after one more ``excess (..., m)``.
 
-        ``weight (..., m)`` is how probably it was the target's: below a half it is not used.  0 where missing.
+        ``weight (..., m)`` is the probability that it is the target's, 0 where missing; below a half it is not used.
         """
         used = (weight >= 0.5).to(excess)
         total = memory.total * self.forgetting.elements(excess) + 1
@@ -177,12 +174,12 @@ class SageHusa(NominalNoise):
             memory.updates + used,
         )
 
-    def known(self, whitened: Whitened, memory: Any) -> Whitened:
+    def rescale(self, whitened: Whitened, memory: Any) -> Whitened:
         """The measurement in units of the estimated noise."""
         return down_weight(whitened, 1 / memory.scale)
 
     def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
-        """A root ``(..., m, m)`` from units of the estimated noise back in those of the nominal noise."""
+        """A root ``(..., m, m)`` in units of the estimated noise, converted to units of the nominal noise."""
         return torch.where(measured > 0, memory.scale, 1.0).sqrt().unsqueeze(-1) * root
 
     def scale(self, memory: Any) -> Tensor | None:

@@ -1,4 +1,4 @@
-"""Since when a sensor is faulty."""
+"""How long a sensor has been faulty."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import torch
 from torch import Tensor
 
 LIKELY = 0.5
-"""Probability above which what is measured is more likely wrong than right."""
+"""Probability above which a measurement is more likely wrong than right."""
 
 
 def lasting(lasted: Tensor, was: Tensor, now: Tensor, dt: Tensor) -> Tensor:
     """Seconds ``(..., B)`` since the first of the measurements in a row that are more likely wrong than right.
 
     Args:
-        lasted: ``(..., B)`` the same at the step before.
-        was: ``(..., B)`` probability that what was measured last then was wrong.
-        now: ``(..., B)`` the same after this step.
-        dt: ``(...)`` seconds between the two.
+        lasted: ``(..., B)`` these seconds at the step before.
+        was: ``(..., B)`` probability at the step before that the last measurement is wrong.
+        now: ``(..., B)`` probability after this step that the last measurement is wrong.
+        dt: ``(...)`` seconds between the two steps.
 
     Returns:
-        0 at the first of them, and where what is measured is right.
+        0 at the first such measurement, and where the last measurement is more likely right.
     """
     return torch.where((was > LIKELY) & (now > LIKELY), lasted + dt.unsqueeze(-1), 0.0)

@@ -13,14 +13,22 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnose, mended, spared
+from torchfra.filters.failures import choose, diagnose, replace_failed
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
 from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo, scores
 from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements, Time, batch_rank, make_frames, with_values
+from torchfra.gaussian.inputs import (
+    BackwardStep,
+    Frame,
+    Measurements,
+    Time,
+    batch_rank,
+    broadcast_with_values,
+    make_frames,
+)
 from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import smooth_step
@@ -38,7 +46,7 @@ R = TypeVar("R")
 
 
 def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
-    """A method that computes under ``torch.autocast`` as it does without: half precision is too coarse for roots."""
+    """A method in which ``torch.autocast`` is off: half precision is too coarse for covariance roots."""
 
     @wraps(method)
     def full(*arguments: P.args, **options: P.kwargs) -> R:
@@ -51,13 +59,13 @@ def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
 
 
 def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
-    """A method for whole tracks that the filter's engine calls."""
+    """A method for whole tracks, run by the filter's engine."""
 
     @wraps(method)
-    def call(*given: P.args, **options: P.kwargs) -> R:
-        f: Any = given[0]
-        made: R = f.engine.call(method, *given, **options)
-        return made
+    def call(*arguments: P.args, **options: P.kwargs) -> R:
+        f: Any = arguments[0]
+        result: R = f.engine.call(method, *arguments, **options)
+        return result
 
     return call
 
@@ -68,7 +76,7 @@ class Filter(nn.Module, Generic[S]):
     ::
 
         begin(belief) -> state                           usually a named tuple, with a ``belief``
-        advance(state, frame) -> state, Record           one step on a prepared frame
+        advance(state, frame) -> state, Record           one step; a frame has all of it that is not the belief
         retreat(step, after) -> state, Smoothed          one step of the backward pass
 
     From these come ``step``, ``forward``, ``smooth`` with or without a lag, ``FixedLag``, ``predict``, other sensors,
@@ -92,19 +100,20 @@ class Filter(nn.Module, Generic[S]):
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     alarms = False
-    """Whether it says if the sensor is faulty: ``watch``, and ``alarm`` in the ``info`` of its steps."""
+    """Whether it detects a faulty sensor: ``watch``, and ``alarm`` in the ``info`` of its steps."""
     instants = True
-    """Whether a step may take no time, as that to a second measurement at the same instant."""
+    """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
     mixes = False
-    """Whether ``advance`` starts from what its ``mix`` makes of a belief, as filters inside of ``IMM`` have to."""
+    """Whether ``advance`` takes a ``mix``, a function that replaces the belief from which the step starts, as a filter
+    inside of ``IMM`` must."""
     keeps_past = False
     """Whether the backward pass needs more of a step than an estimate holds of it."""
     one_sensor: str | None = None
-    """Why there may be no other sensor; None where there may."""
+    """Why the filter takes no other sensor than its own; None where it does."""
     annealed: tuple[str, ...] = ()
     """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
     originals: tuple[Sensor, ...] = ()
-    """The sensors that its own is a copy of: they count as its own."""
+    """The sensors that the filter's own sensor is a copy of: they count as its own."""
     engine: Engine
     """What runs its steps: see ``compile``."""
     motion: Motion
@@ -132,10 +141,9 @@ class Filter(nn.Module, Generic[S]):
         raise TypeError(f"{type(self).__name__} needs a begin")
 
     def advance(self, state: S, frame: Frame) -> tuple[S, Record]:
-        """One step on a prepared frame: the next state and what to keep of the step.
+        """One step: the next state, and the record of the step.
 
-        A filter with ``mixes = True`` has one more argument, ``mix``: a function that replaces the belief from which
-        the step starts, as interacting models do.
+        A filter with ``mixes = True`` has one more argument, ``mix``.
         """
         raise TypeError(f"{type(self).__name__} needs an advance")
 
@@ -169,11 +177,11 @@ class Filter(nn.Module, Generic[S]):
         return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
 
     def unremembered(self, state: Any) -> Any:
-        """A state without what it remembers of measurements, for a measurement of this filter's sensor."""
+        """A state without the memory of earlier measurements, which were those of another sensor."""
         return state
 
     def remembering(self, state: Any, before: Any) -> Any:
-        """A state after a measurement of another sensor, with what the one ``before`` remembers."""
+        """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
         return state
 
     def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
@@ -182,42 +190,50 @@ class Filter(nn.Module, Generic[S]):
         return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])
 
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """Hypotheses ``(K, ..., n)`` of the state after a step with nothing measured, and logs of their weights."""
+        """Hypotheses ``(K, ..., n)`` of the state after a step without a measurement, and logs of their weights."""
         _, record = self.advance(state, frame)
         return one_hypothesis(self.finish(state, record.belief, None)[0])
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
         whitened = self.compare(beliefs, frame)
         return Gaussian(whitened.residual, innovation(whitened)[0])
 
     def check_smooths(self) -> None:
-        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed."""
+        """Checks that the filter can be smoothed.
+
+        Raises:
+            NotImplementedError: it cannot, with the reason.
+        """
 
     def check_smooths_several(self) -> None:
-        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed over several sensors."""
+        """Checks that the filter can be smoothed over several sensors.
+
+        Raises:
+            NotImplementedError: it cannot, with the reason.
+        """
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
         """What the backward pass needs: a tree of ``(..., T, ...)`` tensors.
 
         Args:
-            belief: of ``forward``.
-            info: of ``forward``.
-            state: after the last step; None of a filter that keeps no past.
-            steps: ``Record.past`` of all steps; None of a filter that keeps no past.
+            belief: the estimates of ``forward``.
+            info: the info of ``forward``.
+            state: after the last step; None for a filter that keeps no past.
+            steps: ``Record.past`` of all steps; None for a filter that keeps no past.
         """
         return Past(belief, None, info=info)
 
     def fresh(self, past: Any) -> Any:
-        """The past of a step as of the step itself, before the next measurement has decided its estimate."""
+        """The past of a step before the next measurement has decided its estimate."""
         return past if past.fresh is None else Past(*past.fresh)
 
     def decided(self, past: Any) -> Any:
-        """The past of the last step, whose estimate no later measurement decides."""
+        """The past of the last step, whose estimate no later measurement can decide."""
         return past._replace(fresh=None)
 
     def needed_of_next(self, past: Any) -> Any:
-        """What ``retreat`` reads of the past of the step after it, here the fading factor; the rest is None."""
+        """The part of the next step's past that ``retreat`` reads, here the fading factor; all else is None."""
         return past._replace(belief=None, fresh=None)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
@@ -237,28 +253,28 @@ class Filter(nn.Module, Generic[S]):
         return predict(self.motion, self.motion_rule, belief, frame)
 
     def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """The measurement against a predicted belief."""
+        """Compares the measurement with a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
 
     def reverse(self, belief: Gaussian, carried: Carried, after: Gaussian) -> Smoothed:
-        """A ``belief``, smoothed by the smoothed one ``after`` the step that has ``carried`` it."""
+        """The smoothed ``belief``, from the smoothed belief ``after`` the step that has ``carried`` it."""
         (mean, root), repaired = smooth_step(belief, carried, after, self.motion.difference)
         repaired = None if repaired is None else repaired.expand(mean.shape[:-1])
         return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
     def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Carried:
-        """A belief carried over a step, with the fading factor ``(...)`` that was chosen, if any."""
+        """A belief carried over a step, with the fading factor ``(...)`` of the forward pass, if any."""
         carried = propagate(self.motion, self.motion_rule, belief, frame)
         return carried if factor is None else carried._replace(spread=self.fading.stretch(carried.spread, factor))
 
     @property
     def frame_motion(self) -> Motion:
-        """The motion whose transition and process noise frames hold."""
+        """The motion whose transition and process noise are in the frames."""
         return self.motion
 
     @property
     def _may_repair(self) -> bool:
-        """Whether a step back may have to repair a covariance."""
+        """Whether a step of the backward pass may have to repair a covariance."""
         return self.motion_rule.signed and not self.motion.linear
 
     # ------------------------------------------------------------ to use a filter
@@ -295,15 +311,15 @@ class Filter(nn.Module, Generic[S]):
 
         Args:
             state: from ``init`` or the step before; it is not changed.
-            z: ``(..., m)``, of scans ``(..., J, m)``; NaN is missing; with nothing measured a step is a prediction.
+            z: ``(..., m)``, or ``(..., J, m)`` for a scan; NaN is missing; a step without one is a prediction.
             dt: seconds since the last step, a number or ``(...)``; 0 for another measurement at the same instant.
-            u: ``(..., k)`` what the models need to know, such as where the stations are.
-            std: like ``z``: standard deviation of this measurement's noise, instead of the sensor's.
-            noise: like ``z`` with one more ``m``: root of the noise covariance, instead of the sensor's.
-            sensor: that has measured, if it is not the filter's own: see ``with_sensor``.
+            u: ``(..., k)`` inputs that the models need, such as the positions of stations.
+            std: shaped like ``z``: standard deviation of this measurement's noise, instead of the sensor's.
+            noise: shaped like ``z`` with one more ``m``: root of the noise covariance, instead of the sensor's.
+            sensor: the sensor that has measured, if it is not the filter's own: see ``with_sensor``.
 
         Returns:
-            The next state, whose ``belief`` is the estimate, and what the measurement said.
+            The next state, whose ``belief`` is the estimate, and the innovation.
 
         Raises:
             ValueError: a shape or a value that does not fit.
@@ -325,25 +341,24 @@ class Filter(nn.Module, Generic[S]):
     ) -> tuple[S, Innovation, Alarm | None]:
         """``step``, and whether the sensor is faulty.
 
-        Of another sensor than the filter's own only this measurement counts; ``stream.Tracker`` remembers each sensor.
+        For another sensor than the filter's own only this measurement counts; ``stream.Tracker`` remembers each sensor.
 
         Args:
-            state: as of ``step``.
-            z: as of ``step``.
-            dt: as of ``step``.
-            u: as of ``step``.
-            std: as of ``step``.
-            noise: as of ``step``.
-            sensor: as of ``step``.
+            state: see ``step``.
+            z: see ``step``.
+            dt: see ``step``.
+            u: see ``step``.
+            std: see ``step``.
+            noise: see ``step``.
+            sensor: see ``step``.
 
         Returns:
-            The next state, what the measurement said, and the alarm; None of filters that do not say (``alarms``).
+            The next state, the innovation, and the alarm; None for a filter without alarms (``alarms``).
 
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        after, said = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=True)
-        innovation, alarm, _ = said
+        after, (innovation, alarm, _) = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=True)
         return after, innovation, alarm
 
     def _step(self, state: S, measurements: Measurements, sensor: Sensor | None, *, watched: bool) -> tuple[Any, Any]:
@@ -373,29 +388,29 @@ class Filter(nn.Module, Generic[S]):
         """Whole tracks, or sequences of scans.
 
         Args:
-            z: ``(..., T, m)`` measurements, of scans ``(..., T, J, m)``; NaN is missing, element by element.
-            prior: the belief one ``dt`` before the first of them: ``mean (..., n)`` and any root ``(..., n, n)``; of
+            z: ``(..., T, m)`` measurements, or ``(..., T, J, m)`` of scans; NaN is missing, element by element.
+            prior: the belief one ``dt`` before the first of them: ``mean (..., n)`` and any root ``(..., n, n)``; for
                 several targets ``(..., N, n)`` and ``(..., N, n, n)``.
-            dt: seconds between steps, a number or what broadcasts with ``(..., T)``: ``(T,)`` for each step,
+            dt: seconds between steps, a number or a tensor that broadcasts with ``(..., T)``: ``(T,)`` for each step,
                 ``(..., 1)`` for each track, ``(..., T)`` for both.
-            u: ``(..., T, k)`` or ``(T, k)`` what the models need to know at a step, such as where the stations are.
-            std: like ``z``: standard deviations of the measurement noise, instead of the sensor's.
-            noise: like ``z`` with one more ``m``: roots of the noise covariances, instead of the sensor's.
+            u: ``(..., T, k)`` or ``(T, k)`` inputs that the models need at a step, such as the positions of stations.
+            std: shaped like ``z``: standard deviations of the measurement noise, instead of the sensor's.
+            noise: shaped like ``z`` with one more ``m``: roots of the noise covariances, instead of the sensor's.
             truncate: steps after which gradients flow no further back (truncated back-propagation); None for all.
-            checkpoint: steps between states that are kept for the backward pass, which computes the steps between anew:
-                less memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
-            sensors: where steps have several: ``z (..., T, m)`` has the elements of the largest, NaN behind those
-                of a smaller, and so do ``std``, ``noise`` and the elements in ``info``.
-            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` 0 for two at the same instant.  The
-                ``u`` of a step is for its sensor: a ``RangeBearing`` without a ``position`` stands there.
-            past: whether the estimate shall hold what ``smooth(estimate=)`` needs, such as the belief of each model.
+            checkpoint: steps between states that are kept for the gradient, which recomputes the steps between: less
+                memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
+            sensors: several sensors, of which each step has one: ``z (..., T, m)`` has the elements of the largest, and
+                NaN behind those of a smaller one; so do ``std``, ``noise`` and the elements in ``info``.
+            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` is 0 between two at the same
+                instant.  The ``u`` of a step is for its sensor: the position of a ``RangeBearing`` that has none.
+            past: whether the estimate holds what ``smooth(estimate=)`` needs, such as the belief of each model.
 
         Returns:
-            Estimates ``(..., T, n)``, of several targets ``(..., N, T, n)``.
+            Estimates ``(..., T, n)``, or ``(..., N, T, n)`` for several targets.
 
         Raises:
             ValueError: a shape or a value that does not fit.
-            NotImplementedError: ``past`` of a filter that cannot be smoothed.
+            NotImplementedError: ``past`` for a filter that cannot be smoothed.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
@@ -403,15 +418,15 @@ class Filter(nn.Module, Generic[S]):
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
         if past:
-            return f._remembered(measurements, prior, checkpoint, truncate)
-        estimate = f._forth(measurements, prior, checkpoint, truncate)[0]
-        without = spared(f, estimate, measurements, prior)
-        if without is None:
+            return f._with_past(measurements, prior, checkpoint, truncate)
+        estimate = f._run(measurements, prior, checkpoint, truncate)[0]
+        replaced = replace_failed(f, estimate, measurements, prior)
+        if replaced is None:
             return estimate
-        others = f._forth(without.measurements, without.prior, checkpoint, truncate)[0]
-        return mended(without.failed, estimate, others)
+        good = f._run(replaced.measurements, replaced.prior, checkpoint, truncate)[0]
+        return choose(replaced.failed, estimate, good)
 
-    if TYPE_CHECKING:  # what torch types as a call that may return anything
+    if TYPE_CHECKING:  # torch types a call as one that may return anything
         __call__ = forward
 
     @by_its_engine
@@ -439,29 +454,29 @@ class Filter(nn.Module, Generic[S]):
         gives to the prediction are not used.)
 
         Args:
-            z: as of ``forward``.
-            prior: as of ``forward``.
-            dt: as of ``forward``.
-            u: as of ``forward``.
-            std: as of ``forward``.
-            noise: as of ``forward``.
+            z: see ``forward``.
+            prior: see ``forward``.
+            dt: see ``forward``.
+            u: see ``forward``.
+            std: see ``forward``.
+            noise: see ``forward``.
             truncate: steps after which gradients of the forward pass flow no further back; nor do those of predictions
-                on the backward pass.
-            checkpoint: steps between states that are kept for gradients, both ways.
-            lag: measurements up to so many steps later count for the estimate of a step; None for all there are.
+                in the backward pass.
+            checkpoint: steps between states that are kept for gradients, in both passes.
+            lag: number of later steps whose measurements count for the estimate of a step; None for all.
             estimate: the result of ``forward`` for the same arguments, so that the filter need not run again.  A filter
                 of several models runs again nevertheless, unless ``forward`` was called with ``past=True``.
-            sensors: as of ``forward``.
-            which: as of ``forward``.
+            sensors: see ``forward``.
+            which: see ``forward``.
 
         Returns:
             Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
             ``info`` is a ``SmoothInfo``.
 
         Raises:
-            ValueError: as of ``forward``; ``lag`` below 1, or an estimate of other tracks.
-            NotImplementedError: constant gains, which do not say how states follow from each other; ``GPB`` over
-                several sensors, as its backward pass is of one sensor's outliers; ``JPDA`` around several models.
+            ValueError: see ``forward``; ``lag`` below 1, or an estimate of other tracks.
+            NotImplementedError: filters of constant gains, which have no process noise; ``GPB`` over several sensors,
+                as its backward pass has outliers of one sensor; ``JPDA`` around several models.
         """
         f: Any = self if sensors is None and which is None else fused(self, sensors, which)
         f.check_smooths()
@@ -470,31 +485,31 @@ class Filter(nn.Module, Generic[S]):
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
         smoothed = self._smoothed(f, measurements, prior, checkpoint, lag, truncate, estimate)
-        without = spared(f, smoothed.info.filtered, measurements, prior)
-        if without is None:
+        replaced = replace_failed(f, smoothed.info.filtered, measurements, prior)
+        if replaced is None:
             return smoothed
-        others = self._smoothed(f, without.measurements, without.prior, checkpoint, lag, truncate, None)
-        return mended(without.failed, smoothed, others)
+        good = self._smoothed(f, replaced.measurements, replaced.prior, checkpoint, lag, truncate, None)
+        return choose(replaced.failed, smoothed, good)
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
-        """What is expected after ``dt`` seconds, without a measurement; it runs interpreted.
+        """The prediction of state and measurement after ``dt`` seconds; it runs interpreted.
 
-        Of several models or hypotheses it has the moments.  ``FRA`` predicts from its provisional estimate, ``GPB``
-        counts on manoeuvres that may begin.
+        For several models or hypotheses it is the Gaussian with their moments.  ``FRA`` predicts from its provisional
+        estimate; the prediction of ``GPB`` includes manoeuvres that may begin.
 
         Args:
             state: from ``init`` or ``step``; it is not changed.
-            dt: seconds from there, 0 or more, a number or ``(...)``.
-            u: ``(..., k)`` what the models need to know then.
-            sensor: whose measurement is expected, if it is not the filter's own.
+            dt: seconds after that state, 0 or more, a number or ``(...)``.
+            u: ``(..., k)`` inputs that the models need at that time.
+            sensor: the sensor whose measurement is predicted, if it is not the filter's own.
 
         Returns:
-            The state's mean and root, and those of a measurement.
+            Mean and root of the state, and of a measurement.
 
         Raises:
             ValueError: a shape or a value that does not fit.
-            NotImplementedError: of a filter of scans.
+            NotImplementedError: for a filter of scans.
         """
         if self.scans:
             raise NotImplementedError(f"{type(self).__name__} has no predict: in a scan many measurements are expected")
@@ -506,21 +521,21 @@ class Filter(nn.Module, Generic[S]):
 
     @property
     def home(self) -> Any:
-        """The filter that this is a view of: itself, unless ``with_sensor`` has made it."""
+        """The filter that this one is a view of; the filter itself, unless ``with_sensor`` has made it."""
         return self
 
     def with_sensor(self, sensor: Sensor | None) -> Self:
-        """The same filter around another sensor: motion, hyperparameters and states are those of this filter.
+        """A view of this filter around another sensor; motion, hyperparameters and states are those of this filter.
 
-        It is made once for each sensor, and compiled if this filter is; what changes in this filter it takes over when
-        it is next asked for.  What this filter remembers of measurements is of its own sensor: another's is judged by
-        itself.
+        A view is made once for each sensor, and compiled if this filter is; each call of this method takes over what
+        has changed in this filter.  The filter's memory of innovations and outliers is of its own sensor, so a
+        measurement of another sensor neither uses nor changes it.
 
         Args:
-            sensor: reads at most the states that the motion has; None for the filter's own.
+            sensor: reads at most the components that the state has; None for the filter's own.
 
         Raises:
-            ValueError: something else, or a filter that is of one sensor, with the reason.
+            ValueError: no such sensor, or a filter that takes its own sensor only, with the reason.
         """
         if sensor is None or sensor is self.sensor or any(sensor is x for x in self.originals):
             return self
@@ -528,29 +543,28 @@ class Filter(nn.Module, Generic[S]):
         return view
 
     def compile(self, *args: Any, wait: bool = True, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
-        """From here on run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
+        """Makes all later calls run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
 
         It needs the package llvmlite (``pip install 'torchfra[compiler]'``), on a GPU torch's own NVRTC, and up to some
-        seconds for a form of call that no earlier process has compiled.  Without llvmlite there is one warning, and the
-        filter runs interpreted on the CPU.  Gradients are of first order.  To
-        ``torch.compile`` a call for whole tracks is one operation (from torch 2.11 on, with one sensor, not of scans);
-        what else it sees, and transforms of ``torch.func``, runs as without.
-        ``torchfra/compiler/README.md`` has the details.
+        seconds for a form of call that no earlier process has compiled.  Without llvmlite it warns once, and the filter
+        runs interpreted on the CPU.  Gradients are of first order.  To ``torch.compile`` a call for whole tracks is one
+        operation (from torch 2.11 on, with one sensor, not of scans); its other calls, and those inside of transforms
+        of ``torch.func``, run interpreted.  ``torchfra/compiler/README.md`` has the details.
 
         Args:
             wait: whether the first call of a form waits for its kernels.  If not, it runs interpreted while a thread
-                compiles; later calls run compiled once that is done, and raise what it has raised.  Calls with
-                gradients always wait.
+                compiles; later calls run compiled once the thread is done, and raise its error if it failed.  Calls
+                with gradients always wait.
             args: with any other argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:
                 ``f.compile(backend="inductor")``.
-            options: as ``args``.
+            options: see ``args``.
 
         Returns:
             The filter itself.
 
         Raises:
             CompileError: (a ``RuntimeError``) when a kernel is needed and cannot be compiled.
-            NotImplementedError: then too, if the filter does what kernels cannot.
+            NotImplementedError: when a kernel is needed for an operation that kernels do not have.
         """
         if args or options:
             super().compile(*args, **options)
@@ -567,56 +581,57 @@ class Filter(nn.Module, Generic[S]):
     # ------------------------------------------------------------ to run a filter, for engines
 
     def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
-        """One step on a prepared frame: the next state, and what the estimate (and the backward pass) needs of it."""
+        """One step: the next state, and the parts of its record that the estimate (and the backward pass) needs."""
         state, record = self.advance(state, frame)
         nis, log_likelihood = self._scores(record, frame.measurement_noise.log_norm)
         return state, Kept(record.belief, nis, log_likelihood, record.info, record.past if past else None)
 
     def observe(self, state: S, frame: Frame) -> tuple[S, Innovation]:
-        """One step on a prepared frame: the next state, and what the measurement said."""
+        """One step: the next state, and the innovation."""
         state, record = self.advance(state, frame)
         return state, self.innovation_of(record, frame)
 
     def watched(self, state: S, frame: Frame) -> tuple[S, tuple[Innovation, Alarm | None]]:
-        """The same, and whether the sensor is faulty; None of filters that do not say."""
+        """One step: the next state, the innovation, and the alarm; None for a filter without alarms."""
         state, record = self.advance(state, frame)
         return state, (self.innovation_of(record, frame), record.info.alarm if self.alarms else None)
 
-    def _forth(
+    def _run(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         past: bool = False,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
-        """The estimate of whole tracks, and for a backward pass the last state and what steps have kept."""
+        """The estimate of whole tracks, and for a backward pass the last state and ``Record.past`` of all steps."""
         estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
         if estimate.failure is None:
             estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
         return estimate, state, kept
 
     def begun(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
-        """The state before the first measurement of whole tracks, and its batch dimensions; all is checked."""
+        """Checks the arguments; the state before the first measurement of whole tracks, and its batch dimensions."""
         batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
         mean, root = (x.to(measurements.z) for x in prior)
         return self.init(Gaussian(mean.expand((*batch, self.motion.size)), root)), len(batch)
 
     def estimate_of(self, state: S, kept: Kept) -> Estimate:
-        """The estimate of whole tracks, from the last state and what is kept of all steps."""
+        """The estimate of whole tracks, from the last state and the kept parts of all steps."""
         belief, info = self.finish(state, kept.belief, kept.info)
         return Estimate(*belief, kept.nis, kept.log_likelihood, info)
 
     def _frame(self, state: Any, measurements: Measurements) -> Frame:
-        """The frame of a single step, checked."""
+        """Checks the arguments of a single step, and makes its frame."""
         return self._frames(check_step(self, state, measurements), state.belief.mean.dim() - 1)[0][0]
 
     def _rank(self) -> int:
-        """Batch dimensions there are at least."""
+        """Least number of batch dimensions."""
         return max(batch_rank(self), int(self.scans))
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of all, checked, with the dimensions of the hyperparameters; messages call the prior ``name``."""
+        """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
         batch = check(
             measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, instants=self.instants
         )
-        return with_values(self, torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch, self.scans)
+        batch = torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
+        return batch if self.scans else broadcast_with_values(self, batch)
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
@@ -627,16 +642,16 @@ class Filter(nn.Module, Generic[S]):
         return scores(record.normalised, record.root, log_norm, record.density)
 
     def innovation_of(self, record: Record, frame: Frame) -> Innovation:
-        """What the measurement of a step said, in its own units."""
+        """The innovation of a step, in the units of the measurement."""
         noise = frame.measurement_noise
         assert record.residual is not None
         residual, root = noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
         return Innovation(residual, root, *self._scores(record, noise.log_norm))
 
-    def _remembered(
+    def _with_past(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None
     ) -> Estimate:
-        """The filtered estimate, which holds its past."""
+        """The filtered estimate, with its past."""
         self.check_smooths()
         estimate, past = self._filtered(measurements, prior, checkpoint, truncate, None)
         return estimate._replace(past=past)
@@ -645,20 +660,30 @@ class Filter(nn.Module, Generic[S]):
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, lag: int | None,
         truncate: int | None, estimate: Estimate | None,
     ) -> Estimate:  # fmt: skip
-        """The smoothed estimate, of tracks that the filter ``f`` is made for."""
+        """The smoothed estimate.
+
+        Args:
+            f: this filter, or a view of it in which each step has a sensor of its own.
+            measurements: of whole tracks, checked.
+            prior: see ``smooth``.
+            checkpoint: see ``smooth``.
+            lag: see ``smooth``.
+            truncate: see ``smooth``.
+            estimate: see ``smooth``.
+        """
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
-        every = self.engine.backward(
+        smoothed = self.engine.backward(
             self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
         )
-        info = SmoothInfo(filtered, every.probabilities, every.outlier, every.repaired)
-        return Estimate(*every.belief, filtered.nis, filtered.log_likelihood, info)
+        info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)
+        return Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)
 
     def _filtered(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         estimate: Estimate | None,
     ) -> tuple[Estimate, Any]:  # fmt: skip
-        """The filtered estimate, and what the backward pass needs of it."""
+        """The filtered estimate, and its past for the backward pass."""
         state = steps = None
         if estimate is not None:
             z = measurements.z
@@ -670,5 +695,5 @@ class Filter(nn.Module, Generic[S]):
             if estimate.past:
                 return estimate._replace(past=()), estimate.past
         if estimate is None or self.keeps_past:
-            estimate, state, steps = self._forth(measurements, prior, checkpoint, truncate, self.keeps_past)
+            estimate, state, steps = self._run(measurements, prior, checkpoint, truncate, self.keeps_past)
         return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)

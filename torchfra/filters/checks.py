@@ -18,11 +18,11 @@ from torchfra.types import Gaussian
 
 
 def check_models(motion: Motion, sensor: Sensor) -> None:
-    """Checks that these are a motion and a sensor that go together.
+    """Checks that a motion and a sensor go together.
 
     Raises:
-        ValueError: one is neither, the sensor reads more components or dimensions of space than the motion has, or it
-            expects other kinds of components than the motion states.
+        ValueError: an argument is not a motion or not a sensor, the sensor reads more components or dimensions of space
+            than the motion has, or it expects other kinds of components than the motion states.
     """
     for name, model, kind in (("motion", motion, Motion), ("sensor", sensor, Sensor)):
         if not isinstance(model, kind):
@@ -44,7 +44,7 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
 
 
 def check_sides(**sides: tuple[Any, type]) -> None:
-    """Checks that each side is of its kind: ``check_sides(robust=(robust, Robust))``.
+    """Checks that each part of a filter is of its class: ``check_sides(robust=(robust, Robust))``.
 
     Raises:
         ValueError: names the first that is not.
@@ -56,10 +56,10 @@ def check_sides(**sides: tuple[Any, type]) -> None:
 
 
 def check_state(f: Any, state: Any) -> None:
-    """Checks that this is a state that a filter has made, or one of the same form.
+    """Checks that a state comes from this filter, or has the same form.
 
     Raises:
-        ValueError: it is something else, a prior or the state of another filter say.
+        ValueError: it is something else, such as a prior or the state of another filter.
     """
     if not isinstance(getattr(state, "belief", None), Gaussian):
         raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
@@ -70,7 +70,7 @@ def check_state(f: Any, state: Any) -> None:
 
 
 def _fits(made: Any, state: Any) -> bool:
-    """Whether a state has the form of one that a filter has made of the same belief."""
+    """Whether a state has the form of the one that the filter has ``made`` from the same belief."""
     if isinstance(made, Tensor):
         sizes = zip(reversed(made.shape), reversed(getattr(state, "shape", (None,))), strict=False)
         return isinstance(state, Tensor) and all(a == b or 1 in (a, b) for a, b in sizes)
@@ -80,10 +80,10 @@ def _fits(made: Any, state: Any) -> bool:
 
 
 def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
-    """A single step as a track of one, in the precision of the state, if it fits that.
+    """Checks a single step, and returns it as a track of one step in the precision of the state.
 
     Raises:
-        ValueError: a kind, a shape or a value that does not.
+        ValueError: a kind, a shape or a value that does not fit the state.
     """
     check_state(f, state)
     check_kinds(measurements)
@@ -95,14 +95,14 @@ def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
 
 
 def needed_inputs(f: Any, measurements: Measurements, check: Callable[[], Any]) -> Measurements:
-    """The measurements, with numbers for NaN in ``u`` that missing elements alone need, as of satellites that are gone.
+    """Replaces NaN in ``u`` that only missing elements depend on, such as the positions of satellites out of view.
 
-    A NaN that the motion needs, or an element that is measured, stays: such a track fails.
+    A NaN on which the motion or a measured element depends stays: such a track fails.
 
     Args:
         f: the filter.
         measurements: of whole tracks, or of a step.
-        check: checks them, which is only done here if there is a NaN.
+        check: checks the arguments; it is called only if ``u`` has a NaN.
     """
     z, u = measurements.z, measurements.u
     if not isinstance(u, Tensor) or f.scans or is_traced(u) or not bool(u.isnan().any()):
@@ -120,7 +120,7 @@ def needed_inputs(f: Any, measurements: Measurements, check: Callable[[], Any]) 
 
 
 def check_lengths(**lengths: int | None) -> None:
-    """Whether these are numbers of steps, or None.
+    """Checks that each of these is a number of steps of 1 or more, or None.
 
     Raises:
         ValueError: names the first that is not.

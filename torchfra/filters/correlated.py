@@ -1,4 +1,4 @@
-"""A filter of a target's own states around one that has the errors of its sensor in the state too."""
+"""A filter for sensors with time-correlated errors: the errors are in the state of an inner filter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torchfra.motion.base import Motion
 from torchfra.motion.correlated import GaussMarkov
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.composed import Biased
-from torchfra.sensors.correlated import erring, errors_of, stationary, without_errors
+from torchfra.sensors.correlated import errors_of, have_errors, stationary, without_errors
 from torchfra.types import Gaussian
 
 P = TypeVar("P", bound=Callable[..., Any])
@@ -32,13 +32,13 @@ class WithErrorsState(NamedTuple):
     """State after a step."""
 
     belief: Gaussian
-    """Of the target alone."""
+    """The estimate of the target alone."""
     inner: Any
-    """Of the filter inside, the errors included."""
+    """State of the inner filter, with the errors."""
 
 
 class WithErrorsPast(NamedTuple):
-    """What a step has left, the errors included."""
+    """The parts of a step of the inner filter that the backward pass needs, with the errors."""
 
     belief: Gaussian
     info: Any
@@ -46,14 +46,14 @@ class WithErrorsPast(NamedTuple):
 
 
 class WithErrors(Filter[WithErrorsState]):
-    """A filter whose sensor has errors that last: they are in the state of the filter ``inner``, and nowhere else.
+    """A filter whose sensor has errors that last (coloured noise): only the state of ``inner`` holds them.
 
-    Priors, estimates and beliefs in ``info`` are the leading components, of the target; errors begin as they are in the
-    long run.  Its presets are those of ``inner``: they make it for a ``sensors.Correlated``.
+    Priors, estimates and beliefs in ``info`` have the components of the target alone; errors start from their
+    stationary distribution.  A preset makes this filter if its sensor is a ``sensors.Correlated``.
 
     Args:
-        inner: a filter around ``Augmented`` motions, the target's first, or a ``Bank`` of such, and a ``Biased``
-            sensor.
+        inner: a filter around an ``Augmented`` motion, the target's first, or a ``Bank`` of such motions, and a
+            ``Biased`` sensor.
         sensor: the sensor with its errors.
     """
 
@@ -67,7 +67,7 @@ class WithErrors(Filter[WithErrorsState]):
 
     @property
     def motion(self) -> Motion:  # type: ignore[override]
-        """Of the target alone."""
+        """The motion of the target alone."""
         motion = self.inner.motion
         if isinstance(motion, Bank):
             return Bank([_targets(one) for one in motion[:]], neighbours=motion.neighbours, first=motion.first)
@@ -81,7 +81,7 @@ class WithErrors(Filter[WithErrorsState]):
 
     @property
     def frame_motion(self) -> Motion:
-        """Of the target and the errors."""
+        """The motion of target and errors."""
         return self.inner.frame_motion
 
     @property
@@ -93,21 +93,21 @@ class WithErrors(Filter[WithErrorsState]):
 
     @property
     def alarms(self) -> bool:  # type: ignore[override]
-        """Whether ``inner`` says if the sensor is faulty."""
+        """Whether ``inner`` detects a faulty sensor."""
         return self.inner.alarms
 
     @property
     def instants(self) -> bool:  # type: ignore[override]
-        """Whether steps of ``inner`` may take no time."""
+        """Whether ``dt`` may be 0 in ``inner``."""
         return self.inner.instants
 
     @property
     def one_sensor(self) -> str | None:  # type: ignore[override]
-        """Why ``inner`` may have no other sensor."""
+        """Why ``inner`` takes no other sensor."""
         return self.inner.one_sensor
 
     def own(self, tree: Any) -> Any:
-        """A tree with its beliefs cut to the target's components: a leading block of a lower root is one."""
+        """A tree whose beliefs have the target's components alone: the leading block of a lower root is their root."""
         if isinstance(tree, Gaussian):
             n = self.inner.motion.size - sum(error.size for error in self.errors)
             return Gaussian(tree.mean[..., :n], tree.scale_tril[..., :n, :n])
@@ -119,66 +119,74 @@ class WithErrors(Filter[WithErrorsState]):
     # ------------------------------------------------------------ steps
 
     def begin(self, belief: Gaussian) -> WithErrorsState:
-        """The state of a belief of the target: errors are as in the long run, whatever it is."""
+        """The state of a belief of the target, with errors in their stationary distribution."""
         std = stationary(self.errors, belief.mean)
         mean = torch.cat([belief.mean, torch.zeros_like(std)], -1)
         root = block_diagonal([belief.scale_tril, torch.diag_embed(std)])
         return WithErrorsState(belief, self.inner.begin(Gaussian(mean, root)))
 
-    def advance(self, state: WithErrorsState, frame: Frame, *_: Any) -> tuple[WithErrorsState, Record]:
-        """One step of the filter inside."""
+    def advance(self, state: WithErrorsState, frame: Frame) -> tuple[WithErrorsState, Record]:
+        """One step of the inner filter."""
         inner, record = self.inner.advance(state.inner, frame)
         past = WithErrorsPast(record.belief, record.info, record.past)
         record = record._replace(belief=self.own(record.belief), info=self.own(record.info), past=past)
         return WithErrorsState(self.own(inner.belief), inner), record
 
     def finish(self, state: WithErrorsState, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
-        """As the filter inside does, with the target's components."""
+        """The estimates of the inner filter, with the target's components alone."""
         return self.inner.finish(self.own(state.inner), belief, info)
 
     def predict(
         self, state: WithErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None
     ) -> Forecast:
-        """What is expected after ``dt`` seconds: the target, and a measurement with its errors."""
+        """The prediction after ``dt`` seconds: of the target, and of a measurement with its errors."""
         forecast = self.with_sensor(sensor).inner.predict(state.inner, dt, u=u)
         return forecast._replace(belief=self.own(forecast.belief))
 
     def hypotheses(self, known: Any) -> tuple[Gaussian, Tensor]:
-        """Those of the filter inside."""
+        """The hypotheses of the inner filter, with the target's components alone."""
         beliefs, log_weights = self.inner.hypotheses(known.inner if isinstance(known, WithErrorsState) else known)
         return self.own(beliefs), log_weights
 
     # ------------------------------------------------------------ other sensors
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The filter inside around another sensor, whose errors are white."""
+        """The inner filter around another sensor, whose errors are white."""
         return {"inner": self.inner.with_sensor(sensor)}
 
     # ------------------------------------------------------------ smoothing
 
     def check_smooths(self) -> None:
-        """Raises a ``NotImplementedError`` that says why, if the filter inside cannot be smoothed."""
+        """Checks that the inner filter can be smoothed.
+
+        Raises:
+            NotImplementedError: it cannot, with the reason.
+        """
         self.inner.check_smooths()
 
     def check_smooths_several(self) -> None:
-        """Raises a ``NotImplementedError`` that says why, if it cannot be smoothed over several sensors."""
+        """Checks that the inner filter can be smoothed over several sensors.
+
+        Raises:
+            NotImplementedError: it cannot, with the reason.
+        """
         self.inner.check_smooths_several()
 
     def past(self, belief: Gaussian, info: Any, state: WithErrorsState, steps: WithErrorsPast) -> Any:
-        """What the filter inside needs."""
+        """The past of the inner filter."""
         belief, info = self.inner.finish(state.inner, steps.belief, steps.info)
         return self.inner.past(belief, info, state.inner, steps.past)
 
     def fresh(self, past: Any) -> Any:
-        """As of the filter inside."""
+        """The past of a step before the next measurement has decided its estimate."""
         return self.inner.fresh(past)
 
     def decided(self, past: Any) -> Any:
-        """As of the filter inside."""
+        """The past of the last step, whose estimate no later measurement can decide."""
         return self.inner.decided(past)
 
     def needed_of_next(self, past: Any) -> Any:
-        """As of the filter inside."""
+        """The part of the next step's past that ``retreat`` reads."""
         return self.inner.needed_of_next(past)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
@@ -187,30 +195,30 @@ class WithErrors(Filter[WithErrorsState]):
         return state, self.own(smoothed)
 
     def retreat(self, step: BackwardStep, after: Any) -> tuple[Any, Smoothed]:
-        """One step back of the filter inside."""
+        """One step of the backward pass of the inner filter."""
         state, smoothed = self.inner.retreat(step, after)
         return state, self.own(smoothed)
 
 
 def with_errors(preset: P, takes: bool = True) -> P:
-    """A preset ``(motion, sensor, ...)`` that takes a sensor with errors that last, or refuses it."""
+    """A preset ``(motion, sensor, ...)`` that takes sensors with errors that last, or refuses them."""
     first, second = list(inspect.signature(preset).parameters)[:2]
 
     @wraps(preset)
     def made(*arguments: Any, **options: Any) -> Any:
-        given = dict(zip((first, second), arguments, strict=False)) | options
-        motion, sensor = given.get(first), given.get(second)
+        named = dict(zip((first, second), arguments, strict=False)) | options
+        motion, sensor = named.get(first), named.get(second)
         if not isinstance(sensor, Sensor) or not errors_of(sensor) or not isinstance(motion, Motion | Sequence):
             return preset(*arguments, **options)
         if not takes:
             expected = f"one without errors that last, as {preset.__name__} has none in its state"
             raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
         errors, behind = errors_of(sensor), count(_one(motion).size)
-        biased = Biased(without_errors(sensor), [next(behind) if has else None for has in erring(sensor)])
-        rest = {name: x for name, x in options.items() if name not in (first, second)}
-        return WithErrors(preset(_augmented(motion, errors), biased, *arguments[2:], **rest), sensor)
+        biased = Biased(without_errors(sensor), [next(behind) if has else None for has in have_errors(sensor)])
+        options = {name: x for name, x in options.items() if name not in (first, second)}
+        return WithErrors(preset(_augmented(motion, errors), biased, *arguments[2:], **options), sensor)
 
-    return made  # type: ignore[return-value]  # it takes the same, and more
+    return made  # type: ignore[return-value]  # it takes all that the preset takes
 
 
 def _one(motion: Motion | Sequence[Motion]) -> Motion:
@@ -221,14 +229,14 @@ def _one(motion: Motion | Sequence[Motion]) -> Motion:
 def _augmented(motion: Motion | Sequence[Motion], errors: list[GaussMarkov]) -> Motion | list[Augmented]:
     """The motion, or each of several, with errors behind it."""
     if isinstance(motion, Bank):
-        every = [Augmented(one, *errors) for one in motion[:]]
-        return Bank(every, neighbours=motion.neighbours, first=motion.first)
+        models = [Augmented(one, *errors) for one in motion[:]]
+        return Bank(models, neighbours=motion.neighbours, first=motion.first)
     if isinstance(motion, Motion):
         return Augmented(motion, *errors)
     return [Augmented(one, *errors) for one in motion]
 
 
 def _targets(motion: Any) -> Motion:
-    """Of an ``Augmented`` motion the target's own."""
+    """The target's motion of an ``Augmented`` one."""
     own: Motion = motion.parts[0]
     return own

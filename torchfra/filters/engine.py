@@ -14,33 +14,34 @@ from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
-"""From a filter, its state and a frame to the next state and what is said of the step."""
+"""From a filter, its state and a frame to the next state and a result of the step."""
 
 
 class Engine(Protocol):
-    """What runs the steps of one filter.  A filter holds one and asks it; ``Filter.compile`` gives it another."""
+    """Runs the steps of one filter.  A filter holds an engine; ``Filter.compile`` replaces it."""
 
-    def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
-        """What a method of the filter gives for whole tracks, ``method(f, *given, **options)``."""
+    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
+        """The result of a method of the filter for whole tracks, ``method(f, *arguments, **options)``."""
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
-        """The state after one measurement, and its innovation; shapes and values are checked.
+        """The state after one measurement, and its innovation; it checks shapes and values.
 
         Args:
             f: the filter.
-            state: before it.
+            state: before the measurement.
             measurements: of the step.
-            watched: whether a triple comes in place of the innovation: that, the alarm, and a copy of the belief.
+            watched: whether to return, instead of the innovation, a triple of innovation, alarm and a copy of the
+                belief.
         """
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
-        """What ``function(f, state, frame)`` gives for one measurement that has been checked."""
+        """The result of ``function(f, state, frame)`` for one measurement that has been checked."""
 
     def scan(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
-        """The state after all steps, and what ``f.keep`` keeps of each, time behind ``rank`` batch dimensions.
+        """The state after all steps, and the result of ``f.keep`` for each, time behind ``rank`` batch dimensions.
 
         Args:
             f: the filter.
@@ -49,14 +50,14 @@ class Engine(Protocol):
             rank: batch dimensions.
             checkpoint: steps between states that are kept for gradients; the steps between are computed again.
             truncate: steps after which gradients flow no further back.
-            past: whether to keep what the backward pass needs.
+            past: whether to keep ``Record.past`` for the backward pass.
         """
 
     def forward(
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
-        """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
+        """Filters whole tracks: the estimate, and for a backward pass the last state and ``Record.past``."""
 
     def backward(
         self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
@@ -72,7 +73,7 @@ class Engine(Protocol):
             frames: makes those of the forward pass.
             checkpoint: steps between states that are kept for gradients.
             lag: number of later steps whose measurements count; None for all.
-            truncate: steps after which gradients of the forward pass were cut.
+            truncate: steps after which the forward pass has cut gradients.
         """
 
     def another(self) -> Engine:
@@ -82,12 +83,12 @@ class Engine(Protocol):
 class Interpreted:
     """Runs a filter in Python, one step after the other."""
 
-    def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
-        """What a method of the filter gives for whole tracks."""
-        return method(f, *given, **options)
+    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
+        """The result of a method of the filter for whole tracks."""
+        return method(f, *arguments, **options)
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
-        """The state after one measurement, and its innovation; ``watched``: with alarm and a copy of the belief."""
+        """The state after one measurement, and its innovation; if ``watched``, with alarm and a copy of the belief."""
         frame = f._frame(state, measurements)
         if not watched:
             stepped: tuple[Any, Any] = f.observe(state, frame)
@@ -96,7 +97,7 @@ class Interpreted:
         return state, (innovation, alarm, tree.map_tensors(torch.clone, state.belief))
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
-        """What ``function(f, state, frame)`` gives for one measurement."""
+        """The result of ``function(f, state, frame)`` for one measurement."""
         (frame,), _ = f._frames(measurements.as_track(scans=f.scans), state.belief.mean.dim() - 1)
         return function(f, state, frame)
 
@@ -104,7 +105,7 @@ class Interpreted:
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None,
         truncate: int | None, past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
-        """The state after all steps, and what is kept of each."""
+        """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
         state, records = scan(f.advance, state, frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
@@ -116,7 +117,7 @@ class Interpreted:
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
-        """Whole tracks from their prior."""
+        """Filters whole tracks from their prior."""
         state, rank = f.begun(measurements, prior)
         state, kept = self.scan(f, state, measurements, rank, checkpoint, truncate, past)
         return f.estimate_of(state, kept), state, kept.past
@@ -131,11 +132,11 @@ class Interpreted:
         return backward_pass(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
-        """This one: it holds nothing of a filter."""
+        """This engine itself, as it holds nothing of a filter."""
         return self
 
     def __reduce__(self) -> str | tuple[Any, ...]:
-        return "INTERPRETED"  # a copy of a filter has the same
+        return "INTERPRETED"  # the copy of a filter has this very engine
 
 
 INTERPRETED = Interpreted()
@@ -149,13 +150,13 @@ def scan(
     checkpoint: int | None,
     truncate: int | None = None,
 ) -> tuple[Any, list[Any]]:
-    """The state after all steps, and what each has left behind.
+    """The state after all steps, and the record of each.
 
     Args:
-        step: from the state before it and its input.
-        state: before the first.
+        step: from a state and an input to the next state and a record.
+        state: before the first step.
         inputs: one for each step.
-        checkpoint: steps between states that are kept for gradients, where the steps between are computed again.
+        checkpoint: steps between states that are kept for gradients; the steps between are computed again.
         truncate: steps after which gradients flow no further back.
     """
 
@@ -187,13 +188,13 @@ def backward_pass(
     """The smoothed estimates of all steps, stacked over time behind ``rank`` batch dimensions.
 
     Args:
-        f: takes the steps.
-        past: of each step.
+        f: the filter.
+        past: one for each step.
         frames: one for each step.
         rank: batch dimensions.
         checkpoint: steps between states that are kept for gradients.
         lag: number of later steps whose measurements count; None for all.
-        truncate: steps after which gradients of the forward pass were cut.
+        truncate: steps after which the forward pass has cut gradients.
     """
     carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
     steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
@@ -203,8 +204,8 @@ def backward_pass(
     else:
         back, state = partial(_lagged, f), tree.stack([state] * lag, 0)
     _, smoothed = scan(back, state, steps[::-1], checkpoint)
-    every: Smoothed = tree.stack([*smoothed[::-1], end], rank)
-    return every
+    stacked: Smoothed = tree.stack([*smoothed[::-1], end], rank)
+    return stacked
 
 
 def _back(f: Any, after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
@@ -215,7 +216,7 @@ def _back(f: Any, after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
 def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
     """One step of the backward pass with a fixed lag: ``window[l]`` is smoothed by the ``l`` steps after its own.
 
-    For ``window[0]`` the past of its step is fresh: no later measurement has decided it.
+    For ``window[0]`` the past of the next step is fresh: no later measurement has decided that step.
     """
     fresh = f.fresh(step.next)
     if fresh is step.next:

@@ -16,18 +16,18 @@ from torchfra.types import Cause, Estimate, Failure, Gaussian
 
 
 def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
-    """At which step each track of a sequence has failed, and why.
+    """The step at which each track has failed, and the cause.
 
     Args:
         f: the filter.
-        estimate: ``(..., T)`` of the sequence.
-        measurements: of the sequence.
-        prior: the belief before them.
+        estimate: ``(..., T)`` of the tracks.
+        measurements: of the tracks.
+        prior: the belief before the first step.
     """
     mean, root, scores = (x.detach() for x in (estimate.mean, estimate.scale_tril, estimate.log_likelihood))
     tracks = mean.shape[:-2]
     if not is_traced(mean, scores):
-        # A belief that is not finite makes the next score not finite too: sums show it without a test of every root.
+        # If a belief is not finite, neither is the next score: three sums are a cheaper test than every root.
         total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()
         if math.isfinite(total.item()):
             return Failure(*(torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE))))
@@ -46,20 +46,20 @@ def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaus
     return Failure(step, torch.where(step < 0, int(Cause.NONE), cause))
 
 
-class Spared(NamedTuple):
-    """Tracks of which none fails, in place of those that do."""
+class Replaced(NamedTuple):
+    """Data in which a good track stands in the place of each track that has failed."""
 
     failed: Tensor
-    """``(...)`` which did."""
+    """``(...)`` bool, which tracks have failed."""
     measurements: Measurements
     prior: Gaussian
 
 
-def spared(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Spared | None:
-    """The data of a track that did not fail for those that did; None where gradients need no such thing.
+def replace_failed(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Replaced | None:
+    """Replaces the data of failed tracks by those of a good one; None if no gradient needs that.
 
-    What is not finite in one track would reach the gradient of a value that all tracks share, as 0 times infinity is
-    NaN, although no loss looks at that track.
+    Otherwise NaN and infinity of a failed track would reach the gradients of values that tracks share, even if the loss
+    leaves that track out, as 0 times infinity is NaN.
     """
     outputs = estimate.mean, estimate.scale_tril, estimate.log_likelihood
     if f.scans or is_traced(*outputs) or not (torch.is_grad_enabled() and any(x.requires_grad for x in outputs)):
@@ -70,42 +70,42 @@ def spared(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussi
         return None
     good = int((~failed).flatten().to(torch.int8).argmax())
 
-    def of_good(x: Any, event: int) -> Any:
+    def replaced(x: Any, event: int) -> Any:
         if not isinstance(x, Tensor) or x.shape[: x.dim() - event].numel() <= 1:
-            return x  # of all tracks
+            return x  # all tracks share it
         every = x.expand(*failed.shape, *x.shape[x.dim() - event :])
         return torch.where(
             failed.reshape(*failed.shape, *[1] * event), every.flatten(0, -event - 1)[good].detach(), every
         )
 
     z, dt, u, std, noise = measurements
-    data = Measurements(of_good(z, 2), of_good(dt, 1), of_good(u, 2), of_good(std, 2), of_good(noise, 3))
-    return Spared(failed, data, Gaussian(of_good(prior.mean, 1), of_good(prior.scale_tril, 2)))
+    data = Measurements(replaced(z, 2), replaced(dt, 1), replaced(u, 2), replaced(std, 2), replaced(noise, 3))
+    return Replaced(failed, data, Gaussian(replaced(prior.mean, 1), replaced(prior.scale_tril, 2)))
 
 
-def mended(failed: Tensor, estimate: Estimate, others: Estimate) -> Estimate:
-    """The tracks that have ``failed (...)`` from one estimate, without gradients, and all others from another."""
+def choose(failed: Tensor, estimate: Estimate, good: Estimate) -> Estimate:
+    """The tracks that have ``failed (...)`` from ``estimate``, without gradients, all others from ``good``."""
 
     def either(x: Tensor, other: Tensor) -> Tensor:
         if x.shape[: failed.dim()] != failed.shape:
             return other
         return torch.where(failed.reshape(*failed.shape, *[1] * (x.dim() - failed.dim())), x.detach(), other)
 
-    result: Estimate = tree.map_tensors(either, estimate, others)
+    result: Estimate = tree.map_tensors(either, estimate, good)
     return result
 
 
 def _broken(mean: Tensor, root: Tensor) -> Tensor:
-    """``(...)`` where a belief is not finite."""
+    """``(...)`` bool, where a belief is not finite."""
     return ~(mean.isfinite().all(-1) & root.isfinite().flatten(-2).all(-1))
 
 
 def _by_then(bad: Tensor, step: Tensor, scans: bool) -> Tensor:
-    """``(...)`` whether anything was bad until the step after ``step``, which may have decided its estimate.
+    """``(...)`` bool, whether any step up to the one after ``step`` is bad, as the next step may decide an estimate.
 
     Args:
-        bad: ``(..., T)``, of scans without the targets that ``step`` has.
-        step: ``(...)``.
+        bad: ``(..., T)`` bool; for scans without the dimension of targets that ``step`` has.
+        step: ``(...)`` the first step whose estimate is not finite.
         scans: whether targets are the last dimension of ``step``.
     """
     bad = bad.unsqueeze(-2) if scans else bad

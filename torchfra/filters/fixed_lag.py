@@ -19,7 +19,7 @@ from torchfra.types import Gaussian, Innovation
 
 
 class WindowStep(NamedTuple):
-    """What is kept of a step."""
+    """The parts of a step that the backward pass needs."""
 
     belief: Gaussian
     info: Any
@@ -45,7 +45,7 @@ class FixedLagState(NamedTuple):
 
     @property
     def lagged(self) -> Gaussian:
-        """The estimate ``lag`` steps back; of the first step until there are so many, before that the prior."""
+        """The estimate ``lag`` steps back; that of the first step while there are fewer, before any the prior."""
         return self.belief if self.smoothed is None else self.smoothed.belief
 
 
@@ -56,11 +56,11 @@ class FixedLag(nn.Module):
     backwards.  It runs interpreted, even if the filter is compiled.
 
     Args:
-        filter: any that can be smoothed.
-        lag: steps.
+        filter: a filter that can be smoothed.
+        lag: number of steps.
 
     Raises:
-        ValueError: something else than a filter, or a lag below 1.
+        ValueError: no filter, or a lag below 1.
         NotImplementedError: see ``Filter.smooth``.
     """
 
@@ -90,8 +90,8 @@ class FixedLag(nn.Module):
         """One measurement (or scan); arguments and errors are those of ``Filter.step``.
 
         Returns:
-            The next state, with the estimate now in ``belief`` and that of ``lag`` steps back in ``lagged``, and what
-            the measurement said.
+            The next state, with the filtered estimate in ``belief`` and the estimate ``lag`` steps back in ``lagged``;
+            and the innovation.
         """
         f: Filter = self.filter.with_sensor(sensor)
         if f is not self.filter:
@@ -104,7 +104,7 @@ class FixedLag(nn.Module):
 
 
 def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
-    """One step of a filter: the next state, its record, and what is kept of it."""
+    """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     frame = f._frame(state, measurements)
     state, record = f.advance(state, frame)
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)

@@ -1,4 +1,4 @@
-"""A forecast: the state after a time step and a measurement of it, before it is measured."""
+"""A forecast: the predicted state after a time step, and the predicted measurement."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from torchfra.types import Gaussian
 
 
 class Forecast(NamedTuple):
-    """What a filter expects, with the moments of all its hypotheses: see ``Filter.predict``."""
+    """The prediction of a filter, with the moments of all its hypotheses: see ``Filter.predict``."""
 
     belief: Gaussian
-    """``(..., n)`` of the state."""
+    """``(..., n)`` the predicted state."""
     measurement: Gaussian
-    """``(..., m)`` of a measurement of it, its noise included; angles are near that of the mean state."""
+    """``(..., m)`` the predicted measurement, its noise included; angles are near that of the mean state."""
 
 
 def forecast(f: Any, state: Any, frame: Frame) -> Forecast:
-    """What a filter expects after a step.
+    """The prediction of a filter for a step.
 
     Args:
-        f: gives hypotheses by ``predict_hypotheses``, and innovations of them by ``predict_innovation``.
+        f: the filter; its ``predict_hypotheses`` and ``predict_innovation`` are called.
         state: before the step.
-        frame: of the step, with nothing measured.
+        frame: of the step, without a measurement.
     """
     beliefs, log_weights = f.predict_hypotheses(state, frame)
     belief = canonical(f.motion, _moments(beliefs, log_weights, f.motion.angles))
     z = f.sensor.at_points(belief.mean, frame.u)
     noise = f.sensor.measurement_noise(z)
     frame = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=noise)
-    # The measurement at the mean, compared with the hypotheses: the mean of z - h(x), and its root.
+    # The innovation of a measurement at the mean: the mean of z - h(x) over the hypotheses, and its root.
     residual, root = _moments(f.predict_innovation(state, beliefs, frame), log_weights)
     offset = noise.colour(residual.unsqueeze(-1)).squeeze(-1)
     return Forecast(belief, Gaussian(z - offset, noise.colour(root)))

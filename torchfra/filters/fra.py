@@ -1,4 +1,4 @@
-"""FRA: robust, adaptive and plain branches where a step is abnormal, and the next measurement decides among them."""
+"""FRA: an abnormal step forks into robust, adaptive and plain branches, and the next measurement chooses one."""
 
 from __future__ import annotations
 
@@ -34,34 +34,34 @@ Branches = tuple[Gaussian, Gaussian, Gaussian]
 UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 """Which branch may be the estimate of an abnormal step that no measurement has decided."""
 _ROUNDING = 1e-9
-"""Share of scores by which rounding parts what is equal, in double precision."""
+"""Relative difference of two scores that are equal but for rounding, in double precision."""
 
 
 class FRAState(NamedTuple):
     """State after a step."""
 
     belief: Gaussian
-    """Provisional estimate of this step: where it was abnormal the robust branch, or that of the largest odds."""
+    """Provisional estimate of this step: of an abnormal one the branch that ``FRA.provisional`` names."""
     robust: Gaussian
-    """That branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
+    """The robust branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
     adaptive: Gaussian
     """The adaptive branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
     plain: Gaussian
-    """The estimate with neither remedy."""
+    """The estimate of the plain update."""
     lagged: Gaussian
-    """Final estimate of the step before: this measurement has decided among its branches."""
+    """Final estimate of the step before: this measurement has chosen among its branches."""
     excess: Tensor
-    """``(...)`` how far the normalised innovation squared is above the gate."""
+    """``(...)`` normalised innovation squared less the gate."""
     memory: Memory
 
     @property
     def abnormal(self) -> Tensor:
-        """``(...)`` bool: this step waits for the next measurement."""
+        """``(...)`` bool: the next measurement will choose a branch of this step."""
         return self.excess > 0  # eq. (36)
 
     @property
     def branches(self) -> Branches:
-        """The estimates that wait for a decision."""
+        """The branches of this step."""
         return self.robust, self.adaptive, self.plain
 
 
@@ -79,7 +79,7 @@ class FRAInfo(NamedTuple):
     weights: Tensor
     """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
     provisional: Gaussian
-    """``mean (..., T, n)`` and ``scale_tril``: the estimate at the step itself, before the next measurement decided."""
+    """``mean (..., T, n)`` and ``scale_tril``: the estimate before the next measurement has chosen a branch."""
 
     @property
     def outlier(self) -> Tensor:
@@ -88,14 +88,14 @@ class FRAInfo(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """Which branch of an abnormal step was kept, ``(...)`` bool each; neither: the robust one."""
+    """Which branch of an abnormal step was kept, ``(...)`` bool each; the robust one if neither."""
 
     adaptive: Tensor
     plain: Tensor
 
 
 class FRAStep(NamedTuple):
-    """The info of one step, and the decision of the step before."""
+    """The info of one step, and the decision about the step before."""
 
     before: tree.Late
     """The final estimate of the step before, and its ``Choice``."""
@@ -107,17 +107,18 @@ class FRAStep(NamedTuple):
 class FRA(Soft, Filter[FRAState]):
     """Feedback-decision robust adaptive filter.
 
-    A step whose normalised innovation squared is above the gate is abnormal, be it an outlier or a manoeuvre.  There
-    the filter forks: one branch down-weights the measurement (robust), one widens the prediction (adaptive), and one
-    may do neither (plain): a false alarm.  All predict the next measurement, and the best branch is kept.  So the
-    estimate of an abnormal step is final only with the next step: ``Estimate.mean`` holds the final ones and
-    ``info.provisional`` what was known at each step; ``step`` hands out the provisional one as ``state.belief`` and the
-    final one of the step before as ``state.lagged``.  Where the next step has no measurement, nothing decides the
-    estimate, which stays provisional; the filter goes on with its branches until one does.
+    A step whose normalised innovation squared is above the gate is abnormal: its measurement is an outlier, or the
+    target manoeuvres.  There the filter forks: the robust branch down-weights the measurement, the adaptive branch
+    widens the prediction, and a plain branch may do neither, for false alarms.  All predict the next measurement, and
+    the best branch is kept.  So the estimate of an abnormal step is final only with the next step: ``Estimate.mean``
+    holds the final estimates and ``info.provisional`` those before the decision; ``step`` returns the provisional one
+    as ``state.belief`` and the final one of the step before as ``state.lagged``.  If the next step has no measurement,
+    the estimate stays provisional, and the filter carries its branches on until a measurement comes.
 
-    Hard choices pass no gradient to what they rest on.  With a ``temperature`` they are soft, to train by: a step is
-    abnormal by the weight ``sigmoid((nis - gate) / temperature)``, the branches share it by the softmax of their scores
-    over the temperature, and the estimate has the moments of all.  Set it to 0 when the filter is trained.
+    Hard choices have no gradient with respect to the gate and the scores.  With a ``temperature`` they are soft, for
+    training: a step is abnormal with the weight ``sigmoid((nis - gate) / temperature)``, the softmax of the scores over
+    the temperature divides that weight among the branches, and the estimate has the moments of all.  Set the
+    temperature to 0 when the filter is trained.
 
     Args:
         motion: how targets move.
@@ -129,16 +130,16 @@ class FRA(Soft, Filter[FRAState]):
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
         plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
-            paper's; it favours the branch that expects more error), ``"likelihood"`` by the predictive likelihood.
+            paper's; it favours the branch with the larger covariance), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
-        memory: innovations that fading remembers: ``"plain"`` as they are (the paper's), ``"weighted"`` by the robust
-            weights from the step after on.
-        provisional: the branch of an abnormal step until the next measurement decides: ``"robust"`` (the paper's),
+        memory: innovations in the fading factors' memory: ``"plain"`` as they are (the paper's), ``"weighted"`` by the
+            robust weights once their step is over.
+        provisional: the branch of an abnormal step before the next measurement: ``"robust"`` (the paper's),
             ``"adaptive"``, ``"plain"``, or ``"likeliest"``, the one of the largest odds.
-        final: the branch of an abnormal last step, which nothing can decide: as ``provisional``.
+        final: the branch of an abnormal last step, which no measurement follows: one of those of ``provisional``.
 
     Raises:
-        ValueError: an argument that is none of those, or a rule with negative weights.
+        ValueError: an argument out of its range, or a rule with negative weights.
 
     Source: Wang et al. (2021), section 2.2 and fig. 1; Chang (2014) for the plain branch.  ``preference``,
     ``provisional``, ``temperature``, ``"likelihood"`` and ``"weighted"`` are additions.
@@ -179,18 +180,18 @@ class FRA(Soft, Filter[FRAState]):
         self.temperature = temperature
 
     def begin(self, belief: Gaussian) -> FRAState:
-        """The state of a belief: a normal step, nothing remembered."""
+        """The state of a belief: after a normal step, with an empty memory."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
         return FRAState(
             belief, belief, belief, belief, belief, normal, self.fading.begin(belief.mean, self.sensor.size)
         )
 
     def unremembered(self, state: FRAState) -> FRAState:
-        """A state that remembers no innovations."""
+        """A state with an empty memory of innovations."""
         return state._replace(memory=self.fading.begin(state.belief.mean, self.sensor.size))
 
     def remembering(self, state: FRAState, before: FRAState) -> FRAState:
-        """A state with the innovations that the one ``before`` remembers."""
+        """A state with the memory of innovations of the state ``before``."""
         return state._replace(memory=before.memory)
 
     def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
@@ -218,7 +219,7 @@ class FRA(Soft, Filter[FRAState]):
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
     def compare_predicted(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
-        """The prediction of a step, and the measurement against it."""
+        """The prediction of a step, compared with the measurement."""
         prediction = self.predicted(belief, frame)
         return prediction, self.compare(prediction.belief, frame)
 
@@ -227,7 +228,7 @@ class FRA(Soft, Filter[FRAState]):
         if self.soft:
             scores = self.score(*state.branches, frame)
             kept = best(scores)
-            return self.shared(scores, state.excess, state.branches), Choice(*(state.abnormal & x for x in kept))
+            return self.weighted(scores, state.excess, state.branches), Choice(*(state.abnormal & x for x in kept))
         no = torch.zeros_like(state.abnormal)
         kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), Choice(no, no))
         return chosen(kept, state.branches), kept
@@ -237,7 +238,7 @@ class FRA(Soft, Filter[FRAState]):
         return best(self.score(robust, adaptive, plain, frame))
 
     def score(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Tensor:
-        """``(branches, ...)`` how well each predicts this measurement, minus infinity for one that failed."""
+        """Scores ``(branches, ...)`` of the branches' predictions of this measurement; minus infinity if one failed."""
         branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
         _, whitened = self.compare_predicted(tree.stack(branches, 0), frame)
         root, normalised = innovation(whitened)
@@ -254,29 +255,29 @@ class FRA(Soft, Filter[FRAState]):
         return torch.stack(torch.broadcast_tensors(*odds))
 
     def undecided(self, branch: str, excess: Tensor, branches: Branches) -> Gaussian:
-        """The estimate of a step before a measurement has decided: one branch, or the likeliest."""
+        """The estimate of a step before the next measurement: the named ``branch``, or the likeliest."""
         if branch != "likeliest":
             return self.mix(excess, branches[-1], branches[UNDECIDED.index(branch)])
         odds = self.odds(excess)
-        return self.shared(odds, excess, branches) if self.soft else chosen(best(odds), branches)
+        return self.weighted(odds, excess, branches) if self.soft else chosen(best(odds), branches)
 
-    def shared(self, scores: Tensor, excess: Tensor, branches: Branches) -> Gaussian:
-        """With a soft decision: the moments of all branches by their ``scores (branches, ...)``."""
-        shares = torch.log_softmax(scores / self.heat, 0)
+    def weighted(self, scores: Tensor, excess: Tensor, branches: Branches) -> Gaussian:
+        """For a soft decision: the moments of all branches, weighted by their ``scores (branches, ...)``."""
+        shares = torch.log_softmax(scores / self.temperature, 0)
         return self.mix(excess, branches[-1], *branches[: len(scores)], shares=shares)
 
     def mix(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
-        """Plain and abnormal together: a choice, or their moments where the decision is soft.
+        """The estimate of a step that is normal or abnormal: a choice, or their moments if the decision is soft.
 
         Args:
-            excess: ``(...)`` of the normalised innovation squared over the gate.
+            excess: ``(...)`` normalised innovation squared less the gate.
             plain: for normal steps.
             branches: for abnormal ones; exactly one with a hard decision.
             shares: ``(branches, ...)`` logs of their weights, if there are several.
         """
         if not self.soft:
             return branches[0]
-        normal, abnormal = (logsigmoid(sign * excess / self.heat).unsqueeze(0) for sign in (-1, 1))
+        normal, abnormal = (logsigmoid(sign * excess / self.temperature).unsqueeze(0) for sign in (-1, 1))
         abnormal = abnormal if shares is None else abnormal + shares
         log_weights = torch.cat([normal.expand_as(abnormal[:1]), abnormal])
         return moment_match(tree.stack([plain, *branches], 0), log_weights)
@@ -284,7 +285,7 @@ class FRA(Soft, Filter[FRAState]):
     def fork(
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
     ) -> tuple[Gaussian, Gaussian, Tensor]:
-        """Both branches' beliefs, and the fading factor ``(...)``."""
+        """The beliefs of the robust and the adaptive branch, and the fading factor ``(...)``."""
         robust, _, _ = correct(prediction.belief, down_weight(whitened, weights))  # eqs. (25)-(26)
         factor = self.fading(prediction, whitened, memory, torch.ones_like(weights))
         faded = self.fading.inflate(prediction, factor).belief  # eqs. (29)-(34)
@@ -292,26 +293,26 @@ class FRA(Soft, Filter[FRAState]):
         return robust, adaptive, factor
 
     def finish(self, state: FRAState, belief: Gaussian, info: FRAStep) -> tuple[Gaussian, FRAInfo]:
-        """The final estimate of each step comes with the next step, that of the last one by ``final``."""
+        """The estimates of all steps: each is decided by the next step, that of the last step by ``final``."""
         last = self.undecided(self.final, state.excess, state.branches)
         kept = Choice(*(state.abnormal & x for x in self.favoured(self.final, state.excess)))
         lagged, kept = tree.one_earlier(info.before, (last, kept), state.excess.dim(), info.abnormal.shape[-1])
         return lagged, FRAInfo(info.abnormal, kept.adaptive, kept.plain, info.fading, info.weights, belief)
 
     def favoured(self, branch: str, like: Tensor) -> Choice:
-        """What ``undecided`` keeps of abnormal steps of tracks ``(...)``."""
+        """The branch that ``undecided`` takes in abnormal steps of tracks ``(...)``."""
         if branch == "likeliest":
             return best(self.odds(like))
         return Choice(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Choice._fields))
 
     def past(self, belief: Gaussian, info: FRAInfo, state: Any, steps: Any) -> Past:
-        """Final beliefs, with the fading factors of adaptive branches that were kept; and the provisional ones."""
+        """Final and provisional beliefs, each with the fading factor where it is that of the adaptive branch."""
         adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
         factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))
         return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
-        """``function`` for the tracks in ``mask``: for these alone where values may be read, else for all tracks."""
+        """``function`` for the tracks in ``mask``, else ``default``; traced code computes it for all tracks."""
         if self.soft:
             return function(*arguments)
         parts = (self.gate, self.preference, self.plain, self.robust, self.fading)
@@ -321,9 +322,9 @@ class FRA(Soft, Filter[FRAState]):
 
 
 def best(scores: Tensor) -> Choice:
-    """The branch of the largest score; a tie goes to the first, also if rounding has parted the two.
+    """The branch of the largest score; of scores that differ by rounding alone the first.
 
-    (Where nothing is to be weighed less and nothing to be faded, branches are the same but for rounding.)
+    (With robust weights of 1 and a fading factor of 1 all branches are equal but for rounding.)
 
     Args:
         scores: ``(branches, ...)`` of robust, adaptive and, if there is one, plain.
@@ -343,7 +344,7 @@ def _exceeds(a: Tensor, b: Tensor) -> Tensor:
 
 
 def chosen(kept: Choice, branches: Branches) -> Gaussian:
-    """Of robust, adaptive and plain what was kept."""
+    """The branch that was kept."""
     robust, adaptive, plain = branches
     belief: Gaussian = tree.where(kept.adaptive, adaptive, tree.where(kept.plain, plain, robust))
     return belief

@@ -30,15 +30,19 @@ class Fused:
     views: list[Any]
     """The filter around each of the sensors."""
     which: list[int]
-    """The number of each step's."""
+    """The number of each step's sensor."""
 
     def check_smooths(self) -> None:
-        """Raises a ``NotImplementedError`` that says why, of a filter that cannot be smoothed over several sensors."""
+        """Checks that the filter can be smoothed over several sensors.
+
+        Raises:
+            NotImplementedError: it cannot, with the reason.
+        """
         self.home.check_smooths()
         self.home.check_smooths_several()
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of all, checked for each sensor."""
+        """Checks the arguments for each sensor; their batch."""
         sizes = [view.sensor.size for view in self.views]
         check(measurements, prior, self.home.motion, max(sizes), name=name, instants=self.home.instants)
         steps = measurements.z.shape[-2]
@@ -62,7 +66,7 @@ class Fused:
         return [frames[step] for step in range(len(self.which))], None
 
     def _of_each(self, measurements: Measurements) -> list[tuple[int, list[int], Measurements]]:
-        """Of each sensor that measures: its number, its steps, and its measurements."""
+        """Number, steps and measurements of each sensor that measures."""
         every = {k: [step for step, number in enumerate(self.which) if number == k] for k in sorted(set(self.which))}
         parts = (_part(measurements, steps, self.views[k].sensor.size) for k, steps in every.items())
         return [(*each, part) for each, part in zip(every.items(), parts, strict=True)]
@@ -75,7 +79,7 @@ class Stretches(Interpreted):
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
-        """The state after all steps and what is kept of each."""
+        """The state after all steps, and the kept parts of each."""
         steps = len(f.which)
         changes = {k for k in range(1, steps) if f.which[k] != f.which[k - 1]}
         bounds = sorted({0, steps} | changes | set(range(0, steps, truncate or steps)))
@@ -94,7 +98,7 @@ def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
     """A view of a filter in which each step has one of the ``sensors``, whose numbers are ``which (T,)``.
 
     Raises:
-        ValueError: one without the other, no sensors, or numbers of others.
+        ValueError: one without the other, no sensors, or numbers that are not those of the sensors.
     """
     if sensors is None or which is None:
         missing, there = ("sensors", "which") if sensors is None else ("which", "sensors")
@@ -117,7 +121,7 @@ def _is_number(k: Any, count: int) -> bool:
 
 
 def _part(measurements: Measurements, steps: list[int], size: int) -> Measurements:
-    """Some steps of the measurements, and of those the first elements."""
+    """The measurements of some steps, of their first ``size`` elements."""
     z, dt, u, std, noise = measurements
     timed = measurements.varying_dt
     return (Timed if timed else Measurements)(
@@ -130,9 +134,9 @@ def _part(measurements: Measurements, steps: list[int], size: int) -> Measuremen
 
 
 def joined(parts: Sequence[Any], rank: int) -> Any:
-    """Trees of stretches of time, one behind the other along the dimension after ``rank`` of the batch.
+    """Trees of successive stretches of time, concatenated along the dimension after ``rank`` batch dimensions.
 
-    What is of a measurement's elements is filled up to the longest: with NaN, or False, or 0 of whole numbers.
+    Dimensions of a measurement's elements are padded to the longest: with NaN, or False, or 0 for whole numbers.
     """
 
     def join(*xs: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
-"""Second derivatives of any loss in a handful of values, with what they may be wrong by.
+"""Second derivatives of any loss in a handful of values, with an estimate of their error.
 
-For loops of one's own.  ``torchfra.fit`` needs those of each track apart, of many sets of values at once, which
-``torchfra.fitting.newton`` has from one call of the filter.
+They are for training loops of your own.  ``torchfra.fit`` needs second derivatives for each track and for many sets of
+values at once: ``torchfra.fitting.newton`` has them from one call of the filter.
 """
 
 from __future__ import annotations
@@ -14,29 +14,30 @@ from torch import Tensor
 
 
 class Hessian(NamedTuple):
-    """Second derivatives in all numbers of the parameters, in their order."""
+    """Second derivatives with respect to all numbers of the parameters, in their order."""
 
     matrix: Tensor
     """``(k, k)``, symmetric."""
     error: Tensor
-    """``(k, k)``: what the entries may be wrong by, an estimate on the safe side."""
+    """``(k, k)``: estimated error of each entry, rather too large than too small."""
 
 
 def hessian(loss: Callable[[], Tensor], parameters: Sequence[Tensor]) -> Hessian:
-    """The Hessian of a loss, from central differences of its gradients, extrapolated to steps of no size.
+    """The Hessian of a loss, from central differences of its gradients, extrapolated to a step of 0.
 
-    It takes four gradients for each number, which compiled filters give too: so no second derivative of a kernel is
-    needed.  Where the loss is not smooth, as at a hard decision, ``error`` is large.
+    It takes four gradients for each number and no second derivative, so it works with compiled filters.  Where the loss
+    is not smooth, as at a hard decision, ``error`` is large.
 
     Args:
-        loss: from nothing to a number that depends on the parameters, such as the negative log-likelihood of tracks.
-        parameters: leaves with ``requires_grad``, of any shape; they are moved during the call, and put back.
+        loss: a function without arguments that returns a number which depends on the parameters, such as the negative
+            log-likelihood of tracks.
+        parameters: leaves with ``requires_grad``, of any shape; the call changes them and restores them.
 
     Returns:
         The matrix ``(k, k)`` for the ``k`` numbers of all parameters, and its error.
 
     Raises:
-        ValueError: a parameter that is none, a loss that is not one number, or a gradient that is not finite.
+        ValueError: a parameter that is no such leaf, a loss that is not one number, or a gradient that is not finite.
 
     Source: Richardson (1911), "The approximate arithmetical solution by finite differences".
     """
@@ -52,7 +53,7 @@ def hessian(loss: Callable[[], Tensor], parameters: Sequence[Tensor]) -> Hessian
 
 
 def _row(loss: Callable[[], Tensor], parameters: Sequence[Tensor], numbers: Tensor, i: int) -> tuple[Tensor, Tensor]:
-    """Derivatives of the gradient in one number, ``(k,)`` each: from a small step, and from one of twice its size."""
+    """Derivatives ``(k,)`` of the gradient in one number, by differences over a small step and over twice the step."""
     value = numbers[i].item()
     step = torch.finfo(numbers.dtype).eps ** 0.2 * max(abs(value), 1.0)  # an error of step^4 and one of eps / step
     differences = []

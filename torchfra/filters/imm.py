@@ -18,10 +18,10 @@ from torchfra.filters.interaction import (
     as_stay,
     as_transition,
     cycle,
-    even_interaction,
     for_each_model,
     interaction,
     over_time_step,
+    uniform_interaction,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.markov import over_seconds, rates
@@ -46,37 +46,38 @@ class IMMState(NamedTuple):
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None
-    """``(..., A, K)`` one in each row: the A models of the bank that run, where not all do; K above is A then."""
+    """``(..., A, K)`` with a single 1 in each row: the A active models of the bank; None if all run.  The inner state
+    and the log weights are then those of the A models."""
 
 
 class IMMInfo(NamedTuple):
     """Per step and track."""
 
     probabilities: Tensor
-    """``(..., T, K)`` of the models, 0 of those that do not run."""
+    """``(..., T, K)`` of the models, 0 for those that do not run."""
     active: Tensor | None = None
-    """``(..., T, K)`` bool: the models that run, where not all do."""
+    """``(..., T, K)`` bool: the models that run; None if all do."""
 
 
 class IMM(Filter[IMMState]):
     """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
 
     Args:
-        inner: a filter around a ``Bank`` of K motions, of which a copy runs here; all K run in one batched call.
+        inner: a filter around a ``Bank`` of K motions; a copy of it runs all K in one batched call.
         transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
             ``transition``, row by row on the simplex.
         stay: instead of ``transition``, for two models or more: the self-transition probability of every model, from
             ``1 / K`` to below 1; a model switches to the others with equal probability.  It learns as ``stay``, one
-            number, and saves the more time, the more models there are.
-        durations: instead of probabilities of a step, whatever its ``dt``: mean seconds until a model ends, one number
-            for all or ``(K,)``.  The Markov chain is one in continuous time then, ``exp(G dt)`` over a step.  A model
+            number.  The more models there are, the more time it saves.
+        durations: instead of probabilities of a step, whatever its ``dt``: mean sojourn time of a model, s, one number
+            for all or ``(K,)``.  The Markov chain is then one in continuous time, ``exp(G dt)`` over a step.  A model
             switches to the others with equal probability, or by the ``transition`` beside it, whose diagonal is 0.
-        initial: ``(K,)`` probabilities before the first step; all the same if None.
-        subset: which models run, where not all do, which needs a ``transition`` above 0 and linear motions; None for
-            all.  Those that run share a row out: a model that goes on keeps its self-transition probability, and the
-            rest (of one that goes, all) is divided in proportion.
+        initial: ``(K,)`` probabilities before the first step; uniform if None.
+        subset: chooses the models that run, of a ``transition`` above 0 and linear motions; all run if None.  The
+            transition between active models: a model that stays active keeps its self-transition probability, and the
+            rest of its row (the whole row of a model that does not) is divided in proportion.
 
-    The models are the last dimension of the inner filter's batch; its hyperparameters are those of a track, or of all.
+    The models are the last dimension of the inner filter's batch; its hyperparameters are per track, or for all tracks.
 
     With a robust inner filter the likelihood of a model is that under the down-weighted noise: otherwise one outlier
     would decide between the models.
@@ -85,10 +86,10 @@ class IMM(Filter[IMMState]):
     ``log_likelihood`` is that of their mixture.
 
     Raises:
-        ValueError: no bank, or a filter whose models cannot be mixed from outside (``GPB``, another of these);
-            ``transition`` and ``stay`` both or neither (``stay`` and ``durations`` both), a matrix that is no
-            transition, a model that can never be reached, a ``stay`` or a duration out of its range; a subset of other
-            models, or beside what does not go with it.
+        ValueError: no bank, or a filter that takes no ``mix`` (``GPB``, ``IMM``); ``transition`` and ``stay`` both or
+            neither (``stay`` and ``durations`` both), a matrix that is no transition, a model that can never be
+            reached, a ``stay`` or a duration out of its range; a subset of other models, or beside arguments that it
+            excludes.
 
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
@@ -96,11 +97,11 @@ class IMM(Filter[IMMState]):
     keeps_past = True
 
     transition: Hyper | None
-    """None if the filter was made with ``stay`` or ``durations`` alone."""
+    """None if ``stay`` or ``durations`` alone was given."""
     stay: Hyper | None
-    """None if the filter was made without."""
+    """None if ``transition`` or ``durations`` was given."""
     durations: Hyper | None
-    """None if the filter was made with probabilities of a step."""
+    """None if probabilities of a step were given."""
 
     def __init__(
         self, inner: Filter, *, transition: Value | None = None, stay: Value | None = None,
@@ -123,11 +124,13 @@ class IMM(Filter[IMMState]):
             received = "neither" if stay is None else "both"
             raise ValueError(f"transition, stay: expected one of the two, received {received}")
         if subset is not None:
-            subset.check(self.motion, transition if durations is None else _all_to_all(count, transition), initial)
+            subset.check(self.motion, transition if durations is None else _reachable(count, transition), initial)
         initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
-        self.transition = None if transition is None else as_transition(count, transition, ends=durations is not None)
+        self.transition = None
+        if transition is not None:
+            self.transition = as_transition(count, transition, zero_diagonal=durations is not None)
         self.stay = None if stay is None else as_stay(count, stay)
         self.durations = None if durations is None else as_durations(count, durations)
         self.initial = None if subset else Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
@@ -144,11 +147,11 @@ class IMM(Filter[IMMState]):
         return self.inner.sensor
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """Its parts, by name, that are others around another sensor."""
+        """The parts, by name, that differ around another sensor."""
         return {"inner": self.inner.with_sensor(sensor)}
 
     def remembering(self, state: Any, before: Any) -> Any:
-        """A state whose models remember what those of the one ``before`` do."""
+        """A state whose models have the memory of those of the state ``before``."""
         return state._replace(inner=self.inner.remembering(state.inner, before.inner))
 
     def begin(self, belief: Gaussian) -> IMMState:
@@ -164,9 +167,9 @@ class IMM(Filter[IMMState]):
         initial = self.initial(belief.mean).log().expand((*batch, count))
         return IMMState(belief, self.inner.begin(repeated(belief, count)), initial)
 
-    def advance(self, state: IMMState, frame: Frame, mix: Mix | None = None) -> tuple[IMMState, Record]:
-        """One step; ``mix`` is not used, as this filter mixes itself."""
-        predicted, interact, frame, active = self.lead(state, frame)
+    def advance(self, state: IMMState, frame: Frame) -> tuple[IMMState, Record]:
+        """One step: interaction, then a cycle of the models' filters."""
+        predicted, interact, frame, active = self.mixing(state, frame)
         inner, log_weights, record = cycle(self.inner, state.inner, predicted, interact, frame)
         info = IMMInfo(log_weights.exp())
         if active is not None:
@@ -174,21 +177,26 @@ class IMM(Filter[IMMState]):
         record = record._replace(info=info, past=record.past._replace(active=active))
         return IMMState(record.belief, inner, log_weights, active), record
 
-    def lead(self, state: IMMState, frame: Frame) -> tuple[Tensor, Mix, Frame, Tensor | None]:
-        """Logs ``(..., K)`` of the models' probabilities in a step, what mixes them, frames, and which models run."""
+    def mixing(self, state: IMMState, frame: Frame) -> tuple[Tensor, Mix, Frame, Tensor | None]:
+        """The interaction before a step.
+
+        Returns:
+            Logs ``(..., K)`` of the models' predicted probabilities, the function that mixes their beliefs, the frame
+            for each model, and the active models, None if all are.
+        """
         before, motion = state.log_weights, self.motion
         if self.subset is not None:
             active, matrix = self.subset(state.active, before, frame.dt, self.probabilities(before, frame.dt))
             return *interaction(before, matrix, motion), of_active(for_each_model(frame), active), active
-        ends = self.ends(frame.dt)
-        if ends is None:
+        restart = self.restart_probability(frame.dt)
+        if restart is None:
             interacting = interaction(before, self.log_transition(before, frame.dt), motion)
         else:
-            interacting = even_interaction(state, ends, motion)
+            interacting = uniform_interaction(state, restart, motion)
         return *interacting, for_each_model(frame), None
 
-    def ends(self, dt: Tensor) -> Tensor | None:
-        """Probability ``(...)`` that a model ends in a step, after which any is as likely; None where they differ."""
+    def restart_probability(self, dt: Tensor) -> Tensor | None:
+        """``e (...)`` of a transition ``(1 - e) I + e / K`` over ``dt (...)`` seconds; None if it has not this form."""
         count = len(self.motion)
         if self.stay is not None:
             return torch.where(dt == 0, 0.0, (1 - self.stay()) * count / (count - 1))
@@ -199,7 +207,7 @@ class IMM(Filter[IMMState]):
     def matrix(self, like: Tensor | None = None) -> Tensor:
         """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None.
 
-        Beside ``durations`` it is that of a model that ends, whose diagonal is 0.
+        Beside ``durations`` it is that at the end of a sojourn time, whose diagonal is 0.
         """
         if self.transition is not None:
             return self.transition(like)  # type: ignore[no-any-return]
@@ -226,41 +234,41 @@ class IMM(Filter[IMMState]):
             return over_time_step(self.matrix(like).log(), dt)
         return safe_log(self.probabilities(like, dt))
 
-    def have_rows(self) -> None:
-        """Makes a ``transition`` of ``stay``, in place, whose rows can learn."""
+    def stay_to_transition(self) -> None:
+        """Replaces ``stay``, if there is one, by the same ``transition``, whose rows can learn."""
         if self.stay is not None:
             shared, self.stay.shared_dims = self.stay.shared_dims, 0
             self.transition = as_transition(len(self.motion), self.matrix().detach())
             self.transition.shared_dims, self.stay = shared, None
 
     def provide(self, names: Collection[str]) -> None:
-        """Has rows if their name is among these."""
+        """Replaces ``stay`` by a ``transition`` if that is among the names."""
         if "transition" in names:
-            self.have_rows()
+            self.stay_to_transition()
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
         if f"{prefix}transition.raw" in state_dict:
-            self.have_rows()
+            self.stay_to_transition()
         super()._load_from_state_dict(state_dict, prefix, *args)
 
     def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
-        log_weights, interact, frame, _ = self.lead(state, frame)
+        log_weights, interact, frame, _ = self.mixing(state, frame)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief
         return models_first(belief), log_weights.movedim(-1, 0)
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
         mean, root = beliefs.mean.movedim(0, -2), beliefs.scale_tril.movedim(0, -3)
         f: Any = self.inner
         return models_first(f.predict_innovation(state.inner, Gaussian(mean, root), for_each_model(frame)))
 
-    def matrix_back(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
-        """Logs ``(..., K, K)`` of the transition of a step, ``[was, now]``, and its frame for each model."""
+    def past_transition(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
+        """Logs ``(..., K, K)`` of the transition in a step of the forward pass, ``[was, now]``, and its frame."""
         if self.subset is None:
             return self.log_transition(like, step.frame.dt), for_each_model(step.frame)
         was, now = step.past.active, step.next.active
-        goes_on = (was * now).sum(-1)  # a model that goes on keeps its place
+        goes_on = (was * now).sum(-1)  # a model that stays active keeps its place
         every = self.probabilities(like, step.frame.dt)
         matrix = over_time_step(safe_log(self.subset.matrix(every, was, now, goes_on)), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
@@ -270,22 +278,22 @@ class IMM(Filter[IMMState]):
         return known.inner.belief, known.log_weights
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
-        """What every model knew at each step."""
+        """The past of every model."""
         return remembered(self.inner, state.inner, steps)
 
     def fresh(self, past: ModelsPast) -> ModelsPast:
-        """The past of a step as it was at the step itself."""
+        """The past of a step before the next measurement has decided its estimate."""
         inner = self.inner.fresh(past.inner)
         return past if inner is past.inner else past._replace(inner=inner)
 
     def decided(self, past: ModelsPast) -> ModelsPast:
-        """The past of a last step, of which no later measurement will decide anything."""
+        """The past of the last step, whose estimate no later measurement can decide."""
         return past._replace(inner=self.inner.decided(past.inner))
 
     def needed_of_next(self, past: ModelsPast) -> ModelsPast:
-        """What its filters need."""
+        """The part of the next step's past that ``retreat`` reads: that of the models' filters."""
         inner = self.inner.needed_of_next(past.inner)
-        return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # which nothing reads
+        return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # ``retreat`` does not read it
 
     def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
         """Where the backward pass begins: the filtered models of the last step."""
@@ -293,17 +301,17 @@ class IMM(Filter[IMMState]):
         return models, together(models, past.active, self.motion)
 
     def retreat(self, step: BackwardStep, after: Models) -> tuple[Models, Smoothed]:
-        """One step back, of all models."""
+        """One step of the backward pass, of all models."""
         if after.log_weights.dim() > step.past.log_weights.dim():
             each = [self.retreat(step, one) for one in tree.unbind(after, len(after.log_weights))]
             several: tuple[Models, Smoothed] = tree.stack(each, 0)
             return several
-        matrix, frame = self.matrix_back(step, after.log_weights)
+        matrix, frame = self.past_transition(step, after.log_weights)
         models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.carried), matrix, after)
         return models, together(models, step.past.active, self.motion)
 
 
-def _all_to_all(count: int, follows: Value | None) -> Tensor:
-    """Above 0 where a model follows another, or itself."""
+def _reachable(count: int, follows: Value | None) -> Tensor:
+    """A matrix ``(count, count)`` above 0 where a model may follow another, or itself."""
     eye = torch.eye(count, dtype=torch.float64)
     return torch.ones_like(eye) if follows is None else torch.as_tensor(follows, dtype=torch.float64) + eye

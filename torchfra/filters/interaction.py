@@ -17,7 +17,7 @@ from torchfra.filters.markov import mean_durations
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, shared, wide, without_failed
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, wide, without_failed
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.hyper import Hyper, Value
@@ -27,28 +27,29 @@ from torchfra.motion.base import Motion
 from torchfra.types import Gaussian
 
 PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
-"""Of a frame, what a ``Bank`` gives for each model."""
+"""Fields of a frame that differ between the models of a ``Bank``."""
 
 
 def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[Any, Tensor, Record]:
-    """Filtering, probabilities and fusion, eqs. (9)-(11), of models that interact.
+    """One cycle after the interaction: the models' filters, their probabilities and fusion, eqs. (9)-(11).
 
     Args:
         inner: the filter of all models.
         state: of that filter; its batch ends in the models.
         predicted: ``(..., K)`` logs of the models' probabilities before the measurement.
-        interact: what mixes their beliefs for the step.
+        interact: mixes their beliefs for the step.
         frame: for each model.
 
     Returns:
-        The filter's state, the log weights after, and what all models together keep of the step.
+        The filter's state, the logs ``(..., K)`` of the models' posterior probabilities, and the record of the step
+        for all models together.
     """
     motion = inner.motion
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
-    roots, total = shared(log_weights.movedim(-1, 0))
+    roots, total = share_roots(log_weights.movedim(-1, 0))
     log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)
     belief = canonical(motion, matched(models_first(record.belief), roots, motion.angles))  # eqs. (10), (11)
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
@@ -59,15 +60,18 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
 
 
 def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
-    """Logs ``(..., K)`` of the models' probabilities after a transition, and what mixes their beliefs for it.
+    """The interaction of models before a step, eqs. (5)-(8).
 
     Args:
-        log_weights: ``(..., K)`` before.
+        log_weights: ``(..., K)`` logs of the models' probabilities before.
         matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
-        motion: of the models.
+        motion: the bank.
+
+    Returns:
+        Logs ``(..., K)`` of the models' predicted probabilities, and the function that mixes their beliefs.
     """
     joint = (matrix + log_weights.unsqueeze(-1)).movedim(-2, 0)  # [was, ..., now]
-    roots, predicted = shared(joint)  # eqs. (6), by square roots, and (5): (..., K) before the measurement
+    roots, predicted = share_roots(joint)  # eqs. (6), by square roots, and (5): (..., K) before the measurement
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
@@ -76,29 +80,31 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
     return predicted, interact
 
 
-def even_interaction(state: Any, ends: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
-    """``interaction`` where a model stays with one probability and switches to the others with equal probability.
+def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
+    """``interaction`` for a transition ``(1 - e) I + e / K``: stay, or restart with a model drawn from all uniformly.
 
-    The transition is ``(1 - e) I + e / K``: with probability ``e`` the model ends, and the next one is uniform over
-    all.  So the mixed belief of each model has two components, its own belief and that of all models together,
-    instead of K.  The moments are the same.  Angles count from the likelier of the two.
+    The mixed belief of each model has two components, its own belief and that of all models together, instead of K.
+    The moments are the same.  Angles count from the likelier of the two.
 
     Args:
         state: an ``IMMState``.
-        ends: ``e (...)``, from 0 to 1.
-        motion: of the models.
+        restart: ``e (...)``, the probability of a restart, from 0 to 1.
+        motion: the bank.
+
+    Returns:
+        Logs ``(..., K)`` of the models' predicted probabilities, and the function that mixes their beliefs.
     """
     before, count = state.log_weights, len(motion)  # type: ignore[arg-type]  # a Bank
-    own = safe_log1p(-ends).to(before).unsqueeze(-1) + before
-    drawn = safe_log(ends / count).to(before).unsqueeze(-1)
-    roots, predicted = shared(torch.stack(torch.broadcast_tensors(own, drawn)))
+    own = safe_log1p(-restart).to(before).unsqueeze(-1) + before
+    drawn = safe_log(restart / count).to(before).unsqueeze(-1)
+    roots, predicted = share_roots(torch.stack(torch.broadcast_tensors(own, drawn)))
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
-        known = state.belief
+        together = state.belief
         if belief is not state.inner.belief:  # the inner filter has decided its last step in the meantime
-            known = pooled(belief, before, motion)
-        pairs = zip(belief, repeated(known, count), strict=True)
+            together = pooled(belief, before, motion)
+        pairs = zip(belief, repeated(together, count), strict=True)
         two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
         return (wide if motion.linear else matched)(two, roots, motion.angles)
 
@@ -107,43 +113,43 @@ def even_interaction(state: Any, ends: Tensor, motion: Motion) -> tuple[Tensor, 
 
 def pooled(belief: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian:
     """The Gaussian with the moments of all models ``(..., K)``."""
-    return matched(models_first(belief), shared(log_weights.movedim(-1, 0))[0], motion.angles)
+    return matched(models_first(belief), share_roots(log_weights.movedim(-1, 0))[0], motion.angles)
 
 
 def over_time_step(matrix: Tensor, dt: Tensor) -> Tensor:
     """Logs ``(..., K, K)`` of a transition over ``dt (...)`` seconds: the identity where ``dt`` is 0."""
     same = torch.eye(matrix.shape[-1], dtype=torch.bool, device=matrix.device)
-    still = torch.where(same, torch.zeros_like(matrix), -torch.inf)
-    return torch.where((dt == 0)[..., None, None], still, matrix)
+    identity = torch.where(same, torch.zeros_like(matrix), -torch.inf)
+    return torch.where((dt == 0)[..., None, None], identity, matrix)
 
 
 def for_each_model(frame: Frame) -> Frame:
-    """The frame for every model: its batch ends in the models, as the matrices of a ``Bank`` do already."""
+    """The frame with a last dimension of models in its batch, which the matrices of a ``Bank`` have already."""
     each: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
     return each
 
 
-def as_transition(count: int, value: Value, *, ends: bool = False) -> Hyper:
-    """Rows of probabilities between so many models; with ``ends``, of what follows one that ends.
+def as_transition(count: int, value: Value, *, zero_diagonal: bool = False) -> Hyper:
+    """The transition ``(count, count)`` between models as a hyperparameter.
 
     Raises:
-        ValueError: no such matrix, or one that does not reach every model, or with ``ends`` a diagonal that is not 0.
+        ValueError: no such matrix, one that does not reach every model, or a diagonal against ``zero_diagonal``.
     """
     value = torch.as_tensor(value, dtype=torch.float64)
     if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
         expected = f"({count}, {count}) that reaches every model"
         raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
-    if ends and bool((value.diagonal(dim1=-2, dim2=-1) != 0).any()):
+    if zero_diagonal and bool((value.diagonal(dim1=-2, dim2=-1) != 0).any()):
         expected = "a diagonal of 0 beside durations, as another model follows one that ends"
         raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
     return Hyper(value, constraints.simplex, event_dim=2, name="transition")
 
 
 def as_durations(count: int, value: Value) -> Hyper:
-    """Mean seconds until a model ends, one number or of each of so many.
+    """Mean sojourn times of ``count`` models, s, one number or one for each, as a hyperparameter.
 
     Raises:
-        ValueError: a single model, another number of them, or one that is not above 0 or infinite.
+        ValueError: a single model, another number of values, or one that is not above 0 or infinite.
     """
     value = torch.as_tensor(value, dtype=torch.float64)
     if count < 2:
@@ -154,7 +160,7 @@ def as_durations(count: int, value: Value) -> Hyper:
 
 
 def as_stay(count: int, value: Value) -> Hyper:
-    """The self-transition probability of so many models.
+    """The self-transition probability of ``count`` models as a hyperparameter.
 
     Raises:
         ValueError: a single model, or a value out of its range.

@@ -1,4 +1,4 @@
-"""Which of many models run: the likely ones, chosen anew before every step."""
+"""The active models of a bank: the likely ones, chosen before every step."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from torchfra.motion.bank import Bank
 
 
 class LikelyModels(nn.Module):
-    """A model set that changes, at a fixed number of models: the likely-model set.
+    """Likely-model set: the active models of a bank, of a fixed number, chosen before every step.
 
-    Before every step the set is chosen from the probabilities: a model above ``principal`` calls its neighbours, one
-    below ``unlikely`` makes room.  First come principal models, then their neighbours, then the others that run, then
-    the unlikely; within each by probability.  Every track has its own set.
+    Principal models have a probability above ``principal``, unlikely ones below ``unlikely``.  The set takes principal
+    models first, then their neighbours, then the other active models, then the unlikely ones; within each group by
+    probability.  Every track has its own set.
 
     Args:
-        neighbours: for each model of a bank those it calls, by number, as many as can run beside it or fewer; every
-            model must be reached from every other.
-        first: the models that run first.
-        unlikely: probability below which a model makes room.
-        principal: probability above which a model calls its neighbours.  A choice passes no gradient to either.
+        neighbours: for each model of a bank the numbers of its neighbours, which it activates as a principal model; at
+            most as many as can be active beside it.  Every model must be reached from every other.
+        first: the models that are active first.
+        unlikely: probability below which a model is unlikely.
+        principal: probability above which a model is principal.  The choice has no gradient in either.
 
     Raises:
         ValueError: thresholds out of order, or a table that does not connect the models.
@@ -38,9 +38,9 @@ class LikelyModels(nn.Module):
     """
 
     calls: Tensor
-    """``(K, K)`` 1 where a principal model calls another."""
+    """``(K, K)`` 1 where a principal model activates another."""
     first: Tensor
-    """``(A, K)`` the models that run first, one in each row."""
+    """``(A, K)`` with a single 1 in each row: the models that are active first."""
 
     def __init__(
         self, neighbours: Sequence[Sequence[int]], first: Sequence[int], *, unlikely: Value = 0.05,
@@ -59,10 +59,10 @@ class LikelyModels(nn.Module):
         self.register_buffer("first", torch.eye(count, dtype=torch.float64)[list(first)])
 
     def check(self, bank: Bank, transition: Value | None, initial: Value | None) -> None:
-        """Checks that these models are those of a bank, and that every one can follow every other.
+        """Checks that the models are those of a bank of linear motions, and that each can follow every other.
 
         Raises:
-            ValueError: they are not.
+            ValueError: a bank, a transition or an initial distribution that does not fit.
         """
         count = len(bank)
         if not bank.linear:
@@ -87,9 +87,9 @@ class LikelyModels(nn.Module):
 
         Args:
             active: ``(..., A, K)`` the set before.
-            log_weights: ``(..., A)`` of its models.
-            dt: seconds; the set stays where it is 0.
-            transition: ``(..., K, K)`` that between all models.
+            log_weights: ``(..., A)`` logs of the probabilities of its models.
+            dt: ``(...)`` seconds; where it is 0 the set stays.
+            transition: ``(..., K, K)`` between all models.
         """
         after, goes_on = self.choose(active, log_weights)
         instant = (dt == 0).unsqueeze(-1)
@@ -98,9 +98,9 @@ class LikelyModels(nn.Module):
         return after, over_time_step(safe_log(self.matrix(transition, active, after, goes_on)), dt)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
-        """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model goes on running.
+        """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model stays active.
 
-        A model that goes on keeps its place; new ones take the places of those that went, in the order of the bank.
+        A model that stays active keeps its place; new ones take the free places in the order of the bank.
         """
         weight = (log_weights.exp().unsqueeze(-2) @ active).squeeze(-2)  # (..., K), as all that follows
         runs = active.sum(-2)
@@ -111,7 +111,7 @@ class LikelyModels(nn.Module):
         tier = torch.where(principal > 0, 4.0, torch.where(called > 0, 3.0, runs + likely))
         score = 2 * tier + weight
         mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
-        before = torch.ones_like(self.calls).tril(-1).to(weight)  # of equals the first in the bank comes first
+        before = torch.ones_like(self.calls).tril(-1).to(weight)  # of equal scores the first in the bank comes first
         rank = ((other > mine).to(weight) + (other == mine).to(weight) * before).sum(-1)
         chosen = (rank < active.shape[-2]).to(weight)
         goes_on = (active @ chosen.unsqueeze(-1)).squeeze(-1)
@@ -122,7 +122,7 @@ class LikelyModels(nn.Module):
     def matrix(self, every: Tensor, was: Tensor, now: Tensor, goes_on: Tensor) -> Tensor:
         """``P(now j | was i) (..., A, A)`` between two sets ``(..., A, K)``, from that between all models.
 
-        Eq. (4) when all others share what a row leaves.
+        It is eq. (4) where the transition to all other models is uniform.
         """
         diagonal = every.diagonal(dim1=-2, dim2=-1)
         others = was @ (every - diagonal.diag_embed()) @ now.mT
@@ -133,13 +133,13 @@ class LikelyModels(nn.Module):
 
 
 def _counted(x: Tensor) -> Tensor:
-    """How many there are up to each place, of ones and zeros."""
+    """The cumulative sum of ones and zeros along the last dimension, by a matrix product."""
     count = x.shape[-1]
     return (x.unsqueeze(-2) @ torch.ones(count, count, dtype=x.dtype, device=x.device).triu()).squeeze(-2)
 
 
 def of_active(frame: Frame, active: Tensor) -> Frame:
-    """Of the matrices of all models in a frame those of the ``active (..., A, K)`` ones."""
+    """The frame with the matrices of the ``active (..., A, K)`` models alone."""
 
     def pick(rank: int, x: Tensor) -> Tensor:
         rows = x.flatten(-rank) if rank > 1 else x
@@ -158,7 +158,7 @@ def _check_thresholds(unlikely: Value, principal: Value) -> None:
 
 
 def _calls(neighbours: Sequence[Sequence[int]], count: int, active: int) -> Tensor:
-    """``(K, K)`` 1 where a model calls another, of ``count`` models of which ``active`` run."""
+    """``(K, K)`` 1 where a model activates another, of ``count`` models of which ``active`` run at a time."""
     if len(neighbours) != count:
         raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(neighbours)}")
     if max(map(len, neighbours)) >= active:

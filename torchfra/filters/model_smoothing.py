@@ -1,4 +1,4 @@
-"""Smoothing by interacting models: all later measurements together are one measurement of every model before."""
+"""Smoothing by interacting models: all later measurements together act as one measurement of every model before."""
 
 from __future__ import annotations
 
@@ -18,40 +18,40 @@ from torchfra.types import Gaussian
 
 
 class ModelsStep(NamedTuple):
-    """What ``IMM`` keeps of a step for the backward pass, before its inner filter has decided the step."""
+    """The parts of a step that ``IMM`` keeps for the backward pass, before its inner filter has decided the step."""
 
     belief: Gaussian
     """``(..., K)`` of each model."""
     info: Any
-    """Of their filters."""
+    """The info of the models' filters."""
     log_weights: Tensor
-    """``(..., K)`` logs of their probabilities."""
+    """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None
-    """``(..., K, all)`` one in each row, where only some models of a bank run: which it is."""
+    """``(..., K, all)`` with a single 1 in each row: the active models of a bank; None if all run."""
 
 
 class ModelsPast(NamedTuple):
-    """What the backward pass needs of a step; ``(..., T, K)`` of a whole track."""
+    """The past of a step for the backward pass; ``(..., T, K)`` for a whole track."""
 
     inner: Any
-    """Of the models' filters."""
+    """The past of the models' filters."""
     log_weights: Tensor
-    """``(..., K)`` logs of their probabilities."""
+    """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None
-    """``(..., K, all)`` as of ``ModelsStep``."""
+    """``(..., K, all)`` see ``ModelsStep``."""
 
 
 class Models(NamedTuple):
     """Smoothed models of a step."""
 
     belief: Gaussian
-    """``(..., K)`` of each."""
+    """``(..., K)`` of each model."""
     log_weights: Tensor
-    """``(..., K)`` logs of their probabilities."""
+    """``(..., K)`` logs of the models' smoothed probabilities."""
 
 
 def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
-    """The past of all models, from what steps have kept.
+    """The past of all models, from the kept parts of all steps.
 
     Args:
         inner: the models' filter.
@@ -61,7 +61,7 @@ def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
     time = steps.log_weights.dim() - 2
 
     def swapped(several: Any) -> Any:
-        """Time behind the models, where their filter wants it, and back again."""
+        """Exchanges the dimensions of time and models: filters have time last in the batch."""
         return tree.map_tensors(lambda x: x.transpose(time, time + 1), several)
 
     belief, info = inner.finish(state, *swapped((steps.belief, steps.info)))
@@ -69,7 +69,7 @@ def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
 
 
 def together(models: Models, active: Tensor | None, motion: Motion) -> Smoothed:
-    """All models as one belief, and their probabilities, 0 of those that are not ``active``."""
+    """The estimate of all models, and their probabilities, 0 for those that are not ``active``."""
     belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0), motion.angles)
     belief = canonical(motion, belief)
     weights = models.log_weights.exp()
@@ -108,6 +108,6 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
 
 
 def inside(belief: Gaussian, updated: Gaussian) -> Gaussian:
-    """A belief ``(..., n)`` that is ``updated`` in units of its root."""
+    """The belief ``(..., n)`` that ``updated`` describes in units of the root of ``belief``."""
     mean, root = belief
     return Gaussian(mean + apply(root, updated.mean), root @ updated.scale_tril)  # lower roots: so is their product

@@ -13,14 +13,14 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 _VIEWS = 32
-"""How many sensors a filter keeps views for: who makes a new one for every step pays for it."""
+"""Number of views that a filter keeps.  With a new sensor for every step, every step makes a new view."""
 
 
 class View:
     """Mixed into a view of a filter around another sensor; its states are those of that filter, its ``home``.
 
-    What the filter remembers of measurements (innovations of late, whether the last one was an outlier) is of the
-    filter's own sensor: a view's measurement is judged by itself, and leaves nothing to remember.
+    The memory of a filter (of recent innovations, of outliers in the last measurement) is of its own sensor: a step of
+    a view neither uses nor changes it.
     """
 
     home: Any = None
@@ -30,18 +30,18 @@ class View:
         return self.home.begin(belief)
 
     def advance(self, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Any]:
-        """One step, with a state that remembers nothing."""
+        """One step, from a state with an empty memory; the next state has the memory of the one before."""
         parent: Any = super()
         after, record = parent.advance(parent.unremembered(state), frame, *mix)
         return parent.remembering(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Any:
-        """The filter around another sensor still."""
+        """A view of the home filter around another sensor."""
         return self.home.with_sensor(sensor)
 
 
 class SensorViews:
-    """A filter's views around other sensors, each made when it is first asked for."""
+    """A filter's views around other sensors; each is made at the first call for its sensor."""
 
     def __init__(self) -> None:
         self._views: dict[int, Any] = {}
@@ -50,7 +50,7 @@ class SensorViews:
         return SensorViews, ()  # a copy of the filter makes its own
 
     def __call__(self, f: Any, sensor: Sensor) -> Any:
-        """The view of ``f`` around ``sensor``, with all that has changed in the filter."""
+        """The view of ``f`` around ``sensor``, brought up to date with the filter."""
         view = self._views.pop(id(sensor), None)
         if view is None or any(f._modules[name] is not part for name, part in view.replaced.items()):
             check_models(f.motion, sensor)
@@ -78,9 +78,9 @@ def mixed(mixin: type, cls: Any) -> type:
 
 
 def sharing(module: nn.Module, cls: type, **own: Any) -> Any:
-    """A module of another class with the parts and values of ``module``, the same and no copies, but for its ``own``.
+    """A module of class ``cls`` that shares all parts and values of ``module``, not copies, but those in ``own``.
 
-    Modules among those are its parts.
+    Modules in ``own`` become its parts, other values its attributes.
     """
     new: Any = module.__new__(cls)
     new.__dict__.update(_modules={}, _own=frozenset(own))
@@ -93,7 +93,7 @@ def sharing(module: nn.Module, cls: type, **own: Any) -> Any:
 def share(module: nn.Module, new: Any) -> None:
     """Updates a module made by ``sharing`` with the current parts and values of the original."""
     if "_own" not in new.__dict__:
-        return  # ``sharing`` has not made it, as a rule
+        return  # ``sharing`` has not made it: it is a rule
     own: frozenset[str] = new._own | {"_modules"}
     new.__dict__.update({name: x for name, x in module.__dict__.items() if name not in own})
     new._modules.update({name: x for name, x in module._modules.items() if name not in own})

@@ -1,4 +1,4 @@
-"""How far off the position can be: a radius that it exceeds with a probability that is stated."""
+"""Protection levels: the radius that the error of a position exceeds with a stated probability."""
 
 from __future__ import annotations
 
@@ -12,39 +12,40 @@ from torchfra.filters.base import Filter
 from torchfra.types import Estimate
 
 _HALVINGS = 60
-"""Of a bracket around the radius: what is left of it is below rounding."""
+"""Number of bisections of a bracket around the radius, after which it is narrower than rounding."""
 
 
 @torch.no_grad()
-def protection_level(f: Filter, of: object, *, risk: float = 1e-3, fault: tuple[float, float] | None = None) -> Tensor:
-    """How far the position can be from its estimate, m: farther only with a probability of ``risk`` or less.
+def protection_level(
+    f: Filter, estimate: object, *, risk: float = 1e-3, fault: tuple[float, float] | None = None
+) -> Tensor:
+    """Radius around the estimated position, m, that the error exceeds with a probability of ``risk`` at most.
 
-    It is a radius for all hypotheses that the filter holds, each with its own mean and covariance: a hypothesis far
-    from the estimate counts by its probability.  It holds as far as models and noise do.  No filter knows of an error
-    of a sensor that grows as slowly as its own drift, so that it was believed: ``fault`` states how often there is one
-    and how large it is, and the estimate is taken to be off by all of it.
+    It takes all hypotheses of the filter, each with its own mean, covariance and probability, and is valid if models
+    and noise are.  No filter detects a sensor's error that grows as slowly as the sensor's own drift: ``fault`` states
+    how often there is such an error and how large it is, and the whole of it is taken to be in the estimate.
 
     Args:
         f: the filter.
-        of: its estimate of whole tracks, made with ``past=True``, or its state after a step.
-        risk: between 0 and 1.
-        fault: share of the time with a fault that nobody has noticed, from 0 to 1, and the standard deviation per axis
-            of its error, m; None for none.
+        estimate: of whole tracks, made by the filter with ``past=True``, or the filter's state after a step.
+        risk: probability between 0 and 1.
+        fault: share of the time with an undetected fault, from 0 to 1, and the standard deviation per axis of its
+            error, m; None for none.
 
     Returns:
         ``(..., T)`` or ``(...)``, an upper bound of the quantile: the smallest radius at which the sum over hypotheses
-        of weight and ``P(|N(0, I)| > (radius - distance) / std)`` is ``risk``, with the largest standard deviation of
-        any direction.  No gradients flow.
+        of weight times ``P(|N(0, I)| > (radius - distance) / std)`` is ``risk``, where ``std`` is the largest standard
+        deviation of any direction.  It has no gradient.
 
     Raises:
-        ValueError: a risk or a fault out of its range, an estimate without its past, or what is neither.
+        ValueError: a risk or a fault out of its range, an estimate without its past, or no estimate and no state.
 
     Source: Blanch, Walter, Enge et al. (2015), "Baseline Advanced RAIM User Algorithm and Possible Improvements", eqs.
     (28)-(30), for levels of several hypotheses.  Differs: hypotheses are weighed by what has been measured.
     """
     _check(risk, fault)
-    beliefs, log_weights = f.hypotheses(_known(of))
-    centre = of.mean if isinstance(of, Estimate) else of.belief.mean  # type: ignore[attr-defined]  # a state has one
+    beliefs, log_weights = f.hypotheses(_past_or_state(estimate))
+    centre = estimate.mean if isinstance(estimate, Estimate) else estimate.belief.mean  # type: ignore[attr-defined]  # a state
     where = f.motion.position
     away = (beliefs.mean - centre.unsqueeze(-2))[..., where].norm(dim=-1)
     std = torch.linalg.matrix_norm(beliefs.scale_tril[..., where, :], ord=2)
@@ -57,7 +58,7 @@ def protection_level(f: Filter, of: object, *, risk: float = 1e-3, fault: tuple[
     beyond = _TAILS[centre[..., where].shape[-1]]
     one = std.new_ones(())
     k = _halved(lambda r: beyond(r) > risk, 0 * one, 100 * one)
-    # At the radius of the widest hypothesis none has more than the risk.
+    # At the radius that the widest hypothesis needs alone, no hypothesis exceeds the risk.
     widest = torch.where(weight > 0, away + k * std, 0.0).amax(-1)
 
     def too_small(radius: Tensor) -> Tensor:
@@ -82,18 +83,19 @@ _TAILS: dict[int, Callable[[Tensor], Tensor]] = {
     2: lambda r: torch.exp(-r.square() / 2),
     3: lambda r: torch.erfc(r / math.sqrt(2)) + math.sqrt(2 / math.pi) * r * torch.exp(-r.square() / 2),
 }
-"""By dimensions of space the probability that a standard normal vector is longer than ``r``."""
+"""Probability that a standard normal vector is longer than ``r``, by its number of dimensions."""
 
 
-def _known(of: object) -> object:
-    """What holds the hypotheses of an estimate or a state."""
-    if isinstance(of, Estimate):
-        if isinstance(of.past, tuple) and not of.past:
-            raise ValueError("of: expected an estimate made with past=True, received one without its past")
-        return of.past
-    if not hasattr(of, "belief"):
-        raise ValueError(f"of: expected an estimate or what step has returned, received {type(of).__name__}")
-    return of
+def _past_or_state(estimate: object) -> object:
+    """The past of an estimate, or a state: either holds the hypotheses."""
+    if isinstance(estimate, Estimate):
+        if isinstance(estimate.past, tuple) and not estimate.past:
+            raise ValueError("estimate: expected one made with past=True, received one without its past")
+        return estimate.past
+    if not hasattr(estimate, "belief"):
+        received = type(estimate).__name__
+        raise ValueError(f"estimate: expected an estimate or a state that step has returned, received {received}")
+    return estimate
 
 
 def _check(risk: float, fault: tuple[float, float] | None) -> None:

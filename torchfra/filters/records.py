@@ -1,4 +1,4 @@
-"""Records of steps, forwards and backwards, and what an estimate keeps of them."""
+"""Records of steps of the forward and the backward pass, and the parts of them that an estimate keeps."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ class Record(NamedTuple):
     """``(..., m)`` the residual divided by its root."""
     info: Any
     density: Tensor | None = None
-    """``(...)`` log density of the residual, where it is not that of a Gaussian with this root."""
+    """``(...)`` log density of the residual, if it is not that of a Gaussian with this root."""
     evidence: Tensor | None = None
-    """``(...)`` log density of the residual under the noise that the filter has assumed after down-weighting it."""
+    """``(...)`` log density of the residual under the down-weighted noise of a robust filter."""
     past: Any = None
-    """What the backward pass needs of the step, where an estimate does not hold it."""
+    """The parts of the step that the backward pass needs and an estimate does not hold."""
 
 
 class Kept(NamedTuple):
-    """What an estimate holds of a step, before ``finish``."""
+    """The parts of a step that an estimate holds, before ``finish``."""
 
     belief: Gaussian
     nis: Tensor
     log_likelihood: Tensor
     info: Any
     past: Any = None
-    """What smoothing needs of the step; None unless it was asked for."""
+    """``Record.past``; None unless it is to be kept."""
 
 
 class Smoothed(NamedTuple):
@@ -58,21 +58,21 @@ class SmoothInfo(NamedTuple):
     probabilities: Tensor | None = None
     """``(..., T, K)`` of the models of a bank, or ``(..., T, R)`` of the regimes of ``GPB``."""
     outlier: Tensor | None = None
-    """``(..., T, B)`` of each block of ``GPB`` that it was an outlier."""
+    """``(..., T, B)`` probability of ``GPB`` that each block was an outlier."""
     repaired: Tensor | None = None
-    """``(..., T)`` bool, of rules with negative weights and motions that are not linear: the joint covariance of this
-    state and the next was not positive definite and was repaired."""
+    """``(..., T)`` bool, for rules with negative weights and nonlinear motions: the joint covariance of this state and
+    the next was not positive definite and was repaired."""
 
 
 class Past(NamedTuple):
-    """What the backward pass needs of a step; ``(..., T, ...)`` of a whole track."""
+    """The parts of a step that the backward pass needs; ``(..., T, ...)`` for a whole track."""
 
     belief: Gaussian
     """The filtered belief, from which the next step was predicted."""
     factor: Tensor | None
     """``(...)`` fading factor of the prediction that led to it."""
     fresh: tuple[Gaussian, Tensor] | None = None
-    """Both as of the step itself, of a filter that decides a step by the next one."""
+    """Belief and factor before the next measurement, for a filter that decides a step by the next one."""
     info: Any = None
     """``Estimate.info`` of the step, for a ``retreat`` that reads it."""
 

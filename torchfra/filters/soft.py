@@ -1,4 +1,4 @@
-"""Choices that may be soft: what filters that decide share."""
+"""Soft choices: the temperature of filters that decide."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from __future__ import annotations
 class Soft:
     """Mixed into a filter: a ``temperature``, 0 for hard choices and above for soft ones, to train by."""
 
-    annealed: tuple[str, ...] = ("heat",)
-    heat: float
+    annealed: tuple[str, ...] = ("_temperature",)
+    _temperature: float
     soft: bool
 
     @property
     def temperature(self) -> float:
         """0 for hard choices, above for soft ones."""
-        return self.heat
+        return self._temperature
 
     @temperature.setter
     def temperature(self, value: float) -> None:
         if not value >= 0:
             raise ValueError(f"temperature: expected 0 or more, received {value}")
-        self.heat, self.soft = float(value), value > 0
+        self._temperature, self.soft = float(value), value > 0

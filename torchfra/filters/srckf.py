@@ -1,4 +1,4 @@
-"""The square-root cubature Kalman filter and its three sides: robust, fading, and an estimate of the noise."""
+"""The square-root cubature Kalman filter, with a robust update, fading factors or an estimate of the noise."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 
 class State(NamedTuple):
-    """A belief, and what the sides remember of the innovations."""
+    """A belief, and the memories of fading factors and of the noise estimate."""
 
     belief: Gaussian
     fading: Memory | None
@@ -33,17 +33,17 @@ class State(NamedTuple):
 
 
 class Info(NamedTuple):
-    """Per step; None for what the filter does not do."""
+    """Per step; each field is None for a filter without that part."""
 
     weights: Tensor | None = None
-    """``(..., T, m)`` of a robust filter."""
+    """``(..., T, m)`` weights of a robust update."""
     fading: Tensor | None = None
     """``(..., T)`` fading factors."""
     iterations: Tensor | None = None
-    """``(..., T)`` of a robust update that iterates; as many as it may where it did not settle."""
+    """``(..., T)`` of a robust update that iterates; the maximum where it did not converge."""
     repaired: Tensor | None = None
-    """``(..., T)`` covariances that were not positive definite and were repaired; of rules with negative weights, or a
-    robust update that may take off more than there is."""
+    """``(..., T)`` number of covariances that were not positive definite and were repaired; for rules with negative
+    weights, or a robust update that may subtract too much."""
     noise: Tensor | None = None
     """``(..., T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones."""
 
@@ -55,21 +55,21 @@ class SRCKF(Filter[State]):
         motion: how targets move; a linear motion is carried exactly, without points.
         sensor: what is measured.
         rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
-        robust: what down-weights outlying innovations (``torchfra.robust``); None for nothing.
+        robust: robust update, which down-weights outlying innovations (``torchfra.robust``); None for the plain one.
         fading: factors that widen the prediction where the motion no longer holds (``torchfra.adaptive``); None for
             none.
         noise: an estimate of the measurement noise (``torchfra.adaptive``); None for the sensor's own.
 
-    ``Estimate.nis`` and ``log_likelihood`` judge the measurement before any side has acted, under the nominal noise,
-    or under the noise as it was estimated before the step.
+    ``Estimate.nis`` and ``log_likelihood`` are those of the plain prediction under the nominal noise, or under the
+    noise as estimated before the step.
 
     Raises:
-        ValueError: fading factors and a rule with negative weights; an estimate of the noise beside one of the other
-            sides, as one would explain away what the other looks at; or see ``Filter``.
+        ValueError: fading factors and a rule with negative weights; an estimate of the noise beside fading factors or a
+            robust update, as both would explain the same large innovations; or see ``Filter``.
 
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters"; Wang et al. (2021), sections 1-2, whose equation
-    numbers stand in the code.  Differs: measurements count in units of their noise from (17) on, and (17), (20) and
-    (22)-(24) are one triangularisation; both leave the result as it is.
+    numbers stand in the code.  Differs: measurements are in units of their noise from (17) on, and (17), (20) and
+    (22)-(24) are one triangularisation; neither changes the result.
     """
 
     mixes = True
@@ -102,16 +102,16 @@ class SRCKF(Filter[State]):
 
     @property
     def plain(self) -> bool:
-        """Whether no side does anything."""
-        parts = self._modules  # as attributes they take a while, and this is asked in every step
+        """Whether the filter has none of the three parts."""
+        parts = self._modules  # every step reads this, and attributes of a module are slow
         return bool(parts["robust"].plain and parts["fading"].plain and parts["noise"].plain)  # type: ignore[union-attr]
 
     def begin(self, belief: Gaussian) -> State:
-        """The state of a belief: nothing remembered yet."""
+        """The state of a belief, with empty memories."""
         return State(belief, self.fading.begin(belief.mean, self.sensor.size), self.noise.begin(belief.mean))
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """Its parts, by name, that are others around another sensor."""
+        """The parts, by name, that differ around another sensor."""
         if not self.noise.plain:
             raise ValueError(
                 "sensor: expected None beside an estimate of the measurement noise, which is of the elements of the "
@@ -120,11 +120,11 @@ class SRCKF(Filter[State]):
         return super().parts_for(sensor)
 
     def unremembered(self, state: State) -> State:
-        """A state that remembers no innovations."""
+        """A state with an empty memory of innovations."""
         return state._replace(fading=self.fading.begin(state.belief.mean, self.sensor.size))
 
     def remembering(self, state: State, before: State) -> State:
-        """A state with the innovations that the one ``before`` remembers."""
+        """A state with the memory of innovations of the state ``before``."""
         return state._replace(fading=before.fading)
 
     def predict_hypotheses(self, state: State, frame: Frame) -> tuple[Gaussian, Tensor]:
@@ -132,13 +132,13 @@ class SRCKF(Filter[State]):
         return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """What is measured, less what hypotheses ``(K, ..., n)`` expect, by the noise as it is known."""
+        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)`` under the estimated noise, in nominal units."""
         whitened = self.compare(beliefs, frame)
-        root, _ = innovation(self.noise.known(whitened, state.noise))
+        root, _ = innovation(self.noise.rescale(whitened, state.noise))
         return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))
 
     def past(self, belief: Gaussian, info: Info, state: Any, steps: Any) -> Past:
-        """What the backward pass needs: beliefs, and the fading factors that were chosen."""
+        """The past for the backward pass: beliefs, and the fading factors of the forward pass."""
         return Past(belief, info.fading)
 
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
@@ -153,26 +153,27 @@ class SRCKF(Filter[State]):
         return State(belief, None, None), Record(belief, whitened.residual, root, normalised, info)
 
     def update(self, prediction: Prediction, whitened: Whitened, state: State, frame: Frame) -> tuple[State, Record]:
-        """The update with its sides: Wang et al. (2021), of the noise Chen, Zou & Wu."""
-        known = self.noise.known(whitened, state.noise)
-        root, normalised = innovation(known)  # (17), (35)
-        weights = self.robust(known.residual, normalised.square().sum(-1))  # (25)
+        """The update with robust weights, fading factors or a noise estimate: Wang et al. (2021); Chen, Zou & Wu."""
+        rescaled = self.noise.rescale(whitened, state.noise)
+        root, normalised = innovation(rescaled)  # (17), (35)
+        weights = self.robust(rescaled.residual, normalised.square().sum(-1))  # (25)
         noise = self.noise.learn(state.noise, whitened, frame.measured, "innovation")  # Chen, Zou & Wu (19)
-        known = self.noise.known(whitened, noise)
-        widened, known, memory, factor = self.widen(prediction, known, state.fading, weights, frame)  # (29)-(34)
-        done = self.robust.correct(widened.belief, known, weights, frame.measurement_noise)  # (26), (17)-(24)
+        rescaled = self.noise.rescale(whitened, noise)
+        faded, rescaled, memory, factor = self.fade(prediction, rescaled, state.fading, weights, frame)  # (29)-(34)
+        corrected = self.robust.correct(faded.belief, rescaled, weights, frame.measurement_noise)  # (26), (17)-(24)
         if self.noise.adapt == "residual":
-            noise = self.noise.learn(noise, self.compare(done.belief, frame), frame.measured, "residual")
-        belief, repaired = canonical(self.motion, done.belief), add_counts(repairs(prediction, whitened), done.repaired)
-        info = Info(done.weights, factor, done.iterations, repaired, self.noise.scale(noise))
+            noise = self.noise.learn(noise, self.compare(corrected.belief, frame), frame.measured, "residual")
+        belief = canonical(self.motion, corrected.belief)
+        repaired = add_counts(repairs(prediction, whitened), corrected.repaired)
+        info = Info(corrected.weights, factor, corrected.iterations, repaired, self.noise.scale(noise))
         root = self.noise.nominal(root, state.noise, frame.measured)
-        record = Record(belief, whitened.residual, root, normalised, info, evidence=done.evidence)
+        record = Record(belief, whitened.residual, root, normalised, info, evidence=corrected.evidence)
         return State(belief, memory, noise), record
 
-    def widen(
+    def fade(
         self, prediction: Prediction, whitened: Whitened, memory: Memory | None, weights: Tensor, frame: Frame
     ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:
-        """Prediction and measurement with fading factors, the innovations remembered, and the factors ``(...)``."""
+        """Prediction and measurement with fading factors, the memory of innovations, and the factors ``(...)``."""
         memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
         factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
         if factor is None:

@@ -1,4 +1,4 @@
-"""What all Gaussian filters share: rules, the update in array form, mixtures, prediction and comparison."""
+"""The algebra of all Gaussian filters: rules, prediction, comparison, the update in array form, and mixtures."""
 
 from torchfra.gaussian.cubature import (
     fifth_degree,

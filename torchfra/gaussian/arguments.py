@@ -28,16 +28,16 @@ def check(
     name: str = "prior",
     instants: bool = True,
 ) -> torch.Size:
-    """Checks kinds, shapes and values of a user's arguments, and gives their batch.
+    """Checks kinds, shapes and values of a user's arguments, and returns their batch.
 
     Args:
         measurements: of whole tracks.
         prior: ``(..., n)`` and ``(..., n, n)``.
-        motion: gives ``n``.
-        size: ``m``.
+        motion: the motion, of ``n`` components.
+        size: elements of a measurement, ``m``.
         scans: whether measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
-        name: what error messages call the prior.
-        instants: whether a step may take no time.
+        name: name of the prior in error messages.
+        instants: whether ``dt`` may be 0.
 
     Raises:
         ValueError: names the argument, what was expected and what came.
@@ -64,7 +64,7 @@ def check(
 
 
 def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -> Gaussian:
-    """Checks that this is a belief in tensors of single or double precision, of ``size`` states if that is not None.
+    """Checks that ``belief`` is a Gaussian in single or double precision, of ``size`` components if that is not None.
 
     Raises:
         ValueError: it is something else.
@@ -81,10 +81,10 @@ def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -
 
 
 def check_kinds(measurements: Measurements) -> None:
-    """Checks that all are tensors of real numbers, ``dt`` a number or such a tensor.
+    """Checks that all are tensors of real numbers, or for ``dt`` a number.
 
     Raises:
-        ValueError: names the first that is not, or std and noise are both there.
+        ValueError: names the first that is not; or both ``std`` and ``noise`` are given.
     """
     z, dt, u, std, noise = measurements
     _check_tensor("z", z, PRECISIONS)
@@ -100,7 +100,7 @@ def check_kinds(measurements: Measurements) -> None:
 
 
 def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
-    """Checks that this is a tensor, of one of these precisions or, where there are none, of real numbers."""
+    """Checks that ``x`` is a tensor of one of these precisions; if there are none, of real numbers."""
     if not isinstance(x, Tensor):
         raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: take torch.as_tensor({name})")
     if precisions and x.dtype not in precisions:
@@ -110,13 +110,13 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
 
 
 def check_values(measurements: Measurements, instants: bool = True) -> None:
-    """Checks that time steps are finite and not negative, and noise positive, as numbers of the precision of ``z``.
+    """Checks that time steps are finite and not negative, and noise positive, in the precision of ``z``.
 
-    Noise counts where something is measured.  Code that is traced is not checked.  Without ``instants`` steps of no
-    time are refused.
+    Noise is checked where something is measured.  Without ``instants`` a ``dt`` of 0 is refused.  Nothing is checked
+    while code is traced.
 
     Raises:
-        ValueError: names the argument and the first value that is not.
+        ValueError: names the argument and the first value that does not fit.
     """
     z, dt, _, std, noise = measurements
     if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
@@ -135,7 +135,7 @@ def check_values(measurements: Measurements, instants: bool = True) -> None:
 
 
 def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
-    """Checks that time steps are finite and not negative, as numbers of this precision; 0 is for ``instants``.
+    """Checks that time steps are finite and not negative in this precision, and without ``instants`` not 0.
 
     Raises:
         ValueError: one is not.
@@ -150,7 +150,7 @@ def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
 
 
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:
-    """``(...)`` where the measured elements have no finite covariance ``noise (..., m, m)`` with an inverse."""
+    """``(...)`` bool, where a root ``noise (..., m, m)`` of the measured elements is not finite or singular."""
     root = torch.where(measured.unsqueeze(-1), noise, 0.0)
     broken: Tensor = ~root.isfinite().flatten(-2).all(-1)
     least = 10 * torch.finfo(noise.dtype).eps * torch.linalg.vector_norm(root, dim=-1)
@@ -163,7 +163,7 @@ def _singular(noise: Tensor, measured: Tensor) -> Tensor:
 
 
 def _refuse(name: str, expected: str, x: Tensor, bad: Tensor, event: int = 0) -> None:
-    """Raises the error for the first bad entry of a tensor, whose entries have ``event`` dimensions."""
+    """Raises the error about the first bad entry of a tensor whose entries have ``event`` dimensions."""
     place, split = tuple(bad.nonzero()[0].tolist()), x.dim() - event
     entry = x.expand(broadcast_shapes(x.shape[:split], bad.shape) + x.shape[split:])[place]
     raise ValueError(f"{name}: expected {expected}, received {entry.tolist()}{f' at {place}' if place else ''}")
@@ -172,7 +172,7 @@ def _refuse(name: str, expected: str, x: Tensor, bad: Tensor, event: int = 0) ->
 def _batches(
     measurements: Measurements, prior: Gaussian, n: int, m: int, scans: bool, name: str
 ) -> dict[str, torch.Size]:
-    """The batch of each argument, once its event is known to fit."""
+    """Checks the event of each argument, and returns its batch."""
     z, _, u, std, noise = measurements
     rank = 2 + scans
     if z.dim() < rank or z.shape[-1] != m or 0 in z.shape[-rank:]:

@@ -1,4 +1,4 @@
-"""All later measurements as one measurement of a state, with which several models are smoothed."""
+"""All later measurements as one measurement of a state, by which several models are smoothed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Future(NamedTuple):
     origin: Tensor
     """``(..., n)`` prediction of the state."""
     slope: Tensor
-    """``(..., n, n)``, 0 in directions of which it holds no information."""
+    """``(..., n, n)``, 0 in directions without information."""
     value: Tensor
     """``(..., n)``."""
 
@@ -53,7 +53,7 @@ class Future(NamedTuple):
 def _update(
     slope: Tensor, value: Tensor, gap: Tensor, spread: Tensor, noise: Tensor, *subtracted: Tensor
 ) -> tuple[Gaussian, Tensor]:
-    """``Future.update`` of beliefs that lie ``gap`` beyond the origin."""
+    """``Future.update`` for beliefs whose mean is ``origin + gap``."""
     n = slope.shape[-1]
     rest = spread.shape[-1] - n
     noise = hstack(noise, spread[..., :rest]) if rest else noise

@@ -1,4 +1,4 @@
-"""The inputs of a filter, and the frame of each step: all of the step that does not depend on the belief."""
+"""The inputs of a filter, and the frame of each step: the part of the step that does not depend on the belief."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Time = float | Tensor
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
 class Measurements(NamedTuple):
-    """Measurements and what belongs to them; time stands before the dimensions of the event."""
+    """Measurements with their time steps, inputs and noise; time stands before the dimensions of the event."""
 
     z: Tensor
-    """``(..., T, m)``; NaN is missing.  Of scans ``(..., T, J, m)``."""
+    """``(..., T, m)``, or ``(..., T, J, m)`` for scans; NaN is missing."""
     dt: Time = 1.0
-    """Seconds since the step before: a number, or what broadcasts with ``(..., T)``."""
+    """Seconds since the step before: a number, or a tensor that broadcasts with ``(..., T)``."""
     u: Tensor | None = None
-    """``(..., T, k)`` or ``(T, k)`` what the models need to know at a step."""
+    """``(..., T, k)`` or ``(T, k)`` inputs that the models need at a step."""
     std: Tensor | None = None
     """Standard deviations of the measurement noise, shaped like ``z``; None for the sensor's."""
     noise: Tensor | None = None
@@ -43,10 +43,10 @@ class Measurements(NamedTuple):
         return self.dt[..., 0] if isinstance(self.dt, Tensor) and self.dt.dim() else self.dt
 
     def as_track(self, *, scans: bool = False) -> Measurements:
-        """A single step as a track of one: ``z (..., m)`` and the like get a dimension of time.
+        """A single step as a track of one step: ``z (..., m)`` and all others get a dimension of time.
 
         Raises:
-            ValueError: one has fewer dimensions than that.
+            ValueError: a tensor has fewer dimensions than a step of it.
         """
         dt = self.dt.unsqueeze(-1) if isinstance(self.dt, Tensor) and self.dt.dim() else self.dt
         timed = {}
@@ -60,7 +60,7 @@ class Measurements(NamedTuple):
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
 class Timed(Measurements):
-    """Part of a track whose steps have a ``dt`` each, even if the part is a single step."""
+    """Part of a track in which each step has its own ``dt``, even if the part is a single step."""
 
     varying_dt = True
 
@@ -87,18 +87,18 @@ class Frame(NamedTuple):
     process_noise: Tensor
     """``S_Q (..., n, q)``."""
     adaptation: Adaptation | None
-    """How shift and process noise depend on the state; None where they do not."""
+    """How shift and process noise depend on the estimated acceleration; None where they do not."""
 
 
 class BackwardStep(NamedTuple):
     """One step of the backward pass: what the forward pass kept of two successive steps, and the frame between them."""
 
     past: Any
-    """Of the step that is smoothed: see ``Filter.past``."""
+    """The past of the step that is smoothed: see ``Filter.past``."""
     next: Any
-    """Of the step after it."""
+    """The past of the step after it."""
     frame: Frame
-    """Of the time step between the two."""
+    """The frame of the time step between the two."""
     carried: Any
     """The past from which the next step was predicted; detached where the forward pass was truncated after it.
 
@@ -119,7 +119,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         x = x.to(like).movedim(-1 - event, 0)
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
-    timed = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # has no time
+    timed = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # one dt for all
     z, dt, u, std, noise = tree.map_ranked(time_first, timed)
     z = z.contiguous()
     dt = dt if varying else torch.as_tensor(measurements.common_dt, dtype=z.dtype, device=z.device)
@@ -153,14 +153,14 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
 
 
 def _check_models(motion: Motion, shift: Tensor | None, transition: Tensor | None, noise: Tensor) -> None:
-    """Checks the shapes of what a motion gives for a step.
+    """Checks the shapes of shift, transition and process noise of a motion.
 
     Raises:
         ValueError: names the motion, the shape that was expected and the one that came.
     """
     n = motion.size
-    given = {"shift": (shift, (n,)), "transition": (transition, (n, n)), "process_noise": (noise, (n, "r"))}
-    for name, (x, shape) in given.items():
+    parts = {"shift": (shift, (n,)), "transition": (transition, (n, n)), "process_noise": (noise, (n, "r"))}
+    for name, (x, shape) in parts.items():
         if x is None:
             continue
         received = tuple(x.shape[-len(shape) :])
@@ -170,22 +170,22 @@ def _check_models(motion: Motion, shift: Tensor | None, transition: Tensor | Non
 
 
 def batch_rank(module: nn.Module) -> int:
-    """Batch dimensions that the hyperparameters of a filter bring."""
+    """Number of batch dimensions of a filter's hyperparameters."""
     return max([0, *(hyper.batch_rank for hyper in hypers(module).values())])
 
 
-def with_values(module: nn.Module, batch: torch.Size, scans: bool) -> torch.Size:
-    """The batch of tracks and of all values of a filter together; of scans that of tracks, as values are of targets.
+def broadcast_with_values(module: nn.Module, batch: torch.Size) -> torch.Size:
+    """The batch of tracks broadcast with the batches of all hyperparameters of a filter.
 
     Raises:
         ValueError: values that do not broadcast with the tracks.
     """
-    whole = batch
-    for path, hyper in ({} if scans else hypers(module)).items():
+    common = batch
+    for path, hyper in hypers(module).items():
         values = hyper.raw.shape[: hyper.batch_rank]
         try:
-            whole = broadcast_shapes(whole, values)
+            common = broadcast_shapes(common, values)
         except RuntimeError:
             expected = f"values that broadcast with tracks {tuple(batch)}"
             raise ValueError(f"{path}: expected {expected}, received {tuple(values)}") from None
-    return whole
+    return common

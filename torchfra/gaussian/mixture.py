@@ -21,11 +21,11 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
 
     Args:
         beliefs: ``mean (K, ..., n)`` and ``scale_tril (K, ..., n, n)``, the K beliefs on the first dimension; any
-            roots ``(K, ..., n, p)`` will do.
+            roots ``(K, ..., n, p)`` are allowed.
         log_weights: ``(K, ...)``, whose exponentials sum to one over the first dimension; minus infinity for a belief
-            that does not count, and may then be NaN.
-        angles: components that are angles, rad.  Their moments are those of the angles within half a turn of the
-            likeliest belief's: the same whichever belief they count from, as long as all lie in one half of the circle.
+            of zero weight, which may then be NaN.
+        angles: components that are angles, rad.  Each angle is taken within half a turn of the likeliest belief's; if
+            all lie in one half of the circle, the moments do not depend on that choice.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 1.4.16, for the moments.
 
@@ -39,21 +39,21 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
 
 
 def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """``moment_match`` with square roots ``(K, ...)`` of weights: 0 for a belief that does not count."""
+    """``moment_match`` with square roots ``(K, ...)`` of the weights."""
     middle, columns = _moments(beliefs, roots, angles)
     zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
 
 
 def wide(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """``matched`` with a root ``(..., n, p)`` that is not triangular, which is all that a linear motion asks for."""
+    """``matched`` with a root ``(..., n, p)`` that is not triangular, which is enough for a linear motion."""
     middle, columns = _moments(beliefs, roots, angles)
     return Gaussian(middle, torch.cat(columns, -1))
 
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
     """The mean ``(..., n)`` of a mixture, and blocks that side by side are a root of its covariance."""
-    counts = roots != 0  # NaN does count: it must show in the result
+    counts = roots != 0  # true for NaN, which must show in the result
     mean = torch.where(counts.unsqueeze(-1), beliefs.mean, 0.0)
     if angles:
         mean = _together(mean, roots, angles)
@@ -68,7 +68,7 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
     return middle, [*spread.unbind(), *apart.unbind()]
 
 
-def shared(log_weights: Tensor) -> tuple[Tensor, Tensor]:
+def share_roots(log_weights: Tensor) -> tuple[Tensor, Tensor]:
     """Square roots ``(K, ...)`` of the normalised weights, and the log ``(...)`` of their sum."""
     if len(log_weights) == 1:
         return torch.ones_like(log_weights), log_weights[0]
@@ -85,20 +85,20 @@ def log_sum(log_weights: Tensor, dim: int) -> Tensor:
 
 
 def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:
-    """The largest of logs of weights, without a gradient; 0 where all weights are 0."""
+    """The largest of the logs of weights, without a gradient; 0 where all weights are 0."""
     top = log_weights.detach().amax(dim, keepdim)
     return torch.where(top == -torch.inf, 0.0, top)
 
 
 def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gaussian:
-    """``moment_match`` of a belief and of J others that have one root.
+    """``moment_match`` of a belief and of J beliefs that share one root.
 
     ``tria([sqrt(w_0) S_0, sqrt(w_1 + ... + w_J) S, sqrt(w_i) (mean_i - mean)])``.
 
     Args:
         missed: ``(..., 1)``.
         hit: means ``(..., J, n)``, root ``(..., 1, n, n)``.
-        log_weights: ``(..., J + 1)``; minus infinity for one that does not count, and may be NaN.
+        log_weights: ``(..., J + 1)``; minus infinity for a belief of zero weight, which may then be NaN.
     """
     counts = log_weights != -torch.inf
     root = (0.5 * log_weights).exp()
@@ -114,10 +114,10 @@ def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gauss
 
 
 def _together(mean: Tensor, weights: Tensor, angles: Sequence[int]) -> Tensor:
-    """Means ``(K, ..., n)`` with their angles within half a turn of the likeliest one's."""
+    """Means ``(K, ..., n)`` with their angles within half a turn of the likeliest mean's."""
     columns = list(mean.unbind(-1))
     for i in angles:
-        if i < len(columns):  # else they are of components that a sensor does not read
+        if i < len(columns):  # otherwise the sensor does not read the component
             column, weight = torch.broadcast_tensors(columns[i], weights)
             likeliest, most = column[0], weight[0]
             for angle, w in zip(column[1:], weight[1:], strict=True):
@@ -127,13 +127,13 @@ def _together(mean: Tensor, weights: Tensor, angles: Sequence[int]) -> Tensor:
 
 
 def repeated(belief: Gaussian, count: int) -> Gaussian:
-    """The same belief for each of so many models, ``(..., K)``."""
+    """The belief, repeated for each of ``count`` models: ``(..., K)``."""
     mean, root = belief.mean.unsqueeze(-2), belief.scale_tril.unsqueeze(-3)
     return Gaussian(mean.expand(*mean.shape[:-2], count, -1), root.expand(*root.shape[:-3], count, -1, -1))
 
 
 def models_first(belief: Gaussian) -> Gaussian:
-    """``(..., K)`` beliefs as ``(K, ...)``."""
+    """Beliefs ``(..., K)`` of models as ``(K, ...)``."""
     return Gaussian(belief.mean.movedim(-2, 0), belief.scale_tril.movedim(-3, 0))
 
 

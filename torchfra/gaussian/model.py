@@ -22,13 +22,13 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 
 def repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
-    """How many covariances ``(...)`` of a step had to be repaired; None for rules that never need it."""
+    """Number ``(...)`` of covariances of a step that were repaired; None for rules without negative weights."""
     measured = None if whitened.subtracted is None else repaired_root(whitened)[1]
     return add_counts(prediction.repaired, measured)
 
 
 def add_counts(*counts: Tensor | None) -> Tensor | None:
-    """The sum of those counts, or truth values, that are not None; None if all are."""
+    """The sum of the counts, or truth values, that are not None; None if all are."""
     there = [x.to(torch.int64) for x in counts if x is not None]
     return sum(there[1:], there[0]) if there else None
 
@@ -43,14 +43,14 @@ class Carried(NamedTuple):
     mean: Tensor
     """``(..., n)``."""
     spread: Tensor
-    """``(..., n, p)`` root of the part that comes from the belief before: its last ``n`` columns are ``F S``."""
+    """``(..., n, p)`` root of the propagated part of the covariance; its last ``n`` columns are ``F S``."""
     process_noise: Tensor
     """``(..., n, q)``."""
     subtracted: Tensor | None
     """``(..., n, k)`` root of what a rule with negative weights subtracts."""
 
     def belief(self) -> tuple[Gaussian, Tensor | None]:
-        """The prediction, and ``(...)`` bool whether its covariance was repaired; None where it never is."""
+        """The prediction, and ``(...)`` bool whether its covariance was repaired; None if nothing is subtracted."""
         root = tria(hstack(self.spread, self.process_noise))
         if self.subtracted is None:
             return Gaussian(self.mean, root), None
@@ -83,7 +83,7 @@ def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Car
 
 
 def adapted(frame: Frame, mean: Tensor) -> Frame:
-    """The frame of a linear motion whose shift and process noise follow the ``mean (..., n)`` before a step."""
+    """The frame with shift and process noise at the ``mean (..., n)`` before a step, if its motion adapts them."""
     if frame.transition is None or frame.adaptation is None:
         return frame
     shift, noise = frame.adaptation(mean, frame.shift, frame.process_noise)
@@ -91,7 +91,7 @@ def adapted(frame: Frame, mean: Tensor) -> Frame:
 
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
-    """The measurement against a predicted belief, in units of its noise: eqs. (14)-(21)."""
+    """Compares the measurement with a predicted belief, in units of the noise: eqs. (14)-(21)."""
     d, noise = sensor.reads, frame.measurement_noise
     read = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
     value, spread, subtracted = rule(lambda x: sensor.at_points(x, frame.u), read, sensor.difference)

@@ -1,6 +1,6 @@
 """Rules that carry a Gaussian through a function: sigma points of several kinds, and the tangent of the EKF.
 
-Each gives a statistical linearisation.  For ``x ~ N(mean, S S^T)``
+Each rule is a statistical linearisation.  For ``x ~ N(mean, S S^T)``
 
     f(x) ~ value + slope S^-1 (x - mean) + e,
 
@@ -21,13 +21,12 @@ from torch.nn.functional import pad
 from torchfra.types import Gaussian
 
 Function = Callable[[Tensor], Tensor]
-
-
 Difference = Callable[[Tensor, Tensor], Tensor]
+"""Subtracts two values ``(..., m)``, with angles wrapped."""
 
 
 class Linearised(NamedTuple):
-    """``value (..., m)`` and ``spread (..., m, r + n) = [rest, slope]`` as in the head of this file."""
+    """``value (..., m)`` and ``spread (..., m, r + n) = [rest, slope]`` of the linearisation above."""
 
     value: Tensor
     spread: Tensor
@@ -39,7 +38,7 @@ class Rule(Protocol):
     """A rule for ``n`` states: it evaluates a function at ``p`` points in one call."""
 
     signed: bool
-    """Whether some weights are negative, so that covariances may turn out not positive."""
+    """Whether some weights are negative, so that a covariance may not be positive definite."""
 
     def __call__(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
         """Carry ``belief (..., n)`` through ``function (p, ..., n) -> (p, ..., m)``: the points are in front.
@@ -49,7 +48,7 @@ class Rule(Protocol):
         ...
 
     def marginal(self, d: int) -> Rule:
-        """The same rule for functions that read the first ``d`` components only."""
+        """The rule for functions that read the first ``d`` components alone."""
         ...
 
 
@@ -57,7 +56,7 @@ class SigmaPoints(nn.Module):
     """A centre and points around it, in units of the belief's root.
 
     The mean is the centre's value plus the weighted mean of the differences to it, so that angles have a mean.  The
-    spread is a product with one constant matrix, whose last ``n`` columns give the slope and the others the rest.
+    spread is a product with one constant matrix, whose last ``n`` columns are the slope and the others the rest.
 
     Args:
         points: ``(n, p)`` without the centre, ``sum_i w_i points_i points_i^T = I``.
@@ -136,12 +135,12 @@ class SigmaPoints(nn.Module):
 
 
 class Tangent(nn.Module):
-    """The tangent at the mean: the rule of the extended Kalman filter, by forward-mode differentiation."""
+    """The tangent at the mean, by forward-mode differentiation: the rule of the extended Kalman filter."""
 
     signed = False
 
     def marginal(self, d: int) -> Tangent:
-        """This rule itself: it does not depend on the number of states."""
+        """This rule itself, as it does not depend on the number of states."""
         return self
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
@@ -154,6 +153,6 @@ class Tangent(nn.Module):
 
 
 def _same_batch(belief: Gaussian) -> Gaussian:
-    """The belief with a root for each mean, where one root was shared by a batch."""
+    """The belief with a root for each mean, also if the batch shares one root."""
     mean, root = belief
     return belief if root.dim() == mean.dim() + 1 else Gaussian(mean, root.expand(*mean.shape[:-1], *root.shape[-2:]))

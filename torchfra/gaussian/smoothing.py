@@ -36,8 +36,8 @@ def smooth_step(
         difference: subtracts two states.
 
     Returns:
-        The smoothed belief, and ``(...)`` bool whether a rule with negative weights had its joint covariance repaired;
-        None where it never is.
+        The smoothed belief, and ``(...)`` bool whether the joint covariance was repaired; None for rules without
+        negative weights.
 
     Source: Rauch, Tung & Striebel (1965); Arasaratnam & Haykin (2011), "Cubature Kalman Smoothers"; in this form
     Yaghoobi et al. (2022), "Parallel Square-Root Statistical Linear Regression for Inference in Nonlinear State Space
@@ -74,7 +74,7 @@ def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
     """A lower root ``(..., n, n)`` with the identity in certain directions, and ``(..., n)`` bool which those are.
 
-    A direction is certain if its pivot is at the level of the rounding errors of sums of so many terms.
+    A direction is certain if its pivot is at the level of the rounding errors of sums of ``terms`` terms.
     """
     value = root.detach()
     certain = value.diagonal(dim1=-2, dim2=-1) <= _rounding(terms, root.dtype) * value.square().sum(-1).sqrt()
@@ -82,5 +82,5 @@ def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
 
 
 def _rounding(terms: int, dtype: torch.dtype) -> float:
-    """Relative errors of sums of so many terms."""
+    """Relative rounding error of sums of ``terms`` terms."""
     return 4 * terms * torch.finfo(dtype).eps

@@ -26,9 +26,11 @@ class Joint(NamedTuple):
 
 
 def repaired_root(whitened: Whitened) -> tuple[Tensor, Tensor]:
-    """Where weights are negative: lower root ``(..., m, m)`` of what does not follow the belief, noise included.
+    """The linearisation error and noise of a measurement, for a rule with negative weights.
 
-    Also ``(...)`` bool: it was not positive definite and was repaired.
+    Returns:
+        The lower root ``(..., m, m)`` of ``I + rest rest^T - subtracted subtracted^T``, and ``(...)`` bool whether that
+        was not positive definite and was repaired.
     """
     assert whitened.subtracted is not None
     return downdate(tria(hstack(_unit(whitened), whitened.rest)), whitened.subtracted)
@@ -41,7 +43,7 @@ def innovation(whitened: Whitened) -> tuple[Tensor, Tensor]:
 
 
 def joint(belief: Gaussian, whitened: Whitened) -> Joint:
-    """Measurement and state: eqs. (17)-(24).
+    """The joint root of measurement and state: eqs. (17)-(24).
 
     ``tria([[I, rest, H S], [0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
     """
@@ -62,7 +64,7 @@ def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Ten
 def down_weight(whitened: Whitened, weights: Tensor) -> Whitened:
     """The measurement with its noise covariance divided by ``weights (..., m)``: eq. (26).
 
-    Scaling the measurement down instead of its noise up lets a weight of 0 leave it out.
+    The measurement is scaled down instead of its noise up, so that a weight of 0 leaves it out.
     """
     scale = safe_sqrt(weights)
     subtracted = None if whitened.subtracted is None else scale.unsqueeze(-1) * whitened.subtracted

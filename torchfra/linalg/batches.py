@@ -1,4 +1,4 @@
-"""What batches of tensors broadcast to."""
+"""Broadcasting of batch shapes."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ import torch
 
 
 def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
-    """As ``torch.broadcast_shapes``, of which some versions import symbolic algebra first: it takes most of a second.
+    """``torch.broadcast_shapes``, without the symbolic algebra that some versions of torch import for it.
+
+    That import takes most of a second.
 
     Raises:
-        RuntimeError: they do not fit.
+        RuntimeError: the shapes do not broadcast.
     """
     some = [shape for shape in shapes if shape]
     if some and all(shape == some[0] for shape in some):
         return torch.Size(some[0])
-    whole = [1] * max([0, *(len(shape) for shape in some)])
+    common = [1] * max([0, *(len(shape) for shape in some)])
     for shape in some:
         for i in range(-len(shape), 0):
             if shape[i] == 1:
                 continue
-            if whole[i] not in (1, shape[i]):
+            if common[i] not in (1, shape[i]):
                 raise RuntimeError(f"shapes {', '.join(str(tuple(x)) for x in shapes)} do not broadcast")
-            whole[i] = shape[i]
-    return torch.Size(whole)
+            common[i] = shape[i]
+    return torch.Size(common)

@@ -42,7 +42,7 @@ def gram_sqrt(h: Tensor) -> Tensor:
 
 @batchwise(2)
 def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
-    """What makes of ``N(0, I)`` the belief ``N(w, H H^T)``: a measurement ``root x + N(0, I)`` of value ``weight w``.
+    """The measurement that turns ``N(0, I)`` into ``N(w, H H^T)``: ``root x + N(0, I)``, of value ``weight w``.
 
     Args:
         h: ``(..., n, d)``; a matrix that is not finite counts as zero.

@@ -11,18 +11,18 @@ from torch import Tensor
 
 
 def in_range(x: Tensor) -> Tensor:
-    """Where a number of the precision of ``x`` holds its square, bool; not where ``x`` is NaN."""
-    held: Tensor = x.abs() < torch.finfo(x.dtype).max ** 0.5
-    return held
+    """Bool, where the square of ``x`` does not overflow; False where ``x`` is NaN."""
+    fits: Tensor = x.abs() < torch.finfo(x.dtype).max ** 0.5
+    return fits
 
 
 def safe_square(x: Tensor) -> Tensor:
-    """Square, infinite where no number of its precision holds it; NaN is NaN.
+    """Square, infinite where it overflows; NaN is NaN.
 
-    The gradient is 0 where no number holds the cube: what a chain of derivatives multiplies it by would be infinite.
+    The gradient is 0 where the cube overflows: there the next factor of the chain rule would be infinite.
     """
-    far = x.abs() >= torch.finfo(x.dtype).max ** (1 / 3)
-    return torch.where(far, x.detach().square(), torch.where(far, 0.0, x).square())
+    large = x.abs() >= torch.finfo(x.dtype).max ** (1 / 3)
+    return torch.where(large, x.detach().square(), torch.where(large, 0.0, x).square())
 
 
 def safe_sqrt(x: Tensor) -> Tensor:
@@ -34,7 +34,7 @@ def safe_sqrt(x: Tensor) -> Tensor:
 def safe_log(x: Tensor, fill: float = -torch.inf) -> Tensor:
     """Logarithm where ``x`` is above 0 and a normal number; elsewhere the value is ``fill`` and the gradient 0.
 
-    The slope at a subnormal number is beyond the range of floating point numbers.
+    The derivative at a subnormal number overflows.
     """
     normal = x >= torch.finfo(x.dtype).tiny
     return torch.where(normal, torch.where(normal, x, 1.0).log(), fill)

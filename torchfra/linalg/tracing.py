@@ -24,7 +24,7 @@ def is_traced(*tensors: Tensor) -> bool:
 
 
 def has_tangents() -> bool:
-    """Whether derivatives go forwards here, inside of ``torch.autograd.forward_ad.dual_level``."""
+    """Whether this runs in forward-mode differentiation, inside of ``torch.autograd.forward_ad.dual_level``."""
     return not torch.compiler.is_compiling() and forward_ad._current_level >= 0
 
 
@@ -38,7 +38,7 @@ def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
     """Inside this context, decompositions run as loops of elementary arithmetic, entry by entry.
 
     Args:
-        caller: runs functions marked ``batchwise``; called with the function, its ranks and its tensors.
+        caller: runs functions marked ``batchwise``; it is called with the function, its ranks and its tensors.
     """
     tokens = _elementary.set(True), _caller.set(caller)
     try:
@@ -49,12 +49,12 @@ def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
 
 
 def batchwise(*ranks: int) -> Callable[[F], F]:
-    """Declares that a function of tensors does the same for each entry of the batch, as NumPy's ``gufunc`` does.
+    """Declares that a function of tensors acts on each entry of the batch alike, as NumPy's ``gufunc`` does.
 
-    Every result has the whole batch.  Inside of ``elementary`` its caller runs it.
+    Every result has the full batch.  Inside of ``elementary`` the caller of that context runs the function.
 
     Args:
-        ranks: how many dimensions the event has in each of its arguments, the last of which may be left out.
+        ranks: number of event dimensions of each argument; the last arguments are optional.
     """
 
     def decorate(function: F) -> F:

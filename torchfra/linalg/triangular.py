@@ -1,4 +1,4 @@
-"""Triangularisation with an exact gradient, also where rank is lost, and products with triangular roots."""
+"""Triangularisation with an exact gradient, for matrices of any rank, and products with triangular roots."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
 
 
 def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
-    """``tria([D, a])`` for ``a (..., n, p)`` beside a diagonal matrix ``D``, of ``(n,)`` without negative entries.
+    """``tria([D, a])`` for ``a (..., n, p)`` and a diagonal matrix ``D`` of ``diagonal (n,)``, not negative.
 
-    The diagonal does for reflections what the zeros of ``tria`` do: none touches it before its own.
+    The diagonal serves the reflections as the leading zeros of ``tria`` do: each touches its own entry first.
     """
     full = hstack(torch.diag(diagonal), a)
     if _by_rows(full):
@@ -60,18 +60,18 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
 
 
 def _apply(a: Tensor, beside: bool) -> Tensor:
-    """With derivatives."""
-    result: Tensor = (_MovingTria if has_tangents() else _Tria).apply(a, beside)  # type: ignore[no-untyped-call]  # untyped in torch
+    """The triangularisation as an autograd function."""
+    result: Tensor = (_ForwardModeTria if has_tangents() else _Tria).apply(a, beside)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
 
 def _differentiated(a: Tensor) -> bool:
-    """Whether derivatives may be wanted, backwards or forwards, or this is traced."""
+    """Whether derivatives may be needed, in reverse or forward mode, or code is traced."""
     return a.requires_grad or is_traced(a) or has_tangents()
 
 
 def _positive(lower: Tensor) -> Tensor:
-    """The same root with a non-negative diagonal: a row that is zero beside a diagonal has not been reflected."""
+    """The root with a non-negative diagonal: rows whose part beside the diagonal is zero were not reflected."""
     return torch.where(lower.diagonal(dim1=-2, dim2=-1).unsqueeze(-2) < 0, -lower, lower)
 
 
@@ -107,19 +107,19 @@ def _orthogonalise(a: Tensor) -> Tensor:
 
 
 def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The first ``count`` rows of ``a (..., n, p)`` taken out of the others by modified Gram-Schmidt, of any rank.
+    """Eliminates the first ``count`` rows of ``a (..., n, p)``, of any rank, from the others by modified Gram-Schmidt.
 
-    ``[[L, 0], [cross, rest]]`` is a root of ``a a^T``, but for rows that depend on those above them: such a row takes
-    nothing out of those below, and has a 1 on the diagonal of ``L`` and zeros beside it and below.
+    ``[[L, 0], [cross, rest]]`` is a root of ``a a^T``, except for rows that depend on those above them: such a row
+    eliminates nothing, and has a 1 on the diagonal of ``L`` and zeros beside it and below.
 
     Args:
         a: the rows.
-        count: how many are taken out.
-        rounding: share of its norm that a row which depends on others may keep.
+        count: number of rows to eliminate.
+        rounding: share of its norm below which the remainder of a row counts as zero.
 
     Returns:
-        ``L (..., count, count)``, ``cross (..., n - count, count)``, ``rest (..., n - count, p)``, and which rows
-        depend on others, ``(..., count)`` bool.
+        ``L (..., count, count)``, ``cross (..., n - count, count)``, ``rest (..., n - count, p)``, and ``(..., count)``
+        bool, which rows depend on others.
     """
     least = rounding * _norms(a[..., :count, :].detach())
     columns, dependent, rest = [], [], a
@@ -188,8 +188,8 @@ class _Tria(torch.autograd.Function):
         return gradient, None
 
 
-class _MovingTria(_Tria):
-    """The same with derivatives forwards, apart because ``torch.compile`` refuses functions that have them."""
+class _ForwardModeTria(_Tria):
+    """``_Tria`` with forward-mode derivatives, a class of its own because ``torch.compile`` refuses such functions."""
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:

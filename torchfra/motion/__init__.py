@@ -1,4 +1,4 @@
-"""How targets move."""
+"""Motions: how targets move, and with what process noise."""
 
 from torchfra.motion.augmented import Augmented
 from torchfra.motion.bank import Bank, Embedded, aircraft, people, ships, vehicles

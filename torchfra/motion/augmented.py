@@ -1,4 +1,4 @@
-"""Several motions in one state: a target's, and biases or clocks that drift beside it."""
+"""Several motions in one state: that of a target, and of biases or clocks that drift beside it."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from torchfra.motion.base import Adaptation, Motion
 
 
 class Augmented(Motion):
-    """The state of a motion with those of others behind it, each moving for itself.
+    """Several independent motions with their states one behind the other.
 
     ``Augmented(ConstantVelocity(1.0), RandomWalk(0.01, 1, kind="bias"))`` has the state ``[x, y, vx, vy, bias]``.
-    Position, velocity and dimensions of space are those of the first motion.  It is linear if all are; all get the same
-    ``dt`` and ``u``.
+    Position, velocity and dimensions of space are those of the first motion.  It is linear if all motions are; all get
+    the same ``dt`` and ``u``.
 
     Args:
-        motion: the target's.
-        others: what drifts beside it.
+        motion: of the target.
+        others: motions of biases, clocks and the like.
 
     Raises:
-        ValueError: no others, a bank (take a bank of these instead), or another than the first motion that follows an
-            estimated acceleration.
+        ValueError: no other motions, a bank (take a bank of augmented motions instead), or a motion other than the
+            first that adapts to an estimated acceleration.
     """
 
     def __init__(self, motion: Motion, *others: Motion) -> None:
@@ -53,7 +53,7 @@ class Augmented(Motion):
 
     @property
     def measures_itself(self) -> bool:  # type: ignore[override]  # of these motions, not of the class
-        """Whether the first motion does."""
+        """Whether the first motion measures itself."""
         return self._parts[0].measures_itself
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
@@ -73,12 +73,12 @@ class Augmented(Motion):
         parts = [part.shift(dt, u) for part in self._parts]
         if all(part is None for part in parts):
             return None
-        every = [dt.new_zeros(n) if part is None else part for n, part in zip(self._sizes, parts, strict=True)]
-        batch = broadcast_shapes(*(part.shape[:-1] for part in every))
-        return torch.cat([part.expand(*batch, -1) for part in every], -1)
+        shifts = [dt.new_zeros(n) if part is None else part for n, part in zip(self._sizes, parts, strict=True)]
+        batch = broadcast_shapes(*(shift.shape[:-1] for shift in shifts))
+        return torch.cat([shift.expand(*batch, -1) for shift in shifts], -1)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
-        """That of the first motion; the others stay as they are."""
+        """The adaptation of the first motion; the other motions have none."""
         own = self._parts[0].adaptation(dt)
         return own and own._replace(response=pad(own.response, (0, 0, 0, self.size - self._sizes[0])))
 
@@ -95,15 +95,15 @@ class Augmented(Motion):
         )
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """The same state ``(..., n)`` with its angles as each motion writes them."""
+        """The state ``(..., n)`` with its angles in the range that each motion uses."""
         return torch.cat(self._each(lambda part, own: part.canonical(own), mean), -1)
 
     def describe(self) -> str:
-        """All motions."""
+        """The descriptions of all motions."""
         return " with ".join(part.describe() for part in self._parts)
 
     def _each(self, function: Callable[[Motion, Tensor], Tensor], x: Tensor) -> list[Tensor]:
-        """A function of each motion and its components of states ``(..., n)``, batches broadcast."""
+        """Values of a function of each motion and its components of states ``(..., n)``, with broadcast batches."""
         every = [function(part, own) for part, own in zip(self._parts, x.split(self._sizes, -1), strict=True)]
         batch = broadcast_shapes(*(own.shape[:-1] for own in every))
         return [own.expand(*batch, -1) for own in every]
@@ -114,5 +114,5 @@ class Augmented(Motion):
 
 
 def _different(names: Sequence[str]) -> list[str]:
-    """Names, numbered where they come again."""
+    """The names, with numbers behind repeated ones."""
     return [name if name not in names[:i] else f"{name} ({names[:i].count(name) + 1})" for i, name in enumerate(names)]

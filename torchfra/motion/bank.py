@@ -21,15 +21,15 @@ from torchfra.motion.turn import CoordinatedTurn
 
 
 class Bank(Motion):
-    """Motions of the same state for interacting models: in all that it gives, ``K`` models come before the state.
+    """Motions of the same state for interacting models: its results have a dimension of ``K`` models before the state.
 
     It is linear if all of them are.
 
     Args:
         models: motions of the same state: of the same size and angles, and of kinds that do not contradict each other.
-        neighbours: for each model the numbers of those that become active when it is likely, where only a few models
-            run at a time (``filters.LikelyModels``).
-        first: the numbers of the models that are active first there.
+        neighbours: for each model the numbers of those that become active when it is likely, for filters in which a few
+            models are active at a time (``filters.LikelyModels``).
+        first: the numbers of the models that are active first in such a filter.
 
     Raises:
         ValueError: no models, or states that differ.
@@ -69,7 +69,7 @@ class Bank(Motion):
 
     @property
     def measures_itself(self) -> bool:  # type: ignore[override]  # of these models, not of the class
-        """Whether all models do."""
+        """Whether all models measure themselves."""
         return all(model.measures_itself for model in self._motions)
 
     @property
@@ -79,14 +79,14 @@ class Bank(Motion):
 
     @property
     def names(self) -> list[str]:
-        """Of the models, for tables and pictures."""
+        """Names of the models, for tables and pictures."""
         return [model.describe() for model in self._motions]
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """States ``(..., K, n)``, each moved by the model of its place; ``dt (..., K)``, ``u (..., K, k)``.
+        """States ``(..., K, n)`` after ``dt (..., K)`` seconds, each by its own model, with inputs ``u (..., K, k)``.
 
         Raises:
-            ValueError: the states have no dimension of models; ``bank[k]`` is the motion of one.
+            ValueError: the states have no dimension of models; ``bank[k]`` is the motion of a single one.
         """
         if x.dim() < 2 or x.shape[-2] != len(self):
             raise ValueError(f"x: expected states (..., {len(self)}, {self.size}), received {tuple(x.shape)}")
@@ -100,7 +100,7 @@ class Bank(Motion):
     def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``forward`` for points ``x (p, ..., K, n)`` of one step, with ``dt (..., 1)`` and ``u (..., 1, k)``.
 
-        Those are the same for all models, and linear models among others compute their transition once for all points.
+        All models have the same ``dt`` and ``u``, so a linear model computes its transition once for all points.
         """
         dt = dt.select(-1, 0) if dt.dim() else dt
         u = u if u is None or u.dim() < 2 else u.select(-2, 0)
@@ -118,7 +118,7 @@ class Bank(Motion):
         return _stack([dt.new_zeros(self.size) if part is None else part for part in parts], 1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., K, n, r)``, filled up with zeros to the widest."""
+        """``S_Q (..., K, n, r)``, padded with zeros to the widest."""
         return _stack(_as_wide([model.process_noise(dt) for model in self._motions]), 2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
@@ -134,18 +134,18 @@ class Bank(Motion):
         return _stack(_as_wide(parts), 2)
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """States ``(..., n)`` with their angles as the first model writes them."""
+        """States ``(..., n)`` with their angles in the range that the first model uses."""
         return self._motions[0].canonical(mean)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
-        """How each model follows the estimated acceleration, ``(..., K, ...)``; one that does not stays as it is."""
+        """The adaptation of each model, ``(..., K, ...)``, with zero response for a model without one."""
         parts = [model.adaptation(dt) for model in self._motions]
         if all(part is None for part in parts):
             return None
         one = dt.new_ones(2)
         none = Adaptation(dt.new_zeros(self.size, self.dims), one, 0 * one)
-        every = [none if part is None else part for part in parts]
-        stacked: Adaptation = tree.map_ranked(lambda rank, *xs: _stack(xs, rank), *every)
+        parts = [none if part is None else part for part in parts]
+        stacked: Adaptation = tree.map_ranked(lambda rank, *xs: _stack(xs, rank), *parts)
         return stacked
 
     @property
@@ -154,12 +154,13 @@ class Bank(Motion):
 
 
 class Embedded(Motion):
-    """A linear motion of a smaller state as one of a larger: ``into F out``.
+    """A linear motion of a smaller state as a motion of a larger state: ``into F out``.
 
     Args:
         motion: linear, of ``k`` components.
-        out: ``(k, n)`` from the larger state to that of the motion.
-        into: ``(n, k)`` back; what it does not reach is 0 after a step.
+        out: ``(k, n)`` matrix from the larger state to the smaller one.
+        into: ``(n, k)`` matrix from the smaller state to the larger one; components outside its range are 0 after a
+            step.
         orders: derivatives in the larger state, which has ``n = motion.dims * orders`` components.
 
     Raises:
@@ -188,7 +189,7 @@ class Embedded(Motion):
         return self.into.to(dt) @ self.inside.transition(dt) @ self.out.to(dt)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
-        """The known change ``(..., n)`` of the smaller state, put into the larger."""
+        """The known change ``(..., n)`` of the larger state: that of the smaller one times ``into``."""
         shift = self.inside.shift(dt, u)
         return None if shift is None else apply(self.into.to(dt), shift)
 
@@ -200,8 +201,8 @@ class Embedded(Motion):
 def aircraft(q: Value = 4.0, dims: int = 2, *, spectral: bool = False) -> Bank:
     """Seven motions for aircraft and gliders: straight on, accelerating, turns of 3 and 12 deg/s to both sides.
 
-    The current statistical model, of up to 1 g, stands for every manoeuvre that the others do not describe.  Where only
-    some models run at a time (``presets.vsimm_srckf``), it is four.
+    The current statistical model, of up to 1 g, covers all manoeuvres that the other motions do not describe.  In
+    ``presets.vsimm_srckf`` four of the models are active at a time.
 
     Args:
         q: variance of the acceleration noise, m^2/s^4; straight flight has a fortieth.
@@ -243,17 +244,17 @@ def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, spec
 
 
 def _agree(one: Sequence[str], other: Sequence[str]) -> bool:
-    """Whether components may be the same: their kinds are equal, or one kind is unknown ("other")."""
+    """Whether the kinds of components do not contradict each other: equal, or one of them unknown ("other")."""
     return all(a == b or "other" in (a, b) for a, b in zip(one, other, strict=True))
 
 
 def _as_wide(roots: Sequence[Tensor]) -> list[Tensor]:
-    """Roots ``(..., n, r)`` filled up with zeros to the widest."""
+    """Roots ``(..., n, r)`` padded with zeros to the widest."""
     wide = max(root.shape[-1] for root in roots)
     return [pad(root, (0, wide - root.shape[-1])) for root in roots]
 
 
 def _stack(parts: Sequence[Tensor], event: int) -> Tensor:
-    """One for each model, stacked in front of their last ``event`` dimensions, batches broadcast."""
+    """Stacks tensors of all models in front of their last ``event`` dimensions, with broadcast batches."""
     batch = broadcast_shapes(*(part.shape[: part.dim() - event] for part in parts))
     return torch.stack([part.expand(batch + part.shape[part.dim() - event :]) for part in parts], -1 - event)

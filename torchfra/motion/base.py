@@ -1,4 +1,4 @@
-"""What every motion is: how a state evolves over a time step, and the process noise that the step adds."""
+"""The base of all motions: how a state evolves over a time step, and the process noise of the step."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from torchfra.tree import event_ranks
 
 @event_ranks(response=2, scale=1, decrease=1)
 class Adaptation(NamedTuple):
-    """How a step of a linear motion depends on the acceleration estimated before it, which is taken as known.
+    """How a step of a linear motion depends on the acceleration estimated before it, as if that were exact.
 
     States begin with ``[position, velocity, acceleration]``.
     """
 
     response: Tensor
-    """``(..., n, dims)`` what an acceleration of 1 m/s^2 adds to the state over the step."""
+    """``(..., n, dims)`` change of the state over the step by an acceleration of 1 m/s^2."""
     scale: Tensor
     """``(..., 2)`` factor on the root of the process noise near 0, for positive and for negative accelerations."""
     decrease: Tensor
-    """``(..., 2)`` share of that factor that each m/s^2 takes off, until 0 is left; for either sign."""
+    """``(..., 2)`` relative decrease of that factor per m/s^2, down to 0, for positive and negative accelerations."""
 
     def __call__(self, mean: Tensor, shift: Tensor | None, process_noise: Tensor) -> tuple[Tensor, Tensor]:
         """Shift ``(..., n)`` and root of the process noise ``(..., n, q)`` of a step from ``mean (..., n)``."""
@@ -47,7 +47,7 @@ class Adaptation(NamedTuple):
 class Motion(nn.Module):
     """Abstract: how a state evolves over ``dt`` seconds, and with what process noise.
 
-    To write your own motion, subclass this and give
+    To write your own motion, subclass this and define
 
     - if it is linear, ``linear = True`` and ``transition(dt)``, with ``shift(dt, u)`` for a known change on top:
       filters then carry means and covariances exactly, without sigma points;
@@ -56,30 +56,30 @@ class Motion(nn.Module):
     - ``angles``, ``process_noise_at``, ``canonical`` and ``describe`` where the defaults are not right.
 
     Shapes: filters call ``forward`` with ``x (..., n)``, ``dt (...)`` and ``u (..., k)`` (or None) that all have the
-    same ``...``, sigma points first and then the batch: it must treat every entry of ``...`` alike and give
+    same ``...``, sigma points first and then the batch: it must treat every entry of ``...`` alike and return
     ``(..., n)``.  ``transition``, ``shift`` and ``process_noise`` are called once for all steps of a sequence: ``dt``
-    has no dimensions, or is ``(T, ...)`` or ``(...)``, ``u`` is ``(T, ..., k)``, and what they give broadcasts with the
+    has no dimensions, or is ``(T, ...)`` or ``(...)``, ``u`` is ``(T, ..., k)``, and the results broadcast with the
     batch.  Values that may be learned are ``Hyper``; ``self.q(dt)`` reads one in the dtype and on the device of dt.
 
     States list positions first, then velocities, then accelerations, ``[x, y, vx, vy, ax, ay]`` in m, m/s, m/s^2,
     unless ``position`` and ``velocity`` say otherwise.
 
     Args:
-        dims: dimensions of space, of which there are positions in the state.
+        dims: dimensions of space, the number of position components.
         orders: derivatives in the state, the position included: 2 up to velocity, 3 up to acceleration.
         q: variance of the acceleration noise, m^2/s^4, constant over a step and independent between steps and axes
             (so that two short steps are not the same as a long one).  A tensor broadcasts with the batch.  None for a
             motion with a ``process_noise`` of another kind.
         size: components of the state, ``n``; by default ``dims * orders``.
-        position: which components are the position; by default the first ``dims``.
-        velocity: which are the velocity; by default the ``dims`` after those, as far as there are any.
-        angles: which are angles that differences of states wrap; by default those of the class.
-        components: names of the components, ``("x", "y", "vx", "vy")``; by default as their places tell.
-        kinds: kind of each component, out of ``torchfra.motion.KINDS``; by default as their places tell.
+        position: components that are the position; by default the first ``dims``.
+        velocity: components that are the velocity; by default the next ``dims``, as far as there are any.
+        angles: components that are angles, which differences of states wrap; by default those of the class.
+        components: names of the components, ``("x", "y", "vx", "vy")``; by default from their places.
+        kinds: kind of each component, out of ``torchfra.motion.KINDS``; by default from their places.
 
     Raises:
-        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, names or kinds that are not one for each component,
-            angles that are none, kinds of angles without ``angles``.
+        ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, not one name or kind for each component, ``angles``
+            that are no components, kinds of angles without ``angles``.
         TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round.
     """
 
@@ -88,28 +88,28 @@ class Motion(nn.Module):
     size: int
     """Components of the state, ``n``."""
     position: slice
-    """Components that are the position, or tell where the target is in other coordinates."""
+    """Components that are the position, in Cartesian or other coordinates."""
     velocity: slice
     """Components that are the velocity, or the rates of other coordinates; empty if the state has none."""
     angles: tuple[int, ...] = ()
-    """Components of the state that are angles, rad: differences of states wrap them, and mixtures of states."""
+    """Components of the state that are angles, rad, which differences and mixtures of states wrap."""
     components: tuple[str, ...]
     """Names of the components of the state."""
     kinds: tuple[str, ...]
-    """What each component is, out of ``torchfra.motion.KINDS``."""
+    """Kind of each component, out of ``torchfra.motion.KINDS``."""
     stated: tuple[str, ...]
-    """The kinds as stated by class or user, "other" where none was: sensors are only refused for stated kinds."""
+    """The kinds that class or user have stated, otherwise "other": a sensor is refused for stated kinds only."""
     usual_layout = False
-    """Whether states are laid out as above, so that the kinds need not be given to be stated."""
+    """Whether states are laid out as above, so that the kinds count as stated."""
     measures_itself: bool = False
-    """Whether inputs say how the target has moved, as odometry does: then it has no manoeuvres that nobody measures."""
+    """Whether the inputs measure the motion, as odometry does, so that the target has no unknown manoeuvres."""
     stacked = 0
-    """Dimensions between batch and state: 1 for a ``Bank``, whose models are side by side, else 0."""
+    """Number of dimensions between batch and state: 1 for a ``Bank``, that of its models, else 0."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        gives = cls.transition is not Motion.transition
-        if isinstance(cls.linear, bool) and cls.linear != gives:
+        has_transition = cls.transition is not Motion.transition
+        if isinstance(cls.linear, bool) and cls.linear != has_transition:
             expected = "a transition, received none" if cls.linear else "linear = True beside its transition"
             raise TypeError(f"{cls.__name__}: linear is {cls.linear}: expected {expected}")
 
@@ -151,8 +151,8 @@ class Motion(nn.Module):
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` that ``x (..., n)`` becomes after ``dt (...)`` seconds, without process noise.
 
-        ``u (..., k)`` is what the models need to know of the step.  A linear motion need not give this: its
-        ``transition`` and ``shift`` do, for any ``dt`` and ``u`` that broadcast with ``x``.
+        ``u (..., k)`` are the inputs of the step.  A linear motion need not define this method, which by default uses
+        ``transition`` and ``shift``, for any ``dt`` and ``u`` that broadcast with ``x``.
         """
         if not self.linear:
             raise TypeError(f"{type(self).__name__}: expected a forward, or linear = True and a transition")
@@ -163,14 +163,14 @@ class Motion(nn.Module):
         """``forward`` for points ``x (p, ..., n)`` of one step ``dt (...)``, ``u (..., k)``: ``(p, ..., n)``.
 
         Rules call this.  It expands ``dt`` and ``u`` to the points, so that ``forward`` gets three tensors of the same
-        ``...``; a motion that would compute the same for every point of them may do better.
+        ``...``.  A motion may override it to compute once what is equal for all points.
         """
         if self.linear:
             return self.forward(x, dt, u)
         u = u if u is None else u.expand(*x.shape[:-1], -1)
         try:
             after = self.forward(x, dt.expand(x.shape[:-1]), u)
-        except NotImplementedError:  # of a kernel, which tells by itself
+        except NotImplementedError:  # raised by a kernel, with a message of its own
             raise
         except (RuntimeError, IndexError) as error:
             inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
@@ -189,13 +189,13 @@ class Motion(nn.Module):
         return None
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
-        """How shift and process noise follow the state that a step starts from, if they do; of linear motions."""
+        """How shift and process noise depend on the state before a step, for linear motions; None if they do not."""
         return None
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims)`` for ``dt (...)``: a root of the process noise covariance, ``sqrt(q) [dt^2/2; dt; 1]``.
 
-        Any ``(..., n, r)`` will do whose product with its transpose is the covariance.
+        A subclass may return any root ``(..., n, r)`` of the covariance.
 
         Source: Wang et al. (2021), eqs. (3)-(4).
         """
@@ -204,7 +204,7 @@ class Motion(nn.Module):
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """The root ``(..., n, r)`` of ``process_noise`` at a predicted mean ``(..., n)``, if it depends on that.
 
-        Asked of motions that are not linear, after a step of ``dt (...)``.
+        It is called for nonlinear motions, after a step of ``dt (...)`` seconds.
         """
         return process_noise
 
@@ -213,17 +213,17 @@ class Motion(nn.Module):
         gap = a - b
         if not self.angles:
             return gap
-        turns = torch.tensor([i in self.angles for i in range(self.size)], device=gap.device)
-        return torch.where(turns, wrap(gap), gap)
+        is_angle = torch.tensor([i in self.angles for i in range(self.size)], device=gap.device)
+        return torch.where(is_angle, wrap(gap), gap)
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """The same state ``(..., n)`` with its angles in the range that this motion writes them in."""
+        """The state ``(..., n)`` with its angles in the range that this motion uses."""
         return mean
 
     def describe(self) -> str:
-        """What the motion is, in a few words for tables and messages: by default the words of the class's name."""
+        """The motion in a few words, for tables and messages: by default the words of the class's name."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
 
     def extra_repr(self) -> str:
-        """Dimensions of space and of the state, and what that holds."""
+        """Dimensions of space and of the state, and the state's components."""
         return f"dims={self.dims}, size={self.size}, state=[{', '.join(self.components)}]"

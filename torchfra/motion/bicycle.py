@@ -17,20 +17,19 @@ class Bicycle(Motion):
     """A vehicle in the plane that rolls without slip: the kinematic bicycle.
 
     States ``[x, y, speed, heading, steering]``: m, m, m/s, rad, rad.  The heading counts counter-clockwise from +x, the
-    steering angle of the front wheel to the left.  Speed and steering are as they were but for noise, so that a step is
-    an arc.  The process noise is that of the accelerations and of how fast it steers, carried along the arc at the
-    predicted mean, exact to first order in what they change.
+    steering angle of the front wheel to the left.  Speed and steering are constant but for noise, so a step is an arc.
+    The process noise is that of the acceleration and of the steering rate, carried along the arc at the predicted mean,
+    exact to first order in both.
 
-    The steering angle is taken to stay well below a quarter of a turn, where the curvature has no bounds; nothing holds
-    it there.  So keep ``steer`` small and steps short, such that neither noise nor belief let it wander that far: what
-    is of first order in a step of many seconds says far too much sideways.
+    The model assumes a steering angle well below a quarter of a turn, where the curvature is unbounded, but does not
+    enforce it.  So keep ``steer`` small and steps short: to first order the sideways noise of a step of many seconds is
+    far too large.
 
     Args:
         wheelbase: distance between the axles, m.
-        q: variance of the acceleration along the way, m^2/s^4; of a spectral one its density, m^2/s^3.
-        steer: variance of the rate at which the steering angle changes, rad^2/s^2; of a spectral one its density,
-            rad^2/s.
-        rear: how far in front of the rear axle the state's position is, m.
+        q: variance of the acceleration along the path, m^2/s^4; with ``spectral`` its density, m^2/s^3.
+        steer: variance of the steering rate, rad^2/s^2; with ``spectral`` its density, rad^2/s.
+        rear: distance of the state's position in front of the rear axle, m.
         spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
             constant over each step.
 
@@ -64,7 +63,7 @@ class Bicycle(Motion):
         return torch.stack(torch.broadcast_tensors(*moved, speed, heading + turn, steering), -1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., 5, r)`` straight on along x at a speed of 1 m/s."""
+        """``S_Q (..., 5, r)`` for a straight path along x at a speed of 1 m/s."""
         return self.process_noise_at(dt, dt.new_tensor([0.0, 0.0, 1.0, 0.0, 0.0]), dt)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
@@ -90,7 +89,7 @@ class Bicycle(Motion):
         return driven(response, dt, variances, spectral=self.spectral)
 
     def _rolls(self, steering: Tensor, wheelbase: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Curvature of the way, 1/m, and slip of its direction against the heading; how both follow the steering."""
+        """Curvature of the path, 1/m, its slip angle to the heading, rad, and their derivatives by the steering."""
         t, share = steering.tan(), self.rear / wheelbase
         slope = 1 + t.square()
         long = 1 + (share * t).square()

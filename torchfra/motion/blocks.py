@@ -33,25 +33,24 @@ def scaled_per_axis(scale: Tensor, block: Tensor, dims: int) -> Tensor:
 
 
 def zero_padded(matrix: Tensor, size: int) -> Tensor:
-    """``(..., a, b)`` filled up with zeros to ``(..., size, size)``."""
+    """``(..., a, b)`` padded with zeros to ``(..., size, size)``."""
     return pad(matrix, (0, size - matrix.shape[-1], 0, size - matrix.shape[-2]))
 
 
 def acceleration_gain(dt: Tensor, variance: Tensor, powers: Sequence[int], dims: int) -> Tensor:
     """``sqrt(variance) dt^k / k!`` for every k in ``powers``, per axis: ``(..., len(powers) dims, dims)``.
 
-    The root of the process noise that one acceleration (or change of it) per step, constant over the step, leaves in
-    the state.
+    It is the root of the process noise by one acceleration (or change of it) per step, constant over the step.
     """
     gain = taylor(dt, torch.tensor(powers, device=dt.device))
     return per_axis((variance.sqrt().unsqueeze(-1) * gain).unsqueeze(-1), dims)
 
 
 def white_root(dt: Tensor, density: Tensor, orders: int, dims: int) -> Tensor:
-    """Root ``(..., orders dims, orders dims)`` of what white noise on the highest of so many derivatives leaves.
+    """Process noise root ``(..., orders dims, orders dims)`` by white noise of a density on the highest derivative.
 
-    The noise of this density drives it for ``dt``.  What it leaves in a derivative follows from when it came as a
-    power of the time since; the columns are these powers in normalised Legendre polynomials.
+    The effect of the noise on each derivative is a power of the time since; the columns of the root are the
+    coefficients of these powers in normalised Legendre polynomials on the step.
     """
 
     def share(k: int, j: int) -> float:  # of the power k in polynomial j
@@ -67,7 +66,7 @@ def white_root(dt: Tensor, density: Tensor, orders: int, dims: int) -> Tensor:
 
 
 def gauss_legendre(like: Tensor, points: int = 20) -> tuple[Tensor, Tensor]:
-    """Nodes and weights of so many points on [0, 1]."""
+    """Nodes and weights of Gauss-Legendre quadrature on [0, 1]."""
     at, weight = (torch.tensor(x, dtype=like.dtype, device=like.device) for x in _gauss_legendre(points))
     return at, weight
 
@@ -79,16 +78,15 @@ def _gauss_legendre(points: int) -> tuple[list[float], list[float]]:
 
 
 def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *, spectral: bool) -> Tensor:
-    """Root of the process noise that disturbances of these variances leave in a state over a step ``dt (...)``.
+    """Root of the process noise by ``r`` disturbances over a step of ``dt (...)`` seconds.
 
-    By quadrature in each step, so with few points: exact to rounding along arcs of up to half a turn.
+    It is computed in each step, by a quadrature of few points: exact to rounding along arcs of up to half a turn.
 
     Args:
-        response: from how long ago a disturbance of 1 came, ``(..., 10)``, to what it has made of the state,
-            ``(..., 10, n, r)``.
+        response: from the seconds ``(..., 10)`` since a unit disturbance to its effect ``(..., 10, n, r)`` on a state.
         dt: seconds.
-        variance: ``(..., r)`` of each, constant over the step; of spectral ones the density.
-        spectral: whether they are white noise in time.
+        variance: ``(..., r)`` of each disturbance, constant over the step; with ``spectral`` the density.
+        spectral: whether the disturbances are white noise in time.
     """
     at, weight = gauss_legendre(dt, 10)
     columns = response(dt.unsqueeze(-1) * at) * variance.sqrt()[..., None, None, :]
@@ -99,12 +97,12 @@ def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *
 
 
 def arc(angle: Tensor) -> tuple[Tensor, Tensor]:
-    """``sin(a) / a`` and ``(1 - cos(a)) / a``, smooth at 0: of an arc of length 1, how far it leads and to the side."""
+    """``sin(a) / a`` and ``(1 - cos(a)) / a``, smooth at 0: extent of a unit arc along its start and across."""
     return torch.sinc(angle / torch.pi), angle / 2 * torch.sinc(angle / (2 * torch.pi)).square()
 
 
 def arc_of_rate(angle: Tensor) -> tuple[Tensor, Tensor]:
-    """``(a - sin(a)) / a^2`` and ``(1 - cos(a)) / a^2``, smooth at 0: how an arc moves with its rate."""
+    """``(a - sin(a)) / a^2`` and ``(1 - cos(a)) / a^2``, smooth at 0: the derivative of an arc by its turn rate."""
     small = angle.abs() < 0.5
     near, series = torch.where(small, angle, 0.0).square(), torch.zeros_like(angle)
     for k in range(7, -1, -1):

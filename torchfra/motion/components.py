@@ -1,11 +1,11 @@
-"""What the components of a state are: their names and kinds."""
+"""Names and kinds of the components of a state."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 KINDS = ("position", "velocity", "acceleration", "angle", "rate", "bias", "clock", "parameter", "other")
-"""What a component may be; a rate is of an angle, in rad/s; a parameter is a property of the target, as its drag."""
+"""Kinds of components; a rate is that of an angle, rad/s; a parameter is a property of the target, such as its drag."""
 AXES = ("x", "y", "z")
 
 
@@ -26,7 +26,7 @@ def usual(
 
 
 def axis_name(axis: int, dims: int) -> str:
-    """``x``, ``y`` and ``z``, or numbered where space has more dimensions."""
+    """``x``, ``y`` or ``z``; a number in a space of more dimensions."""
     return AXES[axis] if dims <= len(AXES) else f"x{axis}"
 
 

@@ -114,9 +114,9 @@ class IntegratedOrnsteinUhlenbeck(Motion):
 
 
 class CurrentStatistical(Singer):
-    """Singer's motion around the current acceleration, with less process noise the nearer that is to its limit.
+    """Singer's motion around the current acceleration, with less process noise near the limit of the acceleration.
 
-    The mean acceleration is the one estimated before the step, taken as known; the variance around it is that of a
+    The mean acceleration is the one estimated before the step, as if it were exact; the variance around it is that of a
     Rayleigh density between it and the limit, ``(4 - pi) / pi (limit - |mean|)^2`` per axis, and 0 beyond the limit.
 
     Args:
@@ -154,17 +154,16 @@ class CurrentStatistical(Singer):
 
 
 class GaussMarkov(Motion):
-    """An error that is always there and changes slowly: a first-order Gauss-Markov process, beside others in Augmented.
+    """First-order Gauss-Markov process: a time-correlated error of zero mean and constant standard deviation.
 
-    It has zero mean and a constant standard deviation, and is forgotten over about ``time`` seconds: what a position
-    by satellites, a radio range or a radar has on top of the noise that differs from one measurement to the next.
-    ``Augmented(motion, GaussMarkov(...))`` has it beside a motion, ``Biased`` adds it to what a sensor measures.
+    Satellite positions, radio ranges and radars have such errors on top of white noise.  ``Augmented(motion,
+    GaussMarkov(...))`` has it beside a motion, ``Biased`` adds it to a sensor's measurement.
 
     Args:
-        std: standard deviation of the error, in the unit of what it is added to.
-        time: its correlation time, s: after that long the correlation has fallen to ``exp(-1)``.
-        dims: components, independent of each other.
-        kind: what they are, out of ``torchfra.motion.KINDS``.
+        std: stationary standard deviation, in the unit of the measurement to which it is added.
+        time: correlation time, s, after which the correlation is ``exp(-1)``.
+        dims: number of components, independent of each other.
+        kind: their kind, out of ``torchfra.motion.KINDS``.
 
     Raises:
         ValueError: ``std`` below 0, ``time`` not above 0, ``dims`` below 1, an unknown kind.
@@ -188,7 +187,7 @@ class GaussMarkov(Motion):
         return per_axis((-dt / self.time(dt)).exp()[..., None, None], self.size)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, n)``: ``std sqrt(1 - exp(-2 dt / time)) I``, what keeps the standard deviation as it is."""
+        """``S_Q (..., n, n)``: ``std sqrt(1 - exp(-2 dt / time)) I``, which keeps the standard deviation constant."""
         grown, _ = _exponential_quotients(-2 * dt / self.time(dt))
         root = self.std(dt) * (2 / self.time(dt) * grown).sqrt() * dt.sqrt()
         return per_axis(root[..., None, None], self.size)
@@ -203,7 +202,7 @@ def white_noise_root(alpha: Tensor, dt: Tensor, orders: int = 3) -> Tensor:
 
 
 def _response(alpha: Tensor, dt: Tensor) -> list[Tensor]:
-    """What an acceleration of 1 becomes after ``dt``: position, velocity and acceleration."""
+    """Position, velocity and acceleration ``dt`` seconds after an acceleration of 1."""
     x = -alpha * dt
     one, two = _exponential_quotients(x)
     return [dt**2 * two, dt * one, x.exp()]

@@ -1,4 +1,4 @@
-"""Motions in the plane at a height that hardly changes, as those of cars and ships among satellites."""
+"""Motions in the plane at a nearly constant height, such as those of cars and ships that satellites locate."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from torchfra.motion.walks import RandomWalk
 
 
 class Level(Motion):
-    """A motion in the plane, and a height that walks at random: states ``[x, y, height, ...]``.
+    """A motion in the plane, and a height that is a random walk: states ``[x, y, height, ...]``.
 
-    What the motion has behind its position comes behind the height.  Sensors in space, such as ``Pseudoranges``, then
-    measure a target that does not climb.
+    The other components of the motion follow the height.  So sensors in space, such as ``Pseudoranges``, can measure a
+    target that does not climb.
 
     Args:
-        motion: in the plane, with ``x`` and ``y`` in front.
-        height: density of the walk, the variance that a second adds, m^2/s.
+        motion: in the plane, with ``x`` and ``y`` as its first components.
+        height: density of the random walk, its variance per second, m^2/s.
 
     Raises:
-        ValueError: a bank (take a bank of these instead), a motion that is not in the plane or follows an estimated
+        ValueError: a bank (take a bank of these instead), a motion that is not in the plane or adapts to an estimated
             acceleration, ``height`` below 0.
     """
 
@@ -34,7 +34,7 @@ class Level(Motion):
             raise ValueError(f"motion: expected none that follows an acceleration, received {type(motion).__name__}")
         inside = Augmented(motion, RandomWalk(height, 1, components=("height",)))
         self.order = (0, 1, motion.size, *range(2, motion.size))
-        """Of each component the number that it has in ``inside``."""
+        """The number of each component in ``inside``."""
         super().__init__(
             3, 1, None, size=inside.size, velocity=slice(0, 0),
             angles=[self.order.index(i) for i in inside.angles],
@@ -46,12 +46,12 @@ class Level(Motion):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]  # of this motion, not of the class
-        """Whether the motion in the plane is."""
+        """Whether the motion in the plane is linear."""
         return self.inside.linear
 
     @property
     def measures_itself(self) -> bool:  # type: ignore[override]  # of this motion, not of the class
-        """Whether the motion in the plane does."""
+        """Whether the motion in the plane measures itself."""
         return self.inside.measures_itself
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
@@ -77,14 +77,14 @@ class Level(Motion):
         return _chosen(self.inside.process_noise_at(inside, _chosen(mean, self.back), dt), self.order, -2)
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """The same state ``(..., n)`` with its angles as the motion in the plane writes them."""
+        """The state ``(..., n)`` with its angles in the range that the motion in the plane uses."""
         return _chosen(self.inside.canonical(_chosen(mean, self.back)), self.order)
 
     def describe(self) -> str:
-        """The motion in the plane, at a level."""
+        """The description of the motion in the plane, "at a level"."""
         return f"{self.inside.parts[0].describe()} at a level"  # type: ignore[operator]
 
 
 def _chosen(x: Tensor, order: tuple[int, ...], axis: int = -1) -> Tensor:
-    """Entries along an axis, in another order."""
+    """The entries of ``x`` along an axis in another order."""
     return torch.stack([x.select(axis, i) for i in order], axis)

@@ -1,4 +1,4 @@
-"""A vehicle that measures its own way: by wheels, and by a compass or a gyroscope."""
+"""Dead reckoning: a vehicle that measures its own motion by wheels, and by a compass or a gyroscope."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from torchfra.motion.blocks import arc
 
 
 class Odometry(Motion):
-    """A vehicle in the plane, driven by the speed that its wheels measure and by its heading or how fast it turns.
+    """Dead reckoning of a vehicle in the plane, from the speed that its wheels measure and its heading or turn rate.
 
     States ``[x, y, heading error, log scale]`` with a measured heading, and ``[x, y, heading, log scale, rate bias]``
     with a gyroscope: the wheels' speed times ``exp(log scale)`` is the true one; the measured heading plus
     ``heading error`` is the true one, and so is the measured turn rate plus ``rate bias``.  Headings count
     counter-clockwise from +x.  With a gyroscope a step is an arc, with a measured heading it is straight.
 
-    What a step needs to know comes as its ``u (..., 2)``: the speed in m/s over the step that leads to the
-    measurement, and the heading in rad or the turn rate in rad/s.  Steps without a number there have no estimate.
+    The inputs of a step are ``u (..., 2)``: the speed in m/s over the step that leads to the measurement, and the
+    heading in rad or the turn rate in rad/s.  A track fails at a step with NaN there.
 
     Args:
-        position: density of the white noise on each axis of the position, m^2/s: what wheels slip.
-        heading: of that on the heading or its error, rad^2/s.
-        scale: of that on the logarithm of the scale, 1/s.
-        bias: of that on the bias of the turn rate, rad^2/s^3; only of a gyroscope, and then it must be given.
+        position: density of the white noise on each axis of the position, by slip of the wheels, m^2/s.
+        heading: density of the white noise on the heading or its error, rad^2/s.
+        scale: density of the white noise on the logarithm of the scale, 1/s.
+        bias: density of the white noise on the bias of the turn rate, rad^2/s^3; for a gyroscope only.
 
     Raises:
         ValueError: a density below 0; in a step, ``u`` that is missing or has not two entries.
@@ -48,7 +48,7 @@ class Odometry(Motion):
         self.walk_bias = None if bias is None else Hyper(bias, constraints.nonnegative, name="bias")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """The state ``(..., n)`` after ``dt (...)`` seconds of the speed and the heading or rate ``u (..., 2)``."""
+        """The state ``(..., n)`` after ``dt (...)`` seconds at the speed and heading or turn rate ``u (..., 2)``."""
         if u is None or u.shape[-1] != 2:
             expected = "(..., 2), speed and " + ("heading" if self.walk_bias is None else "turn rate")
             raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
@@ -66,7 +66,7 @@ class Odometry(Motion):
         return torch.cat([x[..., :2] + torch.stack([dx, dy], -1), rest], -1)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, n)``: a walk of each component, independent of the others."""
+        """``S_Q (..., n, n)``: that of an independent random walk of each component."""
         walks = [self.walk_position, self.walk_position, self.walk_heading, self.walk_scale]
         walks += [] if self.walk_bias is None else [self.walk_bias]
         each = torch.broadcast_tensors(*(walk(dt).sqrt() * dt.sqrt() for walk in walks))
@@ -74,5 +74,5 @@ class Odometry(Motion):
         return root
 
     def describe(self) -> str:
-        """What tells where it heads."""
+        """Odometry, and whether it has a measured heading or a gyroscope."""
         return "odometry with a " + ("measured heading" if self.walk_bias is None else "gyroscope")

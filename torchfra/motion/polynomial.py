@@ -1,4 +1,4 @@
-"""Motions whose highest derivative stays as it is: constant velocity and constant acceleration."""
+"""Motions whose highest derivative is constant: constant velocity and constant acceleration."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchfra.motion.blocks import acceleration_gain, per_axis, taylor, white_ro
 
 
 class _Polynomial(Motion):
-    """The highest derivative in the state stays as it is."""
+    """Abstract: the highest derivative in the state is constant."""
 
     linear = usual_layout = True
 
@@ -27,7 +27,7 @@ class ConstantVelocity(_Polynomial):
     """Constant velocity, disturbed by accelerations: states ``[position, velocity]``.
 
     Args:
-        q: variance of the acceleration noise, m^2/s^4; of a spectral one its density, m^2/s^3.
+        q: variance of the acceleration noise, m^2/s^4; with ``spectral`` its density, m^2/s^3.
         dims: dimensions of space.
         orders: 3 for states with an acceleration, which is 0 after each step: the form that interacting models share.
         spectral: whether the acceleration is white noise in time, so that two short steps are the same as a long one,
@@ -52,7 +52,7 @@ class ConstantVelocity(_Polynomial):
         return zero_padded(matrix[..., : 2 * self.dims, : 2 * self.dims], self.size)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 0]``; of a density ``(..., n, 2 dims)``."""
+        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 0]``; with ``spectral`` ``(..., n, 2 dims)``."""
         if self.spectral:
             return zero_rows(white_root(dt, self.q(dt), 2, self.dims), self.size)
         root = acceleration_gain(dt, self.q(dt), (2, 1), self.dims)
@@ -63,7 +63,7 @@ class ConstantAcceleration(_Polynomial):
     """Constant acceleration, disturbed: states ``[position, velocity, acceleration]``.
 
     Args:
-        q: variance of the change of acceleration per step, m^2/s^4; of a spectral one the density of the jerk, m^2/s^5.
+        q: variance of the change of acceleration per step, m^2/s^4; with ``spectral`` the jerk's density, m^2/s^5.
         dims: dimensions of space.
         spectral: whether the jerk is white noise in time, so that two short steps are the same as a long one.
 
@@ -78,15 +78,15 @@ class ConstantAcceleration(_Polynomial):
         self.spectral = spectral
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 1]``; of a density ``(..., n, n)``."""
+        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 1]``; with ``spectral`` ``(..., n, n)``."""
         return white_root(dt, self.q(dt), 3, self.dims) if self.spectral else super().process_noise(dt)
 
 
 def check_orders(orders: int) -> int:
-    """The number of derivatives of a motion that is made with or without an acceleration.
+    """Checks the number of derivatives of a motion whose states may have an acceleration.
 
     Raises:
-        ValueError: neither 2 nor 3.
+        ValueError: it is neither 2 nor 3.
     """
     if orders not in (2, 3):
         raise ValueError(f"orders: expected 2 or 3, received {orders}")

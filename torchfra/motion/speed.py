@@ -1,4 +1,4 @@
-"""Motion at nearly constant speed, whose direction wanders."""
+"""Motion at a nearly constant speed in a direction that changes at random."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from torchfra.motion.blocks import acceleration_gain, white_root
 
 
 class ConstantSpeed(Motion):
-    """Nearly constant speed: a target whose direction wanders, the more sideways the faster it goes.
+    """Nearly constant speed in a direction that changes at random.
 
-    States ``[position, velocity]``.  Accelerations across the velocity are those of turns at random rates, of variance
-    ``wander speed^2`` on top of ``q``; along it they have the variance ``q``, so that the speed hardly changes.  The
-    mean goes straight on.
+    States ``[position, velocity]``.  Accelerations across the velocity are those of turns at random rates and have the
+    variance ``q + wander speed^2``; along it they have the variance ``q``, so that the speed hardly changes.  The mean
+    moves straight on.
 
     Args:
-        q: variance of the acceleration noise in every direction, m^2/s^4; of a spectral one its density, m^2/s^3.
-        wander: variance of the rate of turns about every axis across the velocity, rad^2/s^2; of a spectral one its
+        q: variance of the acceleration noise in every direction, m^2/s^4; with ``spectral`` its density, m^2/s^3.
+        wander: variance of the turn rate about every axis across the velocity, rad^2/s^2; with ``spectral`` its
             density, rad^2/s.
         dims: dimensions of space.
         spectral: whether the noise is white in time, so that two short steps are the same as a long one, and not
@@ -53,7 +53,7 @@ class ConstantSpeed(Motion):
         return acceleration_gain(dt, self.q(dt), (2, 1), self.dims)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
-        """The root ``(..., n, r)`` at a predicted mean ``(..., n)``: that at rest times a root of the accelerations'.
+        """The root ``(..., n, r)`` at a predicted mean ``(..., n)``: that at rest times one of the acceleration noise.
 
         ``q I + wander (|v|^2 I - v v^T)`` has the root ``a I - b v v^T``, which is smooth at ``v = 0``.
         """

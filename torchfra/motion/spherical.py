@@ -14,15 +14,15 @@ KINDS = ("rate", "rate", "other", "angle", "angle", "other")
 
 
 class Spherical(Motion):
-    """A Cartesian motion as one of modified spherical coordinates: a state is mapped there, moved and mapped back.
+    """A Cartesian motion in modified spherical coordinates: a step maps the state to Cartesian ones and back.
 
     States are those of ``torchfra.coordinates``: rates first, then azimuth, elevation and inverse range, so that
     ``velocity`` is ``slice(0, 3)`` and ``position`` ``slice(3, 6)``.  The process noise is that of the Cartesian
     motion, mapped at the predicted mean.
 
     Args:
-        motion: in space, of states ``[position, velocity]`` relative to the sensor: ``ConstantVelocity(q, 3)``,
-            ``CoordinatedTurn(rate, q, 3)``.
+        motion: in space, of states ``[position, velocity]`` relative to the sensor, such as ``ConstantVelocity(q, 3)``
+            or ``CoordinatedTurn(rate, q, 3)``.
         azimuth_from: ``"north"``, clockwise, or ``"east"``, counter-clockwise.
 
     Raises:
@@ -46,7 +46,7 @@ class Spherical(Motion):
         return from_cartesian(moved, self.azimuth_from)
 
     def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
-        """``forward`` for points ``(p, ..., 6)`` of one step: one transition serves them all."""
+        """``forward`` for points ``(p, ..., 6)`` of one step, with one transition for all."""
         moved = self.cartesian.at_points(to_cartesian(x, self.azimuth_from), dt, u)
         return from_cartesian(moved, self.azimuth_from)
 
@@ -59,9 +59,9 @@ class Spherical(Motion):
         return jacobian(mean, self.azimuth_from) @ process_noise
 
     def canonical(self, mean: Tensor) -> Tensor:
-        """The same state ``(..., 6)`` with its azimuth in [0, 2 pi)."""
+        """The state ``(..., 6)`` with its azimuth in [0, 2 pi)."""
         return torch.cat([mean[..., :AZIMUTH], turned(mean[..., AZIMUTH:ELEVATION]), mean[..., ELEVATION:]], -1)
 
     def describe(self) -> str:
-        """The Cartesian motion, and that it runs in these coordinates."""
+        """The description of the Cartesian motion, "in modified spherical coordinates"."""
         return f"{self.cartesian.describe()} in modified spherical coordinates"

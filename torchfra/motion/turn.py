@@ -1,4 +1,4 @@
-"""Turns, of known rate and of one that is in the state."""
+"""Coordinated turns, of known rate and of a rate in the state."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from torchfra.motion.polynomial import check_orders
 
 
 class CoordinatedTurn(Motion):
-    """A turn of known rate in the plane of the first two axes, the others at constant velocity.
+    """A turn of known rate in the plane of the first two axes; along other axes the velocity is constant.
 
-    States ``[position, velocity]``.  A rate of 0 is ``ConstantVelocity``; gradients are right there too.
+    States ``[position, velocity]``.  A rate of 0 is ``ConstantVelocity``, with the right gradients.
 
     Args:
-        rate: rad/s, counter-clockwise from x to y; a tensor broadcasts with the batch.
-        q: variance of the acceleration noise, m^2/s^4; of a spectral one its density, m^2/s^3.
+        rate: turn rate, rad/s, counter-clockwise from x to y; a tensor broadcasts with the batch.
+        q: variance of the acceleration noise, m^2/s^4; with ``spectral`` its density, m^2/s^3.
         dims: dimensions of space, 2 or more.
         orders: 3 for states with an acceleration, which after each step is that of the turn.
         spectral: whether the acceleration is white noise in time, so that two short steps are the same as a long one;
-            its integral is by Gauss-Legendre quadrature, exact to rounding for steps of up to two turns.
+            the process noise is by Gauss-Legendre quadrature, exact to rounding for steps of up to two turns.
 
     Raises:
         ValueError: ``dims`` below 2, ``rate`` NaN or infinite, ``q`` below 0, ``orders`` neither 2 nor 3.
@@ -55,7 +55,7 @@ class CoordinatedTurn(Motion):
         self.spectral = spectral
 
     def describe(self) -> str:
-        """The turn with its rate, if that is a single one."""
+        """The turn, with its rate if that is a single number."""
         rates = self.rate().detach()
         return f"turn {math.degrees(rates):+.3g} deg/s" if rates.dim() == 0 else "turn"
 
@@ -72,7 +72,7 @@ class CoordinatedTurn(Motion):
         return torch.cat([top, bottom], -2)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt]``, and how the turn bends it; or by density."""
+        """``S_Q (..., n, r)``: ``sqrt(q) [dt^2/2; dt]`` with ``r = dims``; with ``spectral`` along the turn."""
         if self.spectral:
             at, weight = gauss_legendre(dt)
             moved = self._moved(dt.unsqueeze(-1) * at, self.rate(dt).unsqueeze(-1))[..., self.dims :]
@@ -96,19 +96,18 @@ class CoordinatedTurn(Motion):
 
 
 class UnknownTurn(Motion):
-    """A turn in the plane of the first two axes whose rate is in the state and drifts, the others at constant velocity.
+    """A turn in the plane of the first two axes whose rate is in the state; along other axes the velocity is constant.
 
-    States ``[position, velocity, rate]``; the rate counts counter-clockwise from x to y, rad/s.
+    States ``[position, velocity, rate]``; the rate counts counter-clockwise from x to y, rad/s, and drifts.
 
     Args:
-        q: variance of the acceleration noise, m^2/s^4; of a spectral one its density, m^2/s^3.
-        drift: variance of the change of the rate per second, rad^2/s^4; of a spectral one its density, rad^2/s^3.
+        q: variance of the acceleration noise, m^2/s^4; with ``spectral`` its density, m^2/s^3.
+        drift: variance of the change of the rate per second, rad^2/s^4; with ``spectral`` its density, rad^2/s^3.
         dims: dimensions of space, 2 or more.
         spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
-            constant over each step; their integral follows the turn at the predicted mean, exact to first order in
-            what they change and to rounding for steps of up to half a turn.  Without, the noise is that of a step
-            straight on: what the change of the rate does to position and velocity within the step is left out, so
-            take ``spectral`` where steps are long.
+            constant over each step.  The process noise then follows the turn at the predicted mean, exact to first
+            order and to rounding for steps of up to half a turn.  Otherwise it is that of a straight step, without the
+            effect of the rate's change on position and velocity within the step; so take ``spectral`` for long steps.
 
     Raises:
         ValueError: ``dims`` below 2, a value below 0.
@@ -135,7 +134,7 @@ class UnknownTurn(Motion):
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims + 1)``: ``sqrt(q) [dt^2/2; dt]`` and ``sqrt(drift) dt``.
 
-        Of densities ``(..., n, n)``, at rest and a rate of 0.
+        With ``spectral`` it is ``(..., n, n)``, at a velocity and a rate of 0.
         """
         if self.spectral:
             moved, rate = white_root(dt, self.q(dt), 2, self.dims), self.drift(dt).sqrt() * dt.sqrt()
@@ -146,7 +145,7 @@ class UnknownTurn(Motion):
         return torch.cat([pad(moved.expand(*batch, -1, -1), (0, 1)), corner], -2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
-        """``S_Q`` at a predicted mean ``(..., n)``: a spectral one ``(..., n, n)`` follows the turn there."""
+        """``S_Q`` at a predicted mean ``(..., n)``: with ``spectral`` ``(..., n, n)`` along the turn."""
         if not self.spectral:
             return process_noise
         velocity, rate = mean[..., None, self.dims : 2 * self.dims], mean[..., -1:]

@@ -1,4 +1,4 @@
-"""What drifts at random: random walks, of positions or of biases, and clocks."""
+"""Random walks of positions or biases, and clocks."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from torchfra.motion.blocks import per_axis, white_root
 
 
 class RandomWalk(Motion):
-    """What stays as it is but for white noise: a position, or a bias beside other motions in ``Augmented``.
+    """Random walk of a position, or of a bias beside other motions in ``Augmented``.
 
     Args:
-        q: density of the noise, the variance that a second adds: m^2/s of positions.
-        dims: components.
-        kind: what they are, out of ``torchfra.motion.KINDS``.
-        components: their names; by default the axes of positions, and numbered others.
+        q: density of the white noise, the increase of the variance per second: m^2/s for positions.
+        dims: number of components.
+        kind: their kind, out of ``torchfra.motion.KINDS``.
+        components: their names; by default the axes for positions, numbers for other kinds.
 
     Raises:
         ValueError: ``q`` below 0, ``dims`` below 1, an unknown kind.
@@ -52,7 +52,7 @@ class RandomWalk(Motion):
 
 
 class Clock(Motion):
-    """The clock of a receiver: states ``[clock, drift]``, its offset and how that grows, as distances at light speed.
+    """The clock of a receiver: states ``[clock, drift]``, offset and drift times the speed of light, m and m/s.
 
     Args:
         offset: density of the white noise on the offset itself, m^2/s.
@@ -81,7 +81,7 @@ class Clock(Motion):
         return matrix
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., 2, 3)``: of the drift, and of the offset."""
+        """``S_Q (..., 2, 3)``: two columns for the drift, one for the offset."""
         drift = white_root(dt, self.drift(dt), 2, 1)
         offset = self.offset(dt).sqrt() * dt.sqrt()
         offset = torch.stack([offset, torch.zeros_like(offset)], -1).unsqueeze(-1)

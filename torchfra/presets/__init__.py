@@ -1,11 +1,11 @@
-"""The filters that papers name, ready made: each is a choice of arguments to the classes of ``torchfra.filters``.
+"""Filters by the names that papers gave them: each is a choice of arguments to the classes of ``torchfra.filters``.
 
 Every preset takes ``motion`` (how targets move; for interacting models a ``Bank`` or several motions of one state) and
-``sensor`` (what is measured), then keywords.  ``help(presets.fra)`` lists the keywords of a preset; for each, its line
+``sensor`` (what is measured), then keywords.  ``help(presets.fra)`` lists the keywords of a preset; the line of each
 names the class whose docstring has the details.  A value out of its range is a ``ValueError`` that names the argument.
 
-``learn`` is the same everywhere: the names of the hyperparameters that gradient descent may change, wherever in the
-filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a filter has:
+All presets take ``learn``: the names of the hyperparameters that gradient descent may change, in any part of the
+filter, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a filter has:
 
 - of the robust update: ``threshold``, ``low``, ``high``, ``eps``;
 - of the fading factors: ``weakening``, ``forgetting``, ``fading_max``, ``share``;
@@ -13,13 +13,13 @@ filter they are, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names t
 - of the feedback decision: ``gate``, ``preference``, ``plain``;
 - of ``gpb``: ``noise_levels``, ``jump_factors``, ``self_transition``, ``restart``, ``outlier_transition``,
   ``outlier_sizes``, ``outlier_shares``, ``prior_outlier``, ``prior_inflation``;
-- of interacting models: ``stay``, one number, or ``transition``, whole rows, if it is given or named; ``initial``;
-- of those that change their set: ``transition``, ``unlikely``, ``principal``;
+- of interacting models: ``stay``, one number, or ``transition``, a matrix, if it is given or named; ``initial``;
+- of interacting models with a likely-model set: ``transition``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
 
-A motion or sensor whose values learn is copied first, so that the one handed in stays as it is; one whose values do not
-learn is shared.  A robust update that is handed in is copied if anything learns.  Filters around another one
+A motion or sensor whose values learn is copied first, so that the argument does not change; one whose values do not
+learn is shared.  A robust update that is an argument is copied if anything learns.  Filters around another one
 (``imm``, ``vsimm_srckf``, ``jpda``) always work on copies.
 
 A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as ``inner``: a preset, or any callable

@@ -42,13 +42,14 @@ def imm(
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
-        stay: self-transition probability of every model; the others share the rest evenly.  It learns as one number.
+        stay: self-transition probability of every model, which switches to the others with equal probability.  It
+            learns as one number.
         transition: ``(K, K)`` probabilities instead of ``stay``, ``[i, j] = P(now j | was i)``: ``filters.IMM``.
-        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
-            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
-        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
+            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.  With ``"transition"`` among them
-            the filter has whole rows, which ``stay`` starts; they take more time.
+            the filter has a transition matrix, which starts as that of ``stay`` and takes more time.
 
     Raises:
         ValueError: a single motion, or ``stay`` that is no probability between 0 and 1.
@@ -56,11 +57,11 @@ def imm(
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
     """
     bank = _bank(models)
-    alike = transition is None and len(bank) > 1 and 1 / len(bank) <= stay < 1
-    chances: dict[str, Any] = {"transition": transition, "durations": durations}
+    uniform = transition is None and len(bank) > 1 and 1 / len(bank) <= stay < 1
+    chain: dict[str, Any] = {"transition": transition, "durations": durations}
     if durations is None:
-        chances = {"stay": stay} if alike else {"transition": _transition(len(bank), stay, transition)}
-    return with_learning(IMM(inner(bank, sensor), **chances, initial=initial), learn)
+        chain = {"stay": stay} if uniform else {"transition": _transition(len(bank), stay, transition)}
+    return with_learning(IMM(inner(bank, sensor), **chain, initial=initial), learn)
 
 
 @register.filter("imm_srckf", words="interacting motions", bank=True)
@@ -73,11 +74,11 @@ def imm_srckf(
     Args:
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
-        stay: self-transition probability of every model; the others share the rest evenly.
+        stay: self-transition probability of every model, which switches to the others with equal probability.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
-            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
-        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
+            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     return imm(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial, learn=learn)
@@ -88,19 +89,19 @@ def imm_ckf(
     models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
     durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
-    """The same filter as ``imm_srckf``, under the name of what Du & Zhang (2020) compare theirs with.
+    """``imm_srckf`` under the name of the filter with which Du & Zhang (2020) compare theirs.
 
-    Covariances or their roots give the same estimates but for rounding, so that the difference in accuracy that they
-    report cannot come from there.  This filter computes with roots too.
+    Covariances and their roots have the same estimates but for rounding, so they cannot explain the difference in
+    accuracy that the paper reports.  This filter computes with roots too.
 
     Args:
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
-        stay: self-transition probability of every model; the others share the rest evenly.
+        stay: self-transition probability of every model, which switches to the others with equal probability.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
-            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
-        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
+        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
+            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     return imm_srckf(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial,
@@ -125,10 +126,10 @@ def imm_fra(
         sensor: what is measured.
         stay: self-transition probability of every model; high, so that one outlier does not change the model.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
-            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
-        initial: ``(K,)`` probabilities of the models before the first step; all the same if None.
-        threshold: as in ``fra``, like all that follow up to ``rule``.
+        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
+            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
+        threshold: see ``fra``, as for all arguments up to ``rule``.
         per_element: whether each element of a measurement has its own threshold.
         robust: other weights instead of Huber's; not together with ``threshold`` or ``per_element``.
         weakening: above 1 the fading factors react less.
@@ -139,7 +140,7 @@ def imm_fra(
         share: of the factor for each group; if given, the groups are position, velocity, acceleration.
         trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         gate: normalised innovation squared above which a step is abnormal.
-        preference: log odds of the robust branch; high, as the bank explains manoeuvres and leaves the outliers.
+        preference: log odds of the robust branch; high, as the bank explains manoeuvres, so the rest are outliers.
         plain: log odds of a plain branch, None for no such branch.
         decision: branches are compared by the predictive ``"likelihood"`` or the ``"normalised"`` innovation.
         temperature: 0 for hard decisions, above for soft ones, to train by.
@@ -167,20 +168,20 @@ def vsimm_srckf(
     durations: Value | None = None, unlikely: Value = 0.05, principal: Value = 0.5, values: str | None = None,
     learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
-    """Interacting models of which a few run at a time: three of five in the paper.  Source: Du & Zhang (2020).
+    """Interacting models of which a few are active at a time, in the paper three of five.  Source: Du & Zhang (2020).
 
     Args:
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
-        neighbours: of each model, those that it may call, see ``filters.LikelyModels``; the bank's if None.
-        first: models that run at first; the bank's if None: ``filters.LikelyModels``.
-        stay: self-transition probability of every model; the others share the rest evenly.
+        neighbours: of each model, those that it may activate, see ``filters.LikelyModels``; the bank's if None.
+        first: models that are active first; the bank's if None: ``filters.LikelyModels``.
+        stay: self-transition probability of every model, which switches to the others with equal probability.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean seconds until a model ends, one number or ``(K,)``, instead of ``stay``: what is likely over a
-            step follows from its ``dt``, and a ``transition`` says what follows a model that ends: ``filters.IMM``.
-        unlikely: probability below which a model is left out: ``filters.LikelyModels``.
-        principal: probability above which a model calls its neighbours: ``filters.LikelyModels``.
+        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
+            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        unlikely: probability below which a model is unlikely: ``filters.LikelyModels``.
+        principal: probability above which a model activates its neighbours: ``filters.LikelyModels``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
@@ -205,7 +206,7 @@ def _bank(models: Models) -> Bank:
 
 
 def _transition(count: int, stay: float, transition: Value | None) -> Value:
-    """The matrix ``(count, count)`` handed in, or one in which every model stays with the same probability."""
+    """The matrix ``(count, count)`` of the argument, or one with the same self-transition probability for all."""
     if not 0 < stay < 1:
         raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay}")
     if transition is not None:

@@ -1,4 +1,4 @@
-"""Filters of constant gains."""
+"""Constant-gain filters."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def alphabeta(
     initiation: str = "two-point", period: Value | None = None, confirm: bool | None = None,
     learn: Collection[str] = (),
 ) -> AlphaBetaBank:  # fmt: skip
-    """Alpha-beta filters that switch with the manoeuvre: the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
+    """Alpha-beta filters that switch with manoeuvres, the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
 
     With a motion of constant velocity it is the paper's.  With constant acceleration and without ``gains`` the fast
-    levels have three gains, which extrapolate a manoeuvre over outliers; the defaults in brackets then hold.  All
+    levels have three gains, which extrapolate a manoeuvre over outliers, and the defaults are those in brackets.  All
     keywords but ``learn`` are those of ``filters.AlphaBetaBank``.
 
     Args:
@@ -48,21 +48,21 @@ def alphabeta(
         outlier: residual that is rejected outside manoeuvres, in std; 3 times ``manoeuvre`` if None (18).
         degrees: shares of ``manoeuvre`` that choose the level in a manoeuvre; evenly from 0.9 down if None (0.25).
         limit: largest acceleration of the target, m/s^2.
-        margin: residual that is within reach in any case, in std; 3 if None (6).
+        margin: residual that is never rejected in a manoeuvre, in std; 3 if None (6).
         hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre; 0.5 if None (0.7).
         dwell: steps without a vote after which a manoeuvre ends; 3 if None (20).
         votes: flags before the newest one, even.
         patience: rejections in a row after which the filter restarts.
         longest: seconds without a used measurement after which the filter restarts.
-        converged: measurements after which it decides.
+        converged: measurements before the first decision.
         flag_on_reject: flag of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the vote.
         detect: in ``"cartesian"`` or ``"polar"`` coordinates.
         onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; shared if None (fastest).
         expect: thresholds are constant, ``"paper"``, or grow with the ``"level"``.
         temperature: 0 for hard choices, above for soft ones, to train by.
         initiation: from two measurements, ``"two-point"``, or the ``"prior"``.
-        period: seconds between measurements that the gains are meant for.
-        confirm: whether it starts and restarts only where three measurements fit; no if None (yes).
+        period: seconds between measurements for which the gains are designed.
+        confirm: whether a start or restart needs a third measurement that fits; no if None (yes).
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     thresholds = _thresholds(
@@ -78,5 +78,5 @@ def alphabeta(
 
 
 def _thresholds(tuned: bool, **chosen: Any) -> dict[str, Any]:
-    """The defaults, tuned or of the paper, but for what is not None."""
+    """The tuned defaults or those of the paper, with the arguments that are not None in their place."""
     return (_TUNED if tuned else _PAPER) | {name: value for name, value in chosen.items() if value is not None}

@@ -1,4 +1,4 @@
-"""Makes hyperparameters of a filter learnable without changing the motion and sensor that it was made from."""
+"""Makes hyperparameters of a filter learnable without changing the motion and sensor of the caller."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ F = TypeVar("F", bound=Filter)
 
 
 def with_learning(f: F, names: Collection[str]) -> F:
-    """The filter with these hyperparameters learnable; a motion or sensor that has some of them is copied first.
+    """Makes hyperparameters of a filter learnable; a motion or sensor that has some of them is copied first.
 
     Args:
-        f: it is changed and returned.
-        names: as in ``hyper.named``.
+        f: the filter, which is changed.
+        names: see ``hyper.named``.
+
+    Returns:
+        The same filter.
 
     Raises:
-        ValueError: a name that the filter does not have, or a value on the edge of its range.
+        ValueError: a name that the filter does not have, or a value on the boundary of its range.
     """
     provide(f, names)
     inner: Filter = f
-    while isinstance(around := getattr(inner, "inner", None), Filter):
-        inner = around
+    while isinstance(further := getattr(inner, "inner", None), Filter):
+        inner = further
     chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor"):
         model = getattr(inner, part)

@@ -35,7 +35,7 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65073765, 0.0001, 2.35e-06),
     },
 }  # fmt: skip
-"""What ``manoeuvres`` stands for: ``"some"`` was searched, ``"none"`` and ``"hard"`` are made from it by hand."""
+"""Values for each word of ``manoeuvres``: those of ``"some"`` were searched, the others are made from them by hand."""
 
 OUTLIER_TRANSITION = ((0.999491, 0.000509), (0.9344, 0.0656))
 
@@ -64,18 +64,18 @@ def gpb(
     rule: Callable[[int], Rule] = third_degree,
     learn: Collection[str] = (),
 ) -> GPB:
-    """The filter to reach for first: outliers, manoeuvres, jumps and a poor prior as hypotheses of every step.
+    """The recommended filter: outliers, manoeuvres, jumps and an outlying prior are hypotheses of every step.
 
     Args:
-        motion: how targets move; its regimes are its levels of process noise and a jump.  Of several motions of one
-            state, or a ``Bank``, the first has these regimes, and each of the others is one more.
-        sensor: what is measured; outliers come per block of its elements (``Sensor.blocks``).
-        manoeuvres: what a target may do besides moving as the (first) motion says: ``"none"``, nothing; ``"some"``;
-            ``"hard"``, also turn much harder than its process noise allows, which takes some accuracy among outliers.
-            None is ``"none"`` for a motion that measures itself, such as ``Odometry``, and ``"some"`` for any other.
-            It stands for values of the five arguments that follow: ``MANOEUVRES`` in this file.
-        noise_levels: factors on the variance of the (first) motion's process noise, ascending: of calm, of the motion
-            as it is stated (1), and of agile ones.  Calm and agile are for motions that do not hold.
+        motion: how targets move; its regimes are levels of process noise and a jump.  Of several motions of one state,
+            or a ``Bank``, the first has these regimes, and each other motion is one more regime.
+        sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
+        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"some"``; or ``"hard"``, also turns
+            far beyond its process noise, at some loss of accuracy with outliers.  None is ``"none"`` for a motion that
+            measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the five
+            arguments that follow: ``MANOEUVRES`` in this file.
+        noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
+            process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
@@ -87,21 +87,21 @@ def gpb(
             motions share theirs evenly.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
             block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
-        outlier_durations: instead of it, mean seconds without outliers, and that a device is wrong then.
+        outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
         outlier_sizes: factors on the covariance of the measurement noise of outliers.
-        outlier_shares: of the outliers that have each size.
-        outlier_offsets: by which outliers of each size are too large in the mean, in units of their noise, as ranges
-            without a line of sight are; None for 0.
-        prior_outlier: probability that the prior is far off.
-        prior_inflation: factor on the prior's covariance then, but for parameters (``kinds`` of the motion).
-        adaptive_largest_size: whether the last of the sizes grows to what a measurement asks for.
+        outlier_shares: share of the outliers that have each size.
+        outlier_offsets: mean of the noise of outliers of each size, in units of the nominal noise, as of ranges without
+            a line of sight, which are too large; None for 0.
+        prior_outlier: probability that the prior is an outlier: that its mean is far off.
+        prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
+        adaptive_largest_size: whether the largest size adapts to the squared residual of a measurement.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``Estimate.info``.
         rule: makes the points for a number of states.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:
-        ValueError: motions that do not mix, an unknown word for ``manoeuvres``, probabilities that do not sum to one,
-            or blocks of the sensor that do not cover its elements.
+        ValueError: motions of different states, an unknown word for ``manoeuvres``, probabilities that do not sum to
+            one, or blocks of the sensor that do not hold each element once.
 
     Example:
         >>> motion, sensor = torchfra.motion.ConstantVelocity(q=1.0), torchfra.sensors.Position(std=2.0)
@@ -120,11 +120,11 @@ def gpb(
     if manoeuvres not in MANOEUVRES:
         received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
-    given = {
+    arguments = {
         "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
         "self_transition": self_transition, "durations": durations, "restart": restart,
     }  # fmt: skip
-    values = MANOEUVRES[manoeuvres] | {name: x for name, x in given.items() if x is not None}
+    values = MANOEUVRES[manoeuvres] | {name: x for name, x in arguments.items() if x is not None}
     if durations is not None:
         values["self_transition"] = self_transition
     regimes = Regimes(count, **values)

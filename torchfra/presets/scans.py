@@ -1,4 +1,4 @@
-"""Several targets in scans with false measurements: joint probabilistic data association around a filter."""
+"""Several targets and scans with false measurements: joint probabilistic data association around a filter."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def jpda(
     Args:
         motion: how targets move; several where the inner filter takes them.
         sensor: what is measured.
-        clutter: how dense false measurements are: ``association.Clutter``.
+        clutter: density of false measurements: ``association.Clutter``.
         inner: the filter of each target, ``(motion, sensor) -> Filter``: a preset (one of ``srckf``'s kind, ``gpb``, or
             an interacting one), or a ``functools.partial`` of one.
         gate: measurements that may be a target's; ``ChiSquare(0.999)`` if None: ``torchfra.association``.
         detection: probability that a target is measured: ``filters.JPDA``.
-        lost: probability of so many misses in a row below which a track widens; 0 for never: ``filters.JPDA``.
+        lost: probability of so many misses in a row below which a track is lost; 0 for never: ``filters.JPDA``.
         share_noise: whether targets share their estimates of the measurement noise: ``filters.JPDA``.
         exact: targets and measurements of a cluster up to which association is exact: ``filters.JPDA``.
         temperature: 0 for gates with a hard edge, above for a soft one, to train by: ``filters.JPDA``.
@@ -65,19 +65,19 @@ def ukf_jpda(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        clutter: how dense false measurements are: ``association.Clutter``.
+        clutter: density of false measurements: ``association.Clutter``.
         alpha: spread of the points: ``cubature.unscented``.
         beta: added to the centre's weight in the covariance: ``cubature.unscented``.
         kappa: moves points from the centre outwards: ``cubature.unscented``.
         gate: measurements that may be a target's; ``Euclidean(100.0)``, in m, if None: ``torchfra.association``.
         detection: probability that a target is measured: ``filters.JPDA``.
-        lost: probability of so many misses in a row below which a track widens; 0 for never: ``filters.JPDA``.
+        lost: probability of so many misses in a row below which a track is lost; 0 for never: ``filters.JPDA``.
         share_noise: whether targets share their estimates of the measurement noise; refused, as it has none.
         exact: targets and measurements of a cluster up to which association is exact: ``filters.JPDA``.
         temperature: 0 for gates with a hard edge, above for a soft one, to train by: ``filters.JPDA``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
-    Source: what Chen, Zou & Wu compare with.
+    Source: the filter with which Chen, Zou & Wu compare theirs.
     """
     return jpda(
         motion, sensor, clutter=clutter, inner=partial(ukf, alpha=alpha, beta=beta, kappa=kappa),
@@ -100,8 +100,8 @@ def iaukf_jpda(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        clutter: how dense false measurements are: ``association.Clutter``.
-        forgetting: memory of the innovations, in [0, 1], as in ``iaukf``, like all that follow up to ``adapt``.
+        clutter: density of false measurements: ``association.Clutter``.
+        forgetting: memory of the innovations, in [0, 1]: see ``iaukf``, as for all arguments up to ``adapt``.
         confidence: in [0, 1], one for each block of the sensor or one for all.
         confidence_in: ``"nominal"`` or ``"measured"`` measurement noise.
         lowest: share of the nominal variance below which the estimate does not fall.
@@ -110,7 +110,7 @@ def iaukf_jpda(
         adapt: by the ``"innovation"``, before the update, or the ``"residual"``, after it.
         gate: measurements that may be a target's; ``Euclidean(100.0, least=0.9999)``, in m, if None.
         detection: probability that a target is measured: ``filters.JPDA``.
-        lost: probability of so many misses in a row below which a track widens; 0 for never: ``filters.JPDA``.
+        lost: probability of so many misses in a row below which a track is lost; 0 for never: ``filters.JPDA``.
         share_noise: whether targets share their estimates of the measurement noise: ``filters.JPDA``.
         exact: targets and measurements of a cluster up to which association is exact: ``filters.JPDA``.
         temperature: 0 for gates with a hard edge, above for a soft one, to train by: ``filters.JPDA``.
@@ -118,9 +118,9 @@ def iaukf_jpda(
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Source: Chen, Zou & Wu.  Differs: the gate is never smaller than the uncertainty of the prediction requires, and the
-    covariance of a track that is missed again and again grows.  ``gate=Euclidean(100.0), lost=0.0`` are without both:
-    then 1 to 5 % of the runs lose a track for good, after an initial state more than a gate off, or a false measurement
-    in the place of a missed target.
+    covariance of a track that misses many scans in a row grows.  ``gate=Euclidean(100.0), lost=0.0`` is the paper's:
+    then 1 to 5 % of the runs lose a track for good, if the initial state is off by more than the gate or a false
+    measurement takes the place of a missed target.
     """
     inner = partial(iaukf, forgetting=forgetting, confidence=confidence, confidence_in=confidence_in, lowest=lowest,
                     highest=highest, warmup=warmup, adapt=adapt)  # fmt: skip

@@ -1,4 +1,4 @@
-"""The robust update of a preset, from its keywords."""
+"""The robust update of a preset from its keywords."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from torchfra.sensors.base import Sensor
 States = slice | Sequence[slice] | None
 """State components that fade: one group, or several; None for the default of ``Fading``."""
 Share = Value | Sequence[float] | None
-"""Share of the fading factor that each group takes; None for all of it."""
+"""Share of the fading factor of each group; None for 1."""
 R = TypeVar("R", bound=Robust)
 
 
 def robust_side(
     sensor: Sensor, robust: R | None, threshold: Value | None, per_element: bool, learn: Collection[str]
 ) -> R | Huber:
-    """The robust update that was handed in (a copy, if anything learns), or Huber weights with this threshold.
+    """The robust update of the argument (a copy, if anything learns), or Huber weights with a threshold.
 
     Raises:
         ValueError: a robust update together with options of Huber weights.

@@ -1,4 +1,4 @@
-"""Filters of one motion: plain ones with several rules, and robust ones."""
+"""Filters of one motion: plain filters by several rules, and robust filters."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def mr_ckf(
         squared: whether the weight falls with the square of the distance: ``robust.ThreeSegment``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
-    Source: Wu et al. (2015), as read in ``robust.ThreeSegment``.
+    Source: Wu et al. (2015), in the reading of ``robust.ThreeSegment``.
     """
     return with_learning(SRCKF(motion, sensor, robust=ThreeSegment(low, high, squared=squared)), learn)
 
@@ -146,7 +146,7 @@ def hghckf1(
         compensate: whether the error of the linearisation is added to the measurement noise.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
-    Source: Zhang et al. (2016), what Qin et al. (2018) compare with.
+    Source: Zhang et al. (2016), with which Qin et al. (2018) compare their filter.
     """
     robust = HuberRegression(threshold, max_iter=max_iter, tol=tol, first_iterate=first_iterate, compensate=compensate)
     return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
@@ -161,9 +161,9 @@ def hghckf2(
 ) -> SRCKF:  # fmt: skip
     """Robust by the Huber score of the normalised innovation.
 
-    A measurement moves the estimate by no more than ``threshold`` standard deviations of the innovation, and with the
-    paper's ``cov_mode="constant"`` the covariance shrinks as if it had been followed.  So a filter that is far off,
-    from a poor start or after a manoeuvre, stays sure of itself and may never catch up: ``hghckf`` does.
+    A measurement moves the estimate by no more than ``threshold`` standard deviations of the innovation, but with the
+    paper's ``cov_mode="constant"`` the covariance shrinks as after a full update.  So a filter whose estimate is far
+    off, after a bad prior or a manoeuvre, keeps a small covariance and may never recover; ``hghckf`` does.
 
     Args:
         motion: how targets move.
@@ -183,15 +183,15 @@ def hghckf2(
     return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
 
 
-@register.filter("hghckf", words="hghckf2 that catches up")
+@register.filter("hghckf", words="hghckf2 that recovers")
 def hghckf(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
     eps: Value | str = "minimax", whitening: str = "cholesky", zeta_scale: bool = False, learn: Collection[str] = (),
 ) -> SRCKF:  # fmt: skip
-    """``hghckf2`` with ``cov_mode="indicator"``: prefer it, as it catches up where ``hghckf2`` loses the target.
+    """``hghckf2`` with ``cov_mode="indicator"``: prefer it, as it recovers where ``hghckf2`` loses the target.
 
-    Where the score cuts an innovation off, the covariance does not shrink.  So a filter that is far off grows unsure of
-    itself until it follows again.
+    Where the score limits an innovation, the covariance does not shrink.  So the covariance of a filter whose estimate
+    is far off grows until the filter follows the target again.
 
     Args:
         motion: how targets move.

@@ -1,6 +1,6 @@
 """Named sets of learned values: ``presets.fra(motion, sensor, values="bearings")``.
 
-``values.json`` holds them with what they were learned on and what they give there and elsewhere; ``python -m
+``values.json`` holds the sets, the data they were learned on and their errors on those and other data; ``python -m
 train.values`` writes it.
 """
 
@@ -26,23 +26,23 @@ P = ParamSpec("P")
 F = TypeVar("F")
 FILE = Path(__file__).with_name("values.json")
 INSTEAD = {"robust": "threshold", "stay": "transition", "durations": "transition"}
-"""Arguments that, given, take the place of another."""
+"""Arguments that take the place of another argument if they are given."""
 
 
 class ValueSets(list[dict[str, Any]]):
-    """Records of sets of values, a dictionary each; printed, a table."""
+    """Records of sets of values, one dictionary each, which print as a table."""
 
     def __repr__(self) -> str:
         head = ("preset", "values", "scenario", "learned on", "runs", "defaults", "set", "change", "lost")
-        rows = [_row(of, result) for of in self for result in of["results"]]
+        rows = [_row(record, result) for record in self for result in record["results"]]
         return text_table(head, rows, align="<<<<>") + "\n" + _caption()
 
 
 def values() -> ValueSets:
-    """The sets of learned values that presets take by name, with what they give where they were learned and elsewhere.
+    """The sets of learned values that presets take by name, with their errors on the data of learning and on others.
 
-    Each record has ``preset`` and ``values`` (the names), ``run`` (the command that learned them), ``learned_on`` (what
-    from), ``arguments`` (of the preset), ``factors`` (on values of the motion and the sensor, by their path) and
+    Each record has ``preset`` and ``values`` (the names), ``run`` (the command that learned them), ``learned_on`` (the
+    data), ``arguments`` (of the preset), ``factors`` (on values of the motion and the sensor, by their path) and
     ``results``: a dictionary for each scenario, errors in m.
 
     Example:
@@ -53,7 +53,7 @@ def values() -> ValueSets:
 
 
 def with_values(preset: Callable[P, F]) -> Callable[P, F]:
-    """A preset that takes the name of a set of values as ``values``; arguments that are given win over the set.
+    """A preset that takes the name of a set of values as ``values``; arguments of the caller override the set.
 
     The motion and the sensor are copied where the set has factors on their values.
     """
@@ -62,31 +62,31 @@ def with_values(preset: Callable[P, F]) -> Callable[P, F]:
     def chosen(*arguments: P.args, **options: P.kwargs) -> F:
         if options.get("values") is None:
             return preset(*arguments, **options)
-        given: dict[str, Any] = dict(inspect.signature(preset).bind(*arguments, **options).arguments)
-        return made_with(preset, _record(preset.__name__, given.pop("values")), given)
+        named: dict[str, Any] = dict(inspect.signature(preset).bind(*arguments, **options).arguments)
+        return made_with(preset, _record(preset.__name__, named.pop("values")), named)
 
     return chosen
 
 
-def made_with(preset: Callable[..., F], record: dict[str, Any], given: dict[str, Any]) -> F:
-    """What a preset makes of a set of values and of arguments by name, which win.
+def made_with(preset: Callable[..., F], record: dict[str, Any], arguments: dict[str, Any]) -> F:
+    """The filter of a preset with a set of values, which ``arguments`` by name override.
 
     Raises:
         ValueError: the motion or the sensor has no values that the set changes; or see the preset.
     """
-    replaced = {INSTEAD[name] for name in INSTEAD.keys() & given.keys()}
-    found = {name: _argument(value) for name, value in record["arguments"].items() if name not in replaced}
-    parts = {}
+    replaced = {INSTEAD[name] for name in INSTEAD.keys() & arguments.keys()}
+    learned = {name: _argument(value) for name, value in record["arguments"].items() if name not in replaced}
+    models = {}
     for kind, name in zip(("motion", "sensor"), inspect.signature(preset).parameters, strict=False):
-        parts[name] = _scaled(kind, given[name], record)
-    return preset(**found | given | parts)
+        models[name] = _scaled(kind, arguments[name], record)
+    return preset(**learned | arguments | models)
 
 
 def _record(preset: str, name: object) -> dict[str, Any]:
-    """The set of this name.
+    """The set of a name.
 
     Raises:
-        ValueError: the preset has none of this name; the message lists those that it has.
+        ValueError: the preset has no such set; the message lists its sets.
     """
     sets = {record["values"]: record for record in _contents()["sets"] if record["preset"] == preset}
     if name not in sets:
@@ -102,14 +102,14 @@ def _contents() -> dict[str, Any]:
 
 
 def _argument(value: Any) -> Any:
-    """An argument of a preset as the file has it: lists are tensors, what has a size is a gate in metres."""
+    """An argument of a preset from its form in the file: a list is a tensor, a dictionary a gate in metres."""
     if isinstance(value, dict):
         return Euclidean(**value)
     return torch.tensor(value, dtype=torch.float64) if isinstance(value, list) else value
 
 
 def _scaled(kind: str, model: Any, record: dict[str, Any]) -> Any:
-    """A motion or sensor, or a copy whose values are those that it has times the factors of the set.
+    """The motion or sensor, or a copy of it with its values times the factors of the set.
 
     Raises:
         ValueError: it has no such value, or the product is out of its range.
@@ -131,19 +131,19 @@ def _scaled(kind: str, model: Any, record: dict[str, Any]) -> Any:
     return own
 
 
-def _row(of: dict[str, Any], result: dict[str, Any]) -> list[str]:
-    said = [f"{key} {value}" for key, value in result["options"].items()]
-    options = ", ".join([*said, *(["one motion"] if result["models"] == "motion" else [])])
+def _row(record: dict[str, Any], result: dict[str, Any]) -> list[str]:
+    stated = [f"{key} {value}" for key, value in result["options"].items()]
+    options = ", ".join([*stated, *(["one motion"] if result["models"] == "motion" else [])])
     scenario = f"{result['scenario']} ({options})" if options else result["scenario"]
     change = f"{result['change']:+.1%} +- {result['half']:.1%}" if result["half"] < 1 else "-"
     lost = " -> ".join(f"{result[f'{kind}_lost']:.1%}" for kind in ("defaults", "set"))
     where = "yes" if result["learned_on"] else ""
     errors = [significant(result[kind]) for kind in ("defaults", "set")]
-    return [of["preset"], of["values"], scenario, where, str(result["runs"]), *errors, change, lost]
+    return [record["preset"], record["values"], scenario, where, str(result["runs"]), *errors, change, lost]
 
 
 def _caption() -> str:
-    """What the figures are."""
+    """The caption of the table: the meaning of its figures."""
     made = _contents()["settings"]
     versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items())
     return (

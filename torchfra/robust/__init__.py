@@ -1,7 +1,8 @@
-"""The measurement side: how a filter down-weights outlying innovations.
+"""Robust updates: how a filter down-weights outlying innovations.
 
-Two kinds.  ``Weights`` (``Huber``, ``ThreeSegment``) divide the noise of each element by a weight from 1 (trusted) down
-to 0 (left out), and the update stays what it was.  ``HuberScore`` and ``HuberRegression`` make an update of their own.
+There are two kinds.  ``Weights`` (``Huber``, ``ThreeSegment``) divide the measurement noise of each element by a weight
+from 1 (nominal noise) down to 0 (left out), followed by the plain update.  ``HuberScore`` and ``HuberRegression`` are
+other updates.
 """
 
 from torchfra.robust.base import Corrected, Robust

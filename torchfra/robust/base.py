@@ -1,4 +1,4 @@
-"""What a robust update is: from a measurement and its prediction to the belief after it."""
+"""The base of robust updates: from a predicted belief and a measurement to the belief after it."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from torchfra.types import Gaussian, Whitened
 
 
 class Corrected(NamedTuple):
-    """What a robust update makes of a measurement."""
+    """The result of a robust update."""
 
     belief: Gaussian
     weights: Tensor | None
-    """``(..., m)`` by which the noise of each element was divided; None where nothing is down-weighted."""
+    """``(..., m)`` by which the noise of each element was divided; None for the plain update."""
     evidence: Tensor | None = None
-    """``(...)`` log density of the innovation under the noise so divided, less a constant; None for the nominal one."""
+    """``(...)`` log density of the innovation under the divided noise, less a constant; None for the nominal noise."""
     iterations: Tensor | None = None
-    """``(...)`` if it iterates."""
+    """``(...)`` number of iterations of an update that iterates."""
     repaired: Tensor | None = None
-    """``(...)`` bool, if it may take off more covariance than there is."""
+    """``(...)`` bool, whether a covariance was repaired, for an update that may subtract too much."""
 
 
 class Robust(nn.Module):
@@ -35,9 +35,11 @@ class Robust(nn.Module):
         return type(self) is Robust
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
-        """Weights ``(..., m)`` by which the noise of a ``residual (..., m)``, in units of it, is to be divided.
+        """Weights ``(..., m)`` that divide the measurement noise, here ones.
 
-        ``nis (...)`` is the normalised innovation squared.  Ones for a side that leaves the noise as it is.
+        Args:
+            residual: ``(..., m)`` in units of the measurement noise.
+            nis: ``(...)`` normalised innovation squared.
         """
         return torch.ones_like(residual)
 
@@ -46,8 +48,8 @@ class Robust(nn.Module):
 
         Args:
             belief: predicted.
-            whitened: the measurement against it.
-            weights: what ``forward`` gave, of this innovation or of the one before the prediction was widened.
-            noise: the measurement noise that the measurement is in units of.
+            whitened: the measurement compared with it.
+            weights: from ``forward``, of this innovation or of the one before fading.
+            noise: the measurement noise that ``whitened`` is in units of.
         """
         return Corrected(correct(belief, whitened)[0], None)

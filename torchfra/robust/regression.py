@@ -97,7 +97,7 @@ class HuberRegression(Robust):
         return _Linear(Whitened(residual, slope, d), pad(slope, (0, n - d)), threshold)
 
     def _first(self, belief: Gaussian, whitened: Whitened) -> Tensor:
-        """``(..., n)`` the first iterate of the prediction's error."""
+        """The first iterate ``(..., n)`` of the prediction's error."""
         error = torch.zeros_like(belief.mean)
         if self.first_iterate == "prior":
             return error

@@ -13,7 +13,7 @@ from torchfra.types import Gaussian, Whitened
 
 
 class Weights(Robust):
-    """Abstract: a subclass defines ``forward``; the plain update runs with measurement noise divided by it."""
+    """Abstract: a subclass defines ``forward``, whose weights divide the measurement noise of the plain update."""
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The plain update with the measurement noise divided by ``weights``: Wang et al. (2021), eq. (26)."""

@@ -1,4 +1,4 @@
-"""What sensors measure."""
+"""Sensors: what is measured of a target, and with what noise."""
 
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.camera import Camera, facing

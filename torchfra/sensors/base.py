@@ -1,4 +1,4 @@
-"""What every sensor is: a function of the state, the difference of two measurements, and the measurement noise."""
+"""The base of all sensors: a function of the state, the difference of two measurements, and the measurement noise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchfra.sensors.places import numbers
 from torchfra.tree import event_ranks
 
 
-@event_ranks(std=1, scale=1, root=2, mix=2, log_norm=0)
+@event_ranks(std=1, scale=1, root=2, inverse_root=2, log_norm=0)
 class MeasurementNoise(NamedTuple):
     """Measurement noise of a step, in the form that whitening needs.  A missing element has no weight."""
 
@@ -27,17 +27,17 @@ class MeasurementNoise(NamedTuple):
     """``(..., m)`` 1 / std, 0 where missing."""
     root: Tensor | None
     """``(..., m, m)`` lower root of a covariance with correlated elements; else None."""
-    mix: Tensor | None
-    """``(..., m, m)`` its inverse, rows of missing elements zero; else None."""
+    inverse_root: Tensor | None
+    """``(..., m, m)`` inverse of ``root``, rows of missing elements zero; None without it."""
     log_norm: Tensor
-    """``(...)`` what this covariance adds to the log density of the measured elements, constants included."""
+    """``(...)`` log of the normalising factor of the measured elements' density, constants included."""
 
     def whiten(self, x: Tensor) -> Tensor:
         """``x (..., m, k)`` in units of the measurement noise."""
-        return x * self.scale.unsqueeze(-1) if self.mix is None else self.mix @ x
+        return x * self.scale.unsqueeze(-1) if self.inverse_root is None else self.inverse_root @ x
 
     def colour(self, x: Tensor) -> Tensor:
-        """``x (..., m, k)`` back in the units of the measurement."""
+        """``x (..., m, k)`` converted from units of the noise back to those of the measurement."""
         return x * self.std.unsqueeze(-1) if self.root is None else self.root @ x
 
 
@@ -47,16 +47,16 @@ Expected = Sequence[tuple[int, tuple[str, ...]]]
 class Sensor(nn.Module):
     """Abstract: what is measured of a state, and with what noise.
 
-    To write your own sensor, subclass this, give ``forward(x, u)`` and hand sizes and noise to this class.  All
+    To write your own sensor, subclass this, define ``forward(x, u)`` and pass sizes and noise to this class.  All
     else is optional: ``blocks`` where several devices measure; ``locates`` with ``locate``, and
-    ``measures_each_direction`` with ``units_per_metre``, for gates in metres and clutter that is even in space.
+    ``measures_each_direction`` with ``units_per_metre``, for gates in metres and clutter that is uniform in space.
 
     Shapes: filters call ``forward`` with states ``x (..., d)`` (or more components) and ``u (..., k)`` (or None) that
-    have the same ``...``, the sigma points first: it must treat every entry of ``...`` alike and give ``(..., m)``.
+    have the same ``...``, the sigma points first: it must treat every entry of ``...`` alike and return ``(..., m)``.
     Values that may be learned are ``Hyper``s, read as ``self.std(x)`` in the dtype and on the device of ``x``.
 
     Args:
-        reads: how many leading state components it looks at, ``d``.
+        reads: number of leading state components that it reads, ``d``.
         angles: for each of the ``m`` elements of a measurement, whether it is an angle in rad: differences wrap then.
         std: standard deviation of the measurement noise, a number or ``(..., m)`` that broadcasts with the batch, as a
             tensor, a list or an array.
@@ -72,9 +72,9 @@ class Sensor(nn.Module):
     size: int
     """Elements of a measurement, ``m``."""
     dims: int | None = None
-    """Dimensions of space that it measures in, where it needs a motion of as many or more."""
+    """Dimensions of space that its motion must have at least; None for any number."""
     reads: int
-    """Leading state components that the sensor looks at, ``d``."""
+    """Number of leading state components that the sensor reads, ``d``."""
     angles: Tensor
     std: Hyper | None
     root: Tensor | None
@@ -82,18 +82,18 @@ class Sensor(nn.Module):
     """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
     """
     expects: Expected = ()
-    """Of components that it looks at, as far as it knows them, the number and the kinds that will do; a property where
-    they depend."""
+    """Number and accepted kinds of state components that it reads, as far as it expects any; a property where they
+    depend on the instance."""
     linear: bool = False
     """Whether ``forward`` is a matrix times the state, the same for all ``u``."""
     locates: bool = False
-    """Whether a measurement says where in space the target is, as ``locate`` tells; a property where it depends."""
+    """Whether a measurement locates the target in space, by ``locate``; a property where it depends on the instance."""
     measures_each_direction: bool = False
-    """Whether there is one element for each direction of space, so that ``units_per_metre`` makes sense; as above."""
+    """Whether there is one element for each direction of space, as ``units_per_metre`` needs; a property likewise."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "forward" in vars(cls):  # which may be anything
+        if "forward" in vars(cls):  # with another function, what was declared for the inherited one does not hold
             cls.linear = vars(cls).get("linear", False)
             cls.expects = vars(cls).get("expects", ())
         for declared, method in (("locates", "locate"), ("measures_each_direction", "units_per_metre")):
@@ -113,7 +113,7 @@ class Sensor(nn.Module):
             self.root = _checked_root(numbers(noise, "noise"), self.size)
 
     def _lay_out(self, reads: int, angles: Sequence[bool]) -> None:
-        """All but the noise."""
+        """Sets the layout of a measurement: everything but the noise."""
         super().__init__()
         angles = list(getattr(angles, "tolist", lambda: angles)())
         if not all(isinstance(angle, bool) for angle in angles):
@@ -126,7 +126,7 @@ class Sensor(nn.Module):
         self.register_buffer("angles", torch.tensor(angles), persistent=False)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """The measurement ``(..., m)``, without noise, of states ``x (..., d)`` or longer, given ``u (..., k)``."""
+        """The measurement ``(..., m)``, without noise, of states ``x (..., d)`` or longer and inputs ``u (..., k)``."""
         raise TypeError(f"{type(self).__name__}: expected a forward, received none")
 
     def at_points(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -137,7 +137,7 @@ class Sensor(nn.Module):
         u = u if u is None else u.expand(*x.shape[:-1], -1)
         try:
             z = self.forward(x, u)
-        except NotImplementedError:  # of a kernel, which tells by itself
+        except NotImplementedError:  # raised by a kernel, with a message of its own
             raise
         except (RuntimeError, IndexError) as error:
             inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
@@ -158,12 +158,12 @@ class Sensor(nn.Module):
         """Where in space ``(..., dims)`` a measurement ``(..., m)`` lies, m, relative to the sensor.
 
         Raises:
-            ValueError: this sensor does not tell (``locates``).
+            ValueError: this sensor does not locate targets (``locates``).
         """
         raise ValueError(f"sensor: expected one that measures where the target is, received {self.describe()}")
 
     def units_per_metre(self, z: Tensor) -> Tensor:
-        """By how much each element of a measurement ``(..., m)`` changes per metre of space in its direction.
+        """Change of each element of a measurement ``(..., m)`` per metre of space in its direction.
 
         Raises:
             ValueError: the elements are not one for each direction (``measures_each_direction``).
@@ -185,28 +185,28 @@ class Sensor(nn.Module):
             std = torch.where(measured, std.to(z), 1.0)
             return MeasurementNoise(std, measured / std, None, None, _log_norm(std, measured))
         assert root is not None
-        # A missing element gets independent noise of variance 1, so that it mixes with none of the others.
+        # A missing element gets independent noise of variance 1, so that it is uncorrelated with all others.
         root = torch.where(measured.unsqueeze(-1), root.to(z), 0.0)
         lower = tria(hstack(root, torch.diag_embed(1.0 - measured.to(z))))
         eye = torch.eye(self.size, dtype=z.dtype, device=z.device).expand_as(lower)
-        mix = torch.linalg.solve_triangular(lower, eye, upper=False) * measured.unsqueeze(-1)
+        inverse = torch.linalg.solve_triangular(lower, eye, upper=False) * measured.unsqueeze(-1)
         diagonal = lower.diagonal(dim1=-2, dim2=-1)
-        return MeasurementNoise(diagonal, measured / diagonal, lower, mix, _log_norm(diagonal, measured))
+        return MeasurementNoise(diagonal, measured / diagonal, lower, inverse, _log_norm(diagonal, measured))
 
     def describe(self) -> str:
         """What the sensor is, in a few words for tables and messages: by default the words of the class's name."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
 
     def extra_repr(self) -> str:
-        """Sizes of a measurement and of what it looks at."""
+        """Number of elements of a measurement, and of state components that it reads."""
         return f"size={self.size}, reads={self.reads}"
 
 
 def elementwise(value: Value, size: int, name: str) -> Hyper:
-    """A value above 0 that is a number, or ``(..., size)`` with one for each element.
+    """A hyperparameter above 0: a number, or ``(..., size)`` with one for each element.
 
     Raises:
-        ValueError: what is not numbers or not above 0, or another shape.
+        ValueError: no numbers, numbers not above 0, or another shape.
     """
     values = numbers(value, name)
     if values.dim() and values.shape[-1] != size:
@@ -215,7 +215,7 @@ def elementwise(value: Value, size: int, name: str) -> Hyper:
 
 
 def _checked_root(noise: Tensor, size: int) -> Tensor:
-    """The lower root ``(..., m, m)`` of a covariance that has an inverse."""
+    """The lower root ``(..., m, m)`` of a covariance from any root of it; a singular one is refused."""
     if noise.dim() < 2 or noise.shape[-2] != size:
         raise ValueError(f"noise: expected (..., {size}, r), received {tuple(noise.shape)}")
     root = tria(noise)

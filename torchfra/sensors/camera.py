@@ -1,4 +1,4 @@
-"""A pinhole camera: where on its image the target is."""
+"""A pinhole camera: the pixel at which the target is on its image."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from torchfra.sensors.places import finite, from_u, in_space, numbers
 class Camera(Sensor):
     """The pixel ``[column, row]`` at which a pinhole camera without distortion sees the target.
 
-    ``centre + focal [right / depth, down / depth]`` of the target as the camera sees it: so far to the right, downwards
-    and in front of it, m.  A target that is not in the image is missing, NaN.  Behind the camera the formula holds on
-    and mirrors the target, so that a belief may reach there; in the plane of the camera, at depth 0, nothing is finite.
+    It is ``centre + focal [right / depth, down / depth]``, where the target is ``right``, ``down`` and ``depth`` metres
+    to the right of the camera, below it and in front of it.  A target that is not in the image is missing, NaN.  For
+    points of a belief behind the camera the formula mirrors the target; at depth 0 it is not finite.
 
     Args:
         focal: focal length in pixels; a number, or ``(2,)`` for columns and rows.
@@ -31,8 +31,8 @@ class Camera(Sensor):
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
     Raises:
-        ValueError: one of ``position`` and ``rotation`` without the other, a ``rotation`` that is none, shapes that do
-            not fit, and what is not finite.
+        ValueError: one of ``position`` and ``rotation`` without the other, a ``rotation`` that is no rotation, shapes
+            that do not fit, and numbers that are not finite.
 
     Source: Hartley & Zisserman (2004), "Multiple View Geometry in Computer Vision", section 6.1.
     """
@@ -66,11 +66,11 @@ class Camera(Sensor):
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """Positions."""
+        """The positions that it reads."""
         return in_space(self.reads)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """The pixel ``(..., 2)`` of states ``(..., 3)`` or longer, given the pose ``u (..., 12)`` if it moves."""
+        """The pixel ``(..., 2)`` of states ``(..., 3)`` or longer, with the pose ``u (..., 12)`` if it moves."""
         pose = from_u(u, 12, "a camera's position and rotation") if self.pose is None else self.pose.to(x)
         at = x[..., : self.dims]
         if self.height is not None:
@@ -87,15 +87,14 @@ class Camera(Sensor):
 def facing(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Tensor:
     """Rotation ``(..., 3, 3)`` of a level camera at ``position (..., 3)`` that looks at ``target (..., 3)``.
 
-    Its rows are the directions to the right, downwards and forward; ``up`` is the direction that rows of the image run
-    against.
+    Its rows are the directions to the right, downwards and forward; ``up`` is the direction to the top of the image.
 
     Raises:
         ValueError: points that are not in space, or a camera that looks along ``up``, or at itself.
     """
-    given = {"position": position, "target": target, "up": up}
-    position, target, up = (numbers(x, name).double() for name, x in given.items())
-    for name, x in zip(given, (position, target, up), strict=True):
+    arguments = {"position": position, "target": target, "up": up}
+    position, target, up = (numbers(x, name).double() for name, x in arguments.items())
+    for name, x in zip(arguments, (position, target, up), strict=True):
         if x.shape[-1:] != (3,):
             raise ValueError(f"{name}: expected (..., 3), received {tuple(x.shape)}")
     forward = torch.nn.functional.normalize(target - position, dim=-1)

@@ -17,15 +17,15 @@ from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
 class Stacked(Sensor):
     """Several sensors that measure at the same instant, as one: their measurements one after the other.
 
-    What one of them did not measure is NaN.  Their noise is independent, and learns as theirs; blocks, angles and noise
-    stay those of each.
+    Elements of a sensor that did not measure are NaN.  Noise is independent between sensors; each sensor keeps its
+    blocks, angles and noise, which learn by the sensor's names.
 
     Args:
         sensors: the parts.
-        inputs: how many entries of ``u`` each gets, in order; by default all get the whole ``u``.
+        inputs: number of entries of ``u`` that each gets, in order; by default each gets all of ``u``.
 
     Raises:
-        ValueError: no sensors, or ``inputs`` that are not a number for each of them.
+        ValueError: no sensors, or not one number in ``inputs`` for each of them.
     """
 
     def __init__(self, *sensors: Sensor, inputs: Sequence[int] | None = None) -> None:
@@ -51,24 +51,24 @@ class Stacked(Sensor):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]  # of these sensors, not of the class
-        """Whether all are linear, and get the same ``u``."""
+        """Whether all parts are linear, and get the same ``u``."""
         return self.inputs is None and all(part.linear for part in self._parts)
 
     @property
     def locates(self) -> bool:  # type: ignore[override]  # of these sensors, not of the class
-        """Whether one of them locates."""
+        """Whether one of the parts locates the target."""
         return any(part.locates for part in self._parts)
 
     @property
     def root(self) -> Tensor | None:  # type: ignore[override]  # of these sensors
-        """``(..., m, m)`` a root of the covariance of the noise, if a part has correlated noise; else None."""
+        """A root ``(..., m, m)`` of the noise covariance if a part has correlated noise; else None."""
         if all(part.root is None for part in self._parts):
             return None
         return block_diagonal([noise_root(part) for part in self._parts])
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """What the parts do."""
+        """The components that the parts expect."""
         return [each for part in self._parts for each in part.expects]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -76,36 +76,36 @@ class Stacked(Sensor):
         return torch.cat([part(x, own) for part, own in zip(self._parts, self._inputs(u), strict=True)], -1)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
-        """``a - b`` of measurements ``(..., m)``, as each part subtracts."""
+        """``a - b`` of measurements ``(..., m)``, by ``difference`` of each part."""
         each = zip(self._parts, a.split(self._sizes, -1), b.split(self._sizes, -1), strict=True)
         return torch.cat([part.difference(x, y) for part, x, y in each], -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """Where the first part that locates has measured the target, as there."""
+        """Where the first part that locates targets locates this one: see ``Sensor.locate``."""
         for part, own in zip(self._parts, z.split(self._sizes, -1), strict=True):
             if part.locates:
                 return part.locate(own)
         return super().locate(z)
 
     def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
-        """The noise of measurements ``z (..., m)``: that of each part, unless it is given for all."""
+        """The noise of measurements ``z (..., m)``: that of each part, unless ``std`` or ``root`` is given."""
         if std is not None or root is not None:
             return super().measurement_noise(z, std, root)
         each = [part.measurement_noise(own) for part, own in zip(self._parts, z.split(self._sizes, -1), strict=True)]
         std, scale = torch.cat([part.std for part in each], -1), torch.cat([part.scale for part in each], -1)
         log_norm = torch.stack([part.log_norm for part in each]).sum(0)
-        if all(part.mix is None for part in each):
+        if all(part.inverse_root is None for part in each):
             return MeasurementNoise(std, scale, None, None, log_norm)
         roots = [part.std.diag_embed() if part.root is None else part.root for part in each]
-        mixes = [part.scale.diag_embed() if part.mix is None else part.mix for part in each]
-        return MeasurementNoise(std, scale, block_diagonal(roots), block_diagonal(mixes), log_norm)
+        inverses = [part.scale.diag_embed() if part.inverse_root is None else part.inverse_root for part in each]
+        return MeasurementNoise(std, scale, block_diagonal(roots), block_diagonal(inverses), log_norm)
 
     def describe(self) -> str:
         """All parts."""
         return " and ".join(part.describe() for part in self._parts)
 
     def _inputs(self, u: Tensor | None) -> Sequence[Tensor | None]:
-        """What each part gets of ``u``."""
+        """The entries of ``u`` for each part."""
         if self.inputs is None:
             return [u] * len(self._parts)
         if u is None or u.shape[-1] != sum(self.inputs):
@@ -122,16 +122,16 @@ class Stacked(Sensor):
 
 
 class Biased(Sensor):
-    """A sensor whose measurements are off by what components of the state say: biases, or the offset of a clock.
+    """A sensor with biases that are components of the state, such as the offset of a clock.
 
     ``Augmented(motion, RandomWalk(q, 1, kind="bias"))`` has such a component behind those of the target.
 
     Args:
-        sensor: what would be measured without.
-        bias: number of the component that is added to every element, or one for each element, None for nothing.
+        sensor: the sensor without biases.
+        bias: number of the component that is added to every element, or one for each element, None for no bias.
 
     Raises:
-        ValueError: no sensor, what is not whole numbers of 0 or more, or not one for each element.
+        ValueError: no sensor, no whole numbers of 0 or more, or not one for each element.
     """
 
     drifts: tuple[str, ...] = ("bias", "clock", "angle", "rate")
@@ -150,17 +150,17 @@ class Biased(Sensor):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether it is without the bias."""
+        """Whether the sensor without biases is linear."""
         return self.unbiased.linear
 
     @property
     def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
-        """As of that sensor."""
+        """Root of the noise covariance of the sensor; None for independent elements."""
         return self.unbiased.root
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """What the sensor without a bias does, and biases."""
+        """The components that the sensor without biases expects, and the biases."""
         return [*self.unbiased.expects, *((i, self.drifts) for i in self.bias if i is not None)]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -170,11 +170,11 @@ class Biased(Sensor):
         return added
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
-        """As of that sensor."""
+        """``a - b`` of measurements ``(..., m)``, angles wrapped."""
         return self.unbiased.difference(a, b)
 
     def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
-        """As of that sensor."""
+        """The noise of measurements ``z (..., m)``: see ``Sensor.measurement_noise``."""
         return self.unbiased.measurement_noise(z, std, root)
 
     def describe(self) -> str:
@@ -183,7 +183,7 @@ class Biased(Sensor):
 
 
 def _is_number(i: Any) -> bool:
-    """Whether it is a whole number from 0."""
+    """Whether it is a whole number of 0 or more."""
     return isinstance(i, Integral) and not isinstance(i, bool) and int(i) >= 0
 
 

@@ -1,4 +1,4 @@
-"""Sensors whose errors last: alike from one measurement to the next, on top of the noise that differs."""
+"""Sensors with time-correlated errors (coloured noise), on top of their white noise."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from torchfra.sensors.places import numbers
 
 
 class Correlated(Sensor):
-    """A sensor with errors that last, beside its noise: a few metres over 10 to 100 s, of any GPS, range or radar.
+    """A sensor with time-correlated errors beside its white noise: a few metres over 10 to 100 s, as GPS or radar has.
 
-    Each element has an error of its own, a first-order Gauss-Markov process of zero mean.  A preset of single targets
-    carries it in its state beside the target; priors and estimates stay those of the target alone::
+    Each element has an error of its own, a first-order Gauss-Markov process of zero mean.  The filter of a preset for
+    single targets has it in its state beside the target; priors and estimates stay those of the target alone::
 
         presets.gpb(ConstantVelocity(1.0), Correlated(Position(1.0), std=3.0, time=60.0))
 
-    ``std`` and ``time`` learn by these names.  ``Stacked`` takes such sensors among others.  ``forward`` is the
-    measurement without the error.
+    ``std`` and ``time`` learn by these names.  ``Stacked`` takes such sensors too.  ``forward`` is the measurement
+    without the error.
 
     Args:
-        sensor: what measures; its own noise is white.
+        sensor: the sensor, whose own noise is white.
         std: standard deviation of the errors, in the measurement's units: a number, or ``(m,)`` one for each element.
-        time: s after which the correlation has fallen to ``exp(-1)``: a number, or ``(m,)``.
+        time: correlation time, s, after which the correlation is ``exp(-1)``: a number, or ``(m,)``.
 
     Raises:
         ValueError: no sensor, or one with errors that last already; ``std`` below 0, ``time`` not above 0, or another
@@ -46,29 +46,29 @@ class Correlated(Sensor):
             if value.shape not in ((), (self.size,)):
                 raise ValueError(f"{name}: expected a number or ({self.size},), received {tuple(value.shape)}")
         if any(value.dim() for value in values):
-            each = zip(*(value.expand(self.size) for value in values), strict=True)
-            self.errors = nn.ModuleList(GaussMarkov(*of_one) for of_one in each)
+            pairs = zip(*(value.expand(self.size) for value in values), strict=True)
+            self.errors = nn.ModuleList(GaussMarkov(*pair) for pair in pairs)
         else:
             self.errors = nn.ModuleList([GaussMarkov(values[0], values[1], self.size)])
 
     @property
     def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether that sensor is."""
+        """Whether the sensor is linear."""
         return self.sensor.linear
 
     @property
     def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
-        """As of that sensor."""
+        """Root of the white noise's covariance; None for independent elements."""
         return self.sensor.root
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """What that sensor does."""
+        """The components that the sensor expects."""
         return self.sensor.expects
 
     @property
     def locates(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether that sensor does."""
+        """Whether the sensor locates the target."""
         return self.sensor.locates
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -77,15 +77,15 @@ class Correlated(Sensor):
         return measured
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
-        """As of that sensor."""
+        """``a - b`` of measurements ``(..., m)``, angles wrapped."""
         return self.sensor.difference(a, b)
 
     def locate(self, z: Tensor) -> Tensor:
-        """As of that sensor."""
+        """Where a measurement ``(..., m)`` locates the target, as the sensor does."""
         return self.sensor.locate(z)
 
     def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
-        """The white noise of that sensor."""
+        """The white noise of the sensor."""
         return self.sensor.measurement_noise(z, std, root)
 
     def describe(self) -> str:
@@ -94,7 +94,7 @@ class Correlated(Sensor):
 
 
 def errors_of(sensor: Sensor) -> list[GaussMarkov]:
-    """The errors of a sensor that last, in the order of the elements that have some."""
+    """The time-correlated errors of a sensor, in the order of its elements."""
     if isinstance(sensor, Correlated):
         return list(sensor.errors)  # type: ignore[arg-type]  # a ModuleList does not know what it holds
     if isinstance(sensor, Stacked):
@@ -102,15 +102,15 @@ def errors_of(sensor: Sensor) -> list[GaussMarkov]:
     return []
 
 
-def erring(sensor: Sensor) -> list[bool]:
-    """For each element of a measurement, whether it has an error that lasts."""
+def have_errors(sensor: Sensor) -> list[bool]:
+    """For each element of a measurement, whether it has a time-correlated error."""
     if isinstance(sensor, Stacked):
-        return [flag for part in sensor.parts for flag in erring(part)]  # type: ignore[arg-type]
+        return [flag for part in sensor.parts for flag in have_errors(part)]  # type: ignore[arg-type]
     return [isinstance(sensor, Correlated)] * sensor.size
 
 
 def without_errors(sensor: Sensor) -> Sensor:
-    """The sensor with its noise alone."""
+    """The sensor with its white noise alone."""
     if isinstance(sensor, Correlated):
         return sensor.sensor
     if isinstance(sensor, Stacked) and errors_of(sensor):
@@ -120,6 +120,6 @@ def without_errors(sensor: Sensor) -> Sensor:
 
 
 def stationary(errors: list[GaussMarkov], like: Tensor) -> Tensor:
-    """Standard deviations ``(..., E)`` of the errors at any time, beside a mean ``like (..., n)``."""
+    """Stationary standard deviations ``(..., E)`` of the errors, for a mean ``like (..., n)``."""
     each = [error.std(like).unsqueeze(-1).expand(*like.shape[:-1], error.size) for error in errors]
     return torch.cat(each, -1)

@@ -20,8 +20,9 @@ class Bearings(Sensor):
 
     Args:
         std: of the measurement noise, rad; a number or ``(..., m)`` with one per station.
-        count: stations whose positions come with each step: ``u (..., 2 count)`` is ``[x1, y1, x2, y2, ...]``, m.
-        stations: ``(m, 2)`` positions of stations that stand still, m; ``u`` is not used then.
+        count: number of stations whose positions come with each step: ``u (..., 2 count)`` is ``[x1, y1, x2, y2,
+            ...]``, m.
+        stations: ``(m, 2)`` positions of fixed stations, m; ``u`` is not used then.
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
     Raises:
@@ -49,7 +50,7 @@ class Bearings(Sensor):
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """Positions in the plane."""
+        """The positions in the plane that it reads."""
         return in_space(2)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -69,11 +70,11 @@ class RangeBearing(Sensor):
     Args:
         std: of the measurement noise: ``(..., m)`` in m, rad[, rad].
         dims: 2 for range and bearing, 3 with elevation.
-        position: ``(dims,)`` where the sensor stands, m; ``u`` is not used then.
+        position: ``(dims,)`` position of the sensor, m; ``u`` is not used then.
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
-    Without a ``position`` the sensor stands where ``u (..., dims)`` says, if there is a ``u``, and else at the origin.
-    Where ``u`` is of another sensor or of the motion, give a ``position``.
+    Without a ``position`` the sensor is at ``u (..., dims)`` if there is a ``u``, otherwise at the origin.  If ``u`` is
+    for another sensor or for the motion, a ``position`` must be given.
 
     Raises:
         ValueError: ``dims`` neither 2 nor 3, a ``position`` of another shape or not finite, a ``u`` that is too short.
@@ -95,7 +96,7 @@ class RangeBearing(Sensor):
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """Positions."""
+        """The positions that it reads."""
         return in_space(self.size)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -113,14 +114,14 @@ class RangeBearing(Sensor):
         return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """The position ``(..., dims)`` that was measured, from the origin with a ``position``, else from the sensor."""
+        """The measured position ``(..., dims)``, relative to the origin with a ``position``, else to the sensor."""
         level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
         plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
         away = torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
         return away if self.stands is None else away + self.stands.to(z)
 
     def units_per_metre(self, z: Tensor) -> Tensor:
-        """1 for the range, and for an angle one over the radius of the circle that it runs along."""
+        """1 for the range, and for an angle the inverse radius of its circle, rad/m."""
         away = z[..., 0]
         one = torch.ones_like(away)
         if self.size == 2:

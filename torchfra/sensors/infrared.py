@@ -13,8 +13,8 @@ from torchfra.sensors.base import Expected, Sensor
 class InfraredLaser(Sensor):
     """Infrared sensor and laser: azimuth and elevation, rad, and range, m, of modified spherical states.
 
-    There are two blocks: ``[azimuth, elevation]`` of the infrared sensor and what the laser measures.  A block that was
-    not measured is NaN.
+    There are two blocks: ``[azimuth, elevation]`` of the infrared sensor, and the elements of the laser.  A block that
+    was not measured is NaN.
 
     Args:
         std: of the measurement noise, rad, rad[, rad, rad], m, one for each element.
@@ -24,10 +24,9 @@ class InfraredLaser(Sensor):
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an unknown ``laser`` or ``azimuth_from``, or see ``Sensor``.
 
-    Source: Chen, Zou & Wu, eqs. (8)-(9).  Differs: the text does not show what the laser measures: we
-    assume the range.
+    Source: Chen, Zou & Wu, eqs. (8)-(9).  Differs: the text does not show what the laser measures; we assume the range.
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class InfraredLaser(Sensor):
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """Angles."""
+        """The angles that it reads."""
         return [(AZIMUTH, ("angle",)), (ELEVATION, ("angle",))]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -68,7 +67,7 @@ class InfraredLaser(Sensor):
         return torch.cat(parts, -1)
 
     def locate(self, z: Tensor) -> Tensor:
-        """The position ``(..., 3)`` that was measured, by the infrared sensor's angles.
+        """The measured position ``(..., 3)``, by the infrared sensor's angles.
 
         Raises:
             ValueError: without a range.
@@ -79,7 +78,7 @@ class InfraredLaser(Sensor):
         return to_cartesian(torch.cat([rates, z[..., :2], 1 / z[..., -1:]], -1), self.azimuth_from)[..., :3]
 
     def units_per_metre(self, z: Tensor) -> Tensor:
-        """1 for the range, and for an angle one over the radius of the circle that it runs along.
+        """1 for the range, and for an angle the inverse radius of its circle, rad/m.
 
         Raises:
             ValueError: without a range, or with two measurements of each angle.

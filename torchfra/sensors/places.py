@@ -1,4 +1,4 @@
-"""Where anchors, stations and cameras are, and what comes of them with each step."""
+"""Positions of anchors, stations and cameras: fixed ones, and those that come with each step as ``u``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchfra.motion.components import KINDS
 
 
 def in_space(dims: int, orders: int = 1) -> list[tuple[int, tuple[str, ...]]]:
-    """What a sensor expects that looks at the first components as positions and, of two orders, velocities."""
+    """``Sensor.expects`` of a sensor that reads positions and, with ``orders`` of 2, velocities."""
     return [(order * dims + axis, (KINDS[order],)) for order in range(orders) for axis in range(dims)]
 
 
@@ -19,7 +19,7 @@ def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
     """The first ``count`` entries of ``u (..., k)``.
 
     Raises:
-        ValueError: no ``u``, or a shorter one; ``what`` says what was expected.
+        ValueError: no ``u``, or a shorter one; ``what`` names the entries in the message.
     """
     if u is None or u.shape[-1] < count:
         received = None if u is None else f"(..., {u.shape[-1]})"
@@ -28,10 +28,10 @@ def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
 
 
 def numbers(value: Any, name: str) -> Tensor:
-    """Numbers as a tensor; those that are in none become doubles, and so do whole ones.
+    """Numbers as a floating-point tensor; all but floating-point tensors become float64.
 
     Raises:
-        ValueError: what is not numbers.
+        ValueError: the value is not numeric.
     """
     try:
         values = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
@@ -41,10 +41,10 @@ def numbers(value: Any, name: str) -> Tensor:
 
 
 def finite(value: Any, *shape: int, name: str) -> Tensor:
-    """Known numbers of a shape as a tensor, as of ``numbers``.
+    """``numbers`` of a known shape that are all finite.
 
     Raises:
-        ValueError: another shape, or what is not finite.
+        ValueError: another shape, or a number that is not finite.
     """
     values = numbers(value, name)
     if values.shape != shape or not bool(values.isfinite().all()):

@@ -31,7 +31,7 @@ class Position(Sensor):
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """Positions."""
+        """The positions that it reads."""
         return in_space(self.size)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -43,5 +43,5 @@ class Position(Sensor):
         return z
 
     def units_per_metre(self, z: Tensor) -> Tensor:
-        """1 for each."""
+        """1 for each element."""
         return torch.ones_like(z)

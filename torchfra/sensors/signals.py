@@ -1,4 +1,4 @@
-"""Ranges by signals whose clocks do not agree: satellites, and time differences of arrival."""
+"""Ranges from signals with unsynchronised clocks: pseudoranges of satellites, and time differences of arrival."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from torchfra.sensors.ranges import RangeRates, Ranges
 
 
 class Pseudoranges(Biased):
-    """Pseudoranges of satellites, m, and how fast they grow, m/s: ranges and rates off by the receiver's clock.
+    """Pseudoranges of satellites, m, and their rates, m/s: ranges and range rates biased by the receiver's clock.
 
-    The state is that of ``Augmented(ConstantVelocity(q, 3), Clock(...))``, in the coordinates of the satellites.  Their
-    own clocks, the turn of the Earth and the air are taken to be corrected.  A satellite that is not there is NaN.
+    The state is that of ``Augmented(ConstantVelocity(q, 3), Clock(...))``, in the coordinates of the satellites.
+    Pseudoranges must be corrected for satellite clocks, the Earth's rotation and the atmosphere.  A satellite out of
+    view is NaN.
 
     Args:
-        count: satellites, whose positions come with each step, ``u (..., 3 m)``; with ``rates`` their velocities
-            behind them, ``u (..., 6 m)``.
-        std: of the pseudoranges, m; a number or ``(..., m)``.
-        rates: of their rates, m/s; a number or ``(..., m)``.  None for no rates.
+        count: number of satellites, whose positions come with each step, ``u (..., 3 m)``; with ``rates`` their
+            velocities behind them, ``u (..., 6 m)``.
+        std: of the pseudoranges' noise, m; a number or ``(..., m)``.
+        rates: standard deviation of the rates' noise, m/s; a number or ``(..., m)``.  None for no rates.
         clock: component of the state that holds the clock's offset, m, with its drift, m/s, behind it:
             ``motion.components.index("clock")``.
 
@@ -44,24 +45,24 @@ class Pseudoranges(Biased):
         self.count = count
 
     def describe(self) -> str:
-        """How many satellites."""
+        """The number of satellites."""
         return f"pseudoranges of {self.count} satellites"
 
 
 class TimeDifferences(Sensor):
     """Differences of arrival times at anchors against the first one, times the speed of the signal: m.
 
-    The first arrival is in all differences, so that their noise is correlated.  ``std`` here is that of arrivals, while
-    ``std=`` of a filter's call, with the measurements, is that of the differences, independent of each other; hand in
-    ``noise=`` for correlated ones.
+    The first arrival is in all differences, so their noise is correlated.  ``std`` here is that of arrivals.  In
+    contrast, ``std=`` of a filter's call, with the measurements, is that of differences with independent noise;
+    ``noise=`` there is for correlated noise.
 
     Args:
-        anchors: as of ``Ranges``, like ``options``; of ``m + 1`` anchors there are ``m`` differences.
-        std: of each arrival, times the speed, m; a number or ``(..., m + 1)`` with one per anchor.
+        anchors: see ``Ranges``; ``m + 1`` anchors have ``m`` differences.
+        std: of each arrival's noise, times the speed, m; a number or ``(..., m + 1)`` with one per anchor.
         options: ``count``, ``dims``, ``height`` and ``noise`` (of the arrivals) of ``Ranges``.
 
     Raises:
-        ValueError: as of ``Ranges``, or a single anchor.
+        ValueError: see ``Ranges``; or a single anchor.
 
     Source: Foy (1976), "Position-Location Solutions by Taylor-Series Estimation".
     """
@@ -75,13 +76,13 @@ class TimeDifferences(Sensor):
 
     @property
     def root(self) -> Tensor | None:  # type: ignore[override]  # of the arrivals
-        """``(..., m, m + 1)`` a root of the covariance of the noise."""
+        """A root ``(..., m, m + 1)`` of the noise covariance."""
         arrivals = noise_root(self.arrivals)
         return arrivals[..., 1:, :] - arrivals[..., :1, :]
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """As ranges do."""
+        """The positions that it reads."""
         return self.arrivals.expects
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
@@ -91,5 +92,5 @@ class TimeDifferences(Sensor):
         return differences
 
     def describe(self) -> str:
-        """How many, and of what."""
+        """The number of anchors."""
         return f"time differences of {self.arrivals.describe()}"

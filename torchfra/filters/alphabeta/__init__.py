@@ -1,4 +1,4 @@
-"""Filters of constant gains: their design, a single filter, and a bank that switches."""
+"""Constant-gain filters: design of gains, a single filter, and a bank that switches."""
 
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.gains import Gains

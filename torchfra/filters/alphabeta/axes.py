@@ -1,4 +1,4 @@
-"""Arithmetic of filters of constant gains, axis by axis: prediction, update, gains of special steps, covariances."""
+"""Arithmetic of constant-gain filters, axis by axis: prediction, update, gains of special steps, covariances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import tria
 
 Rows: TypeAlias = list[list[Tensor]]
-"""Of the covariance roots of all axes: element i, j of each is ``(..., d)``."""
+"""Rows of the covariance roots of all axes: entry i, j is ``(..., d)``."""
 
 
 def predict_axes(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
@@ -27,13 +27,13 @@ def predict_axes(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
 
 
 def update_axes(predicted: list[Tensor], column: list[Tensor], since: Tensor, residual: Tensor) -> list[Tensor]:
-    """Position, velocity(, acceleration) after a residual; those without a gain are 0."""
+    """Position, velocity(, acceleration) after the update by a residual; those without a gain are 0."""
     moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(predicted, column, strict=False))]
     return moved + [torch.zeros_like(residual) for _ in predicted[len(column) :]]
 
 
 def short_step_gains(column: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
-    """Gains for a step shorter than their period, as those of a tracking index that falls with the step's square."""
+    """Gains for a step shorter than their period: those of a tracking index in proportion to the step's square."""
     if period is None:
         return column
     share = (since / period(since).unsqueeze(-1)).clamp_max(1.0)
@@ -59,7 +59,7 @@ def two_gain_root(alpha: Tensor, beta: Tensor) -> tuple[list[Tensor], Tensor]:
 
 
 def three_gain_root(alpha: Tensor, beta: Tensor, gamma: Tensor) -> tuple[list[Tensor], Tensor]:
-    """The same as ``two_gain_root`` for three gains."""
+    """Steady-state covariance root, row by row, and variance of the residual of three gains: see ``two_gain_root``."""
     rows = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
     transition = torch.tensor(rows, dtype=alpha.dtype, device=alpha.device)
     root = design.steady_root(transition, torch.stack([alpha, beta, gamma / 2], -1))
@@ -68,14 +68,14 @@ def three_gain_root(alpha: Tensor, beta: Tensor, gamma: Tensor) -> tuple[list[Te
 
 
 def root_rows(entries: Tensor) -> Rows:
-    """The rows of roots from their entries ``(..., p, d)`` that are not zero, row by row."""
+    """Rows of covariance roots from their nonzero entries ``(..., p, d)``, which are stored row by row."""
     size = 2 if entries.shape[-2] == 3 else 3
     zero = torch.zeros_like(entries[..., 0, :])
     return [[entries[..., i * (i + 1) // 2 + j, :] if j <= i else zero for j in range(size)] for i in range(size)]
 
 
 def axis_roots(root: Tensor, orders: int, size: int) -> Tensor:
-    """Entries ``(..., p, d)`` of the root of each axis, of its first ``size`` orders, from a whole ``(..., n, n)``."""
+    """Entries ``(..., p, d)`` of the root of each axis, of its first ``size`` orders, from a root ``(..., n, n)``."""
     rows = tria(root.unflatten(-2, (orders, -1)).transpose(-2, -3)[..., :size, :])
     return torch.stack([rows[..., i, j] for i in range(size) for j in range(i + 1)], -2)
 
@@ -91,8 +91,8 @@ def corrected_root(rows: Rows, column: list[Tensor], since: Tensor, used: Tensor
     Args:
         rows: of a root of P.
         column: gains of position, velocity(, acceleration).
-        since: seconds that they are divided by.
-        used: 1 where they are used, 0 where K is 0.
+        since: seconds that the gains are divided by.
+        used: 1 where the measurement is used, 0 where K is 0.
         std: root of R.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.2 (the form of Joseph).
@@ -128,7 +128,7 @@ def full_root(entries: Tensor, n: int) -> Tensor:
     p, d = entries.shape[-2:]
     places = [(row, column) for row in range(3) for column in range(row + 1)][:p]
     if not is_traced(entries) and entries.dim() > 3 and entries.stride(0) == 1:
-        # Kernels write tracks side by side; the root keeps that layout.
+        # Kernels write the entries of neighbouring tracks side by side; the root keeps that layout.
         batch = entries.shape[:-2]
         root = entries.new_zeros((*batch[1:], n, n, batch[0])).movedim(-1, 0)
         for i, (row, column) in enumerate(places):

@@ -35,7 +35,6 @@ from torchfra.filters.alphabeta.memory import (
     Vote,
     remember,
 )
-from torchfra.filters.base import Mix
 from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.inputs import Frame
@@ -46,14 +45,15 @@ from torchfra.types import Gaussian
 
 
 class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
-    """Alpha-beta filters that share one state, of which the data choose the gains: the slow ones for straight flight.
+    """Alpha-beta filters that share one state and switch their gains with the data: small gains for straight flight.
 
-    A residual above ``manoeuvre`` raises a flag, a majority of the last flags votes for a manoeuvre.  Without one, a
-    residual beyond ``outlier`` is rejected and the track extrapolated; in one, only what is out of the target's reach
-    is.  After too many rejections the filter restarts from the last two measurements.
+    A residual above ``manoeuvre`` raises a flag; a majority of the last flags votes for a manoeuvre.  Without a
+    manoeuvre, a residual beyond ``outlier`` is rejected and the track is extrapolated; in a manoeuvre, only a residual
+    that the target cannot reach is rejected.  After too many rejections the filter restarts from the last two
+    measurements.
 
-    ``Estimate.scale_tril`` is that of the errors which the prior and the measurement noise of the sensor leave under
-    the gains that were used: it grows while nothing is measured or used.  What a manoeuvre adds is not in it.
+    ``Estimate.scale_tril`` is a root of the covariance of errors by the prior and the measurement noise under the gains
+    in use: it grows while measurements are missing or rejected.  Errors by manoeuvres are not in it.
 
     All choices are hard.  With a ``temperature`` they are soft, for training: each comparison becomes a sigmoid (in
     units of its threshold), and gains are mixed.  ``f.temperature = 0`` makes a trained filter hard; restarts are
@@ -63,39 +63,41 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         motion: constant velocity, or acceleration for levels with three gains (with two it stays 0); only its
             dimensions and orders count.
         sensor: a ``Position``; its std is the unit of the thresholds.
-        gains: of the levels, the fastest first, ``(N,)``; ``gamma`` is 0 for levels that take the acceleration for 0.
-            ``torchfra.filters.alphabeta.gains.levels`` unless given.
+        gains: of the levels, the fastest first, ``(N,)``; ``gamma`` is 0 for levels of two gains.
+            ``torchfra.filters.alphabeta.gains.levels`` if None.
         manoeuvre: residual that raises a flag, in std; None for 3 times the slowest filter's own.
         outlier: residual that is rejected outside manoeuvres, in std; None for 3 times ``manoeuvre``.
-        degrees: ``(N - 2,)`` shares of ``manoeuvre``, falling: which level a residual in a manoeuvre chooses.
+        degrees: ``(N - 2,)`` shares of ``manoeuvre``, falling: thresholds of the residual that choose a level in a
+            manoeuvre.
         limit: largest acceleration of the target, m/s^2.
-        margin: residual in std that is within reach in any case.
+        margin: residual in std that is never rejected in a manoeuvre.
         hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre.
         dwell: steps without a vote after which a manoeuvre ends.
-        votes: flags before the newest one, even.
-        patience: rejections in a row after which the filter restarts with the next.
-        longest: seconds without a measurement that was used after which the filter starts anew with the next one.
-        converged: measurements after which it decides; before, the fastest level is used.
-        flag_on_reject: which flag a rejected measurement leaves: ``"raw"`` its own, or ``"hold"`` the vote.
-        detect: ``"cartesian"``: each axis for itself; ``"polar"``: range and horizontal azimuth from the origin vote,
-            and all axes follow.
-        onset: what a manoeuvre begins from: ``"shared"`` the state as it is, which lags after slow gains; or
+        votes: number of flags before the newest one, even.
+        patience: rejections in a row after which the next rejection restarts the filter.
+        longest: seconds without a used measurement after which the next measurement restarts the filter.
+        converged: measurements before the first decision; until then the fastest level is used.
+        flag_on_reject: the flag that the history keeps of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the
+            vote.
+        detect: ``"cartesian"``: each axis decides by itself; ``"polar"``: range and horizontal azimuth from the origin
+            decide for all axes.
+        onset: the state at the onset of a manoeuvre: ``"shared"`` the one as it is, which lags after small gains, or
             ``"fastest"`` that of the fastest filter, which then runs all the time.
-        expect: what residuals are compared with: ``"paper"``: always the same threshold; ``"level"``: one that grows
-            with what the level in use expects of its residuals.
+        expect: the threshold of residuals: ``"paper"`` a constant one, ``"level"`` one in proportion to the residuals
+            of the level in use in its steady state.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
         initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
-        period: seconds between measurements that the gains are meant for: those of shorter steps are smaller; None
+        period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
             for steps that hardly differ.
-        confirm: whether it starts and restarts only from two measurements that a third confirms: one that the target
-            reaches from them by ``limit`` and ``margin``.  Until then it starts from the newest one, at no speed, and
-            goes on as it was instead of restarting.
+        confirm: whether a start or restart from two measurements needs a third one that the target can reach from them
+            by ``limit`` and ``margin``.  Without it, a start uses the newest measurement at a velocity of 0, and a
+            track is not restarted.
 
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
 
     Source: Xu et al., "multilevel combined alpha-beta filter"; reconstructed where its formulas are lost.  Differs:
-    after rejections the gain of the velocity is divided by all of the time that has passed.  ``onset``, ``expect``,
+    after rejections the velocity gain is divided by the time since the last used measurement.  ``onset``, ``expect``,
     ``confirm`` and the soft choices are additions.
     """
 
@@ -139,7 +141,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         self.temperature = temperature
 
     def _check(self) -> None:
-        """Checks what is neither gain nor threshold."""
+        """Checks all arguments but gains and thresholds."""
         one_of(
             flag_on_reject=(self.flag_on_reject, ("raw", "hold")),
             detect=(self.detect, ("cartesian", "polar")),
@@ -199,7 +201,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             since=zero,
             rejected=zero,
             flags=channels.unsqueeze(-2).expand(*channels.shape[:-1], self.votes, -1),
-            known=zero,
+            flag_count=zero,
             manoeuvre=zero,
             quiet=zero,
             level=torch.nn.functional.pad(zero.unsqueeze(-1) + 1, (0, self.alpha.raw.shape[-1] - 1)),
@@ -209,9 +211,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             fastest=Gaussian(mean, root) if self.onset == "fastest" else None,
         )
 
-    def advance(
-        self, state: AlphaBetaBankState, frame: Frame, mix: Mix | None = None
-    ) -> tuple[AlphaBetaBankState, Record]:
+    def advance(self, state: AlphaBetaBankState, frame: Frame) -> tuple[AlphaBetaBankState, Record]:
         """One step, in the order of the paper: manoeuvre vote, outlier test, choice of the level, update."""
         innovation = self.innovation(state, frame)
         vote = self.manoeuvre_vote(state, innovation)
@@ -225,7 +225,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return after, record(after, innovation.residual, frame, spread, _info(vote, test, level))
 
     def _flag_left(self, vote: Vote, test: OutlierTest) -> Tensor:
-        """The flag that this measurement leaves in the history."""
+        """The flag that the history keeps of this measurement."""
         return vote.flag if self.flag_on_reject == "raw" else vote.flag + test.rejected * (vote.vote - vote.flag)
 
     # ------------------------------------------------------------ decisions, in the order of the paper
@@ -243,13 +243,13 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return AxisInnovation(z, predicted, residual, size, channels, frame.measured, measured, dt, since, std)
 
     def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Vote:
-        """Whether this is a manoeuvre: the flag of this measurement, and the majority of the last ones."""
+        """The vote on a manoeuvre: the flag of this measurement, and the majority of the last flags."""
         channels = innovation.channels
         expected = 1.0 if self.expect == "paper" else self._expected_ratio(state.level)
         threshold = self.manoeuvre(channels).unsqueeze(-1) * expected
         threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(channels).unsqueeze(-1)))
         flag = self._above(channels / threshold, 1.0)
-        enough = self._above(state.used, self.converged - 0.5) * self._above(state.known, self.votes - 0.5)
+        enough = self._above(state.used, self.converged - 0.5) * self._above(state.flag_count, self.votes - 0.5)
         majority = self._above(reduce(torch.add, state.flags.unbind(-2), flag), (self.votes + 1) / 2)
         vote = enough * self._any(majority) * innovation.measured
         quiet = (1 - vote) * (state.quiet + innovation.measured)
@@ -257,19 +257,19 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return Vote(flag, vote, vote + (1 - vote) * state.manoeuvre * lasting, quiet)
 
     def outlier_test(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> OutlierTest:
-        """Whether this is an outlier: above a threshold, or in a manoeuvre out of the target's reach; and restarts."""
+        """The test for outliers: a residual above a threshold, or in a manoeuvre beyond reach; and restarts."""
         limit = self._largest_residual(state, innovation, manoeuvre)
         measured, started = innovation.measured, (state.used > 1.5).to(innovation.since)
         rejected = self._any(self._above(innovation.size / limit, 1.0))
-        rejected = rejected * measured * started  # two points start a track, whatever they are
-        begun = (state.used > 0.5).to(rejected)
-        expired = (innovation.since > self.longest).to(rejected) * measured * begun
+        rejected = rejected * measured * started  # the first two points start a track and are never rejected
+        any_used = (state.used > 0.5).to(rejected)
+        expired = (innovation.since > self.longest).to(rejected) * measured * any_used
         rejected = torch.maximum(rejected, expired * started) if self.confirm else rejected * (1 - expired)
         in_a_row, accepted = state.rejected + rejected, (1 - rejected) * measured
         restarted = torch.maximum((in_a_row > self.patience).to(rejected) * (rejected > 0.5), expired)
         if not self.confirm:
             return OutlierTest(rejected, accepted, accepted, in_a_row, restarted, 2 - expired, restarted)
-        starting = begun - started
+        starting = any_used - started
         restarted = torch.maximum(restarted, starting) * measured * self._confirmed(state, innovation)
         counted, two = accepted * (1 - starting), torch.full_like(rejected, 2.0)
         return OutlierTest(rejected, accepted, counted, in_a_row, restarted, two, restarted * started)
@@ -288,7 +288,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
 
     def _largest_residual(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> Tensor:
-        """``(..., d)`` in std: what the target can reach in a manoeuvre, and the threshold of outliers without one."""
+        """``(..., d)`` in std: the reach of the target in a manoeuvre, otherwise the threshold of outliers."""
         flagged_steps = self._flags_in_a_row(state)
         reach = innovation.since + innovation.dt * flagged_steps * (1 - self._above(state.rejected, 0.5))
         limit, margin, outlier = (h(reach).unsqueeze(-1) for h in (self.limit, self.margin, self.outlier))
@@ -297,7 +297,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return largest
 
     def _flags_in_a_row(self, state: AlphaBetaBankState) -> Tensor:
-        """``(..., g)`` flags raised without a gap immediately before this step."""
+        """``(..., g)`` number of successive flags immediately before this step."""
         count, flagged = torch.zeros_like(state.since), self._any(state.flags[..., 0, :])
         for i in range(self.votes):
             count = count + flagged
@@ -307,7 +307,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def choose_level(
         self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor, accepted: Tensor
     ) -> Tensor:
-        """Shares ``(..., g, N)`` of the levels; a single 1 where choices are hard.  A rejected step keeps the last."""
+        """Shares ``(..., g, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
         channels = innovation.channels
         converged = self._above(state.used, self.converged - 0.5)
         degree = channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
@@ -321,11 +321,11 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return torch.lerp(state.level, level, accepted.unsqueeze(-1))
 
     def _above(self, x: Tensor, threshold: float) -> Tensor:
-        """1 where ``x`` is larger, else 0; between the two where choices are soft."""
-        return torch.sigmoid((x - threshold) / self.heat) if self.soft else (x > threshold).to(x)
+        """1 where ``x`` is larger, else 0; with soft choices a sigmoid."""
+        return torch.sigmoid((x - threshold) / self.temperature) if self.soft else (x > threshold).to(x)
 
     def _any(self, flags: Tensor) -> Tensor:
-        """Decisions ``(..., g)`` from those of channels: one for each axis, or one for all."""
+        """Decisions ``(..., g)`` from those of channels: for each axis, or for all axes if any channel decides."""
         if self.detect == "cartesian":
             return flags
         none: Tensor = reduce(torch.mul, (1 - flags).split(1, -1))
@@ -335,17 +335,17 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return steady_states(self.alpha(like), self.beta(like), None if self.gamma is None else self.gamma(like))
 
     def _expected_ratio(self, level: Tensor) -> Tensor:
-        """How much larger residuals of the level in use are than those of the slowest."""
+        """Ratio of the steady-state residuals of the level in use to those of the slowest level."""
         variance = self._steady_states(level)[1]
         ratio: Tensor = (of_level(level, variance) / variance[..., -1:]).sqrt()
         return ratio
 
-    # ------------------------------------------------------------ what becomes of the beliefs
+    # ------------------------------------------------------------ the update of beliefs
 
     def update(
         self, state: AlphaBetaBankState, innovation: AxisInnovation, vote: Vote, test: OutlierTest, level: Tensor
     ) -> tuple[Gaussian, Gaussian | None]:
-        """The belief after the step, and that of the fastest filter if it runs all the time."""
+        """The belief after the step, and that of the fastest filter if that runs all the time."""
         belief = self._corrected(state, innovation, test, Gaussian(state.mean, state.root), level)
         restart, fastest = _restarted(state, innovation, test.points), state.fastest
         if fastest is not None:
@@ -380,12 +380,12 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return Gaussian(mean, corrected_root(rows, gains, since, used, innovation.std))
 
     def _where(self, mask: Tensor, yes: Gaussian, no: Gaussian) -> Gaussian:
-        """The one or the other belief, for each axis."""
+        """One of two beliefs for each axis, by ``mask (..., g)``."""
         mean = torch.where(self._of_states(mask) > 0, yes.mean, no.mean)
         return Gaussian(mean, torch.where(mask.unsqueeze(-2) > 0, yes.scale_tril, no.scale_tril))
 
     def _of_states(self, decision: Tensor) -> Tensor:
-        """A decision ``(..., g)`` for each state ``(..., n)``."""
+        """A decision ``(..., g)``, expanded to the components of the state ``(..., n)``."""
         return torch.cat([decision.expand(*decision.shape[:-1], self.motion.dims)] * self.motion.orders, -1)
 
 
@@ -406,7 +406,7 @@ def _polar(z: Tensor, predicted: Tensor, std: Tensor) -> Tensor:
 
 
 def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Tensor) -> Gaussian:
-    """Mean and entries of the root of a track that begins with the last two measurements, or with the last alone."""
+    """Mean and entries of the root of a track that starts from the last two measurements, or from the last alone."""
     two, since, std = points - 1, state.since_last + innovation.dt, innovation.std
     speed = two * (innovation.z - state.last) / since
     along = two * std / since
@@ -418,7 +418,7 @@ def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Te
 
 
 def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
-    """Entries of the root of a track of which nothing was used for long: it has any speed since then."""
+    """Entries of the root of a track without a used measurement for long: its velocity is that of the prior."""
     speed = state.start[..., 1, :]
     entries = [innovation.since * speed, speed, 0 * speed]
     if state.start.shape[-2] > 2:
@@ -427,14 +427,14 @@ def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
 
 
 def one_level(place: int, level: Tensor) -> Tensor:
-    """Shares ``(N,)`` of a single level."""
+    """Shares ``(N,)`` with 1 for a single level."""
     return torch.eye(level.shape[-1], dtype=level.dtype, device=level.device)[place]
 
 
 def of_level(level: Tensor, values: Tensor) -> Tensor:
-    """Values ``(..., g)`` of the level in use, from those ``(..., N)`` of all levels and its shares ``(..., g, N)``."""
+    """Values ``(..., g)`` of the level in use, from those ``(..., N)`` of all and the shares ``(..., g, N)``."""
     parts = [level[..., i] * values[..., i].unsqueeze(-1) for i in range(level.shape[-1])]
-    return reduce(torch.add, parts)  # many times faster than a sum over so few
+    return reduce(torch.add, parts)  # many times faster than a sum over a dimension of few entries
 
 
 def steady_states(alpha: Tensor, beta: Tensor, gamma: Tensor | None) -> tuple[list[Tensor], Tensor]:
@@ -449,7 +449,7 @@ def steady_states(alpha: Tensor, beta: Tensor, gamma: Tensor | None) -> tuple[li
 
 
 def all_stable(gains: Gains) -> bool:
-    """Whether every level is stable; one whose ``gamma`` is 0 has two gains."""
+    """Whether every level is stable; a level whose ``gamma`` is 0 has two gains."""
     alpha, beta, gamma = gains
     if gamma is None:
         return design.stable(gains)

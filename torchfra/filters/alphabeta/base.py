@@ -1,4 +1,4 @@
-"""What a single filter of constant gains and a bank of them share."""
+"""The base of constant-gain filters: the single filter and the bank."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ConstantGainFilter(Filter[S]):
         self.period = None if period is None else Hyper(period, name="period")
 
     def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
-        """The mean to begin with, zeros ``(..., d)``, and the number of measurements that it stands for."""
+        """The initial mean, zeros ``(..., d)``, and the number of measurements that the mean counts as."""
         d = self.motion.dims
         zero = torch.zeros_like(belief.mean[..., :d])
         if self.initiation == "prior":
@@ -57,7 +57,7 @@ class ConstantGainFilter(Filter[S]):
         return components
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """What is measured, less what hypotheses ``(K, ..., n)`` expect: ``(K, ..., m)`` in units of the noise."""
+        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
         mean, root = (x[..., : self.sensor.size, :] for x in (beliefs.mean.unsqueeze(-1), beliefs.scale_tril))
         noise = frame.measurement_noise
         one = torch.ones_like(frame.z).diag_embed().expand(*mean.shape[:-1], -1)
@@ -65,10 +65,10 @@ class ConstantGainFilter(Filter[S]):
         return Gaussian(whitened, tria(hstack(one, noise.whiten(root))))
 
     def check_smooths(self) -> None:
-        """There is no smoother.
+        """Refuses to smooth.
 
         Raises:
-            NotImplementedError: always, and says what to do.
+            NotImplementedError: always; the message names filters that can be smoothed.
         """
         name = type(self).__name__
         raise NotImplementedError(
@@ -77,7 +77,7 @@ class ConstantGainFilter(Filter[S]):
         )
 
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
-        """Beliefs of a sequence with the whole root, of which steps keep the entries that are not zero."""
+        """Beliefs of all steps with full roots, of which steps keep the nonzero entries."""
         return Gaussian(belief.mean, full_root(belief.scale_tril, belief.mean.shape[-1])), info
 
 

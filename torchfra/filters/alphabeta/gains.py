@@ -1,4 +1,4 @@
-"""Constant gains of alpha-beta(-gamma) filters: how to choose them, and what they make of noise and of manoeuvres.
+"""Constant gains of alpha-beta(-gamma) filters: their design, and the variances to which they lead.
 
 Per axis, with the residual ``r`` of a position and the time step ``T``:
 
@@ -17,7 +17,7 @@ from torchfra.linalg.triangular import hstack, tria
 
 
 class Gains(NamedTuple):
-    """Of one filter, or of several in a last dimension."""
+    """Gains of one filter, or of several in a last dimension."""
 
     alpha: Tensor
     beta: Tensor
@@ -25,18 +25,18 @@ class Gains(NamedTuple):
 
 
 class Variances(NamedTuple):
-    """Steady-state variances, in units of the measurement's; ``T`` is 1."""
+    """Steady-state variances, in units of that of the measurement noise, for a step ``T`` of 1."""
 
     position: Tensor
     cross: Tensor
-    """Of position and velocity."""
+    """Covariance of position and velocity."""
     velocity: Tensor
     prediction: Tensor
-    """Of the predicted position; the residual's is 1 more."""
+    """Variance of the predicted position; that of the residual is larger by 1."""
 
 
 def kalata(index: Value, orders: int = 2) -> Gains:
-    """Steady-state Kalman gains for a noise acceleration (with ``orders`` 3: a change of acceleration) in each step.
+    """Steady-state Kalman gains for a random acceleration (with ``orders`` 3: a change of acceleration) in each step.
 
     Args:
         index: tracking index ``std(acceleration) T^2 / std(measurement)``, above 0.
@@ -62,9 +62,9 @@ def kalata(index: Value, orders: int = 2) -> Gains:
 
 
 def levels(orders: int = 2) -> Gains:
-    """Of a bank of three: for hard and mild manoeuvres and straight flight, by tracking indices 1.5, 0.5 and 0.1.
+    """Gains of a bank of three filters: for hard and mild manoeuvres and straight flight.
 
-    With ``orders`` 3 the first two have three gains, of index 0.1 and 0.03.
+    The tracking indices are 1.5, 0.5 and 0.1.  With ``orders`` 3 the first two have three gains, of index 0.1 and 0.03.
     """
     two = kalata(torch.tensor([1.5, 0.5, 0.1], dtype=torch.float64))
     if orders == 2:
@@ -76,7 +76,7 @@ def levels(orders: int = 2) -> Gains:
 
 
 def benedict_bordner(alpha: Value) -> Gains:
-    """The velocity gain that trades noise against the transient best.  Source: Benedict & Bordner (1962).
+    """Gains with the best compromise between noise and transient errors.  Source: Benedict & Bordner (1962).
 
     Raises:
         ValueError: ``alpha`` not in (0, 1].
@@ -86,7 +86,7 @@ def benedict_bordner(alpha: Value) -> Gains:
 
 
 def critically_damped(theta: Value) -> Gains:
-    """Fading memory: both poles at ``theta``, in (0, 1).  Source: Morrison (1969).
+    """Gains of fading memory: both poles at ``theta``, in (0, 1).  Source: Morrison (1969).
 
     Raises:
         ValueError: ``theta`` not in (0, 1).
@@ -98,12 +98,12 @@ def critically_damped(theta: Value) -> Gains:
 
 
 def expanding_memory(k: Tensor) -> Gains:
-    """Gains of the k-th measurement, from 1, that make a least-squares line through all of them."""
+    """Gains of the k-th measurement, from 1, with which the estimate is the least-squares line through all of them."""
     return Gains(2 * (2 * k - 1) / (k * (k + 1)), torch.where(k > 1, 6 / (k * (k + 1)), 0.0))
 
 
 def variances(alpha: Tensor, beta: Tensor) -> Variances:
-    """What gains make of white measurement noise.  Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.5."""
+    """Variances by white measurement noise.  Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.5."""
     scale = alpha * (4 - 2 * alpha - beta)
     square, product = 2 * alpha.square() + 2 * beta, alpha * beta
     return Variances(
@@ -115,7 +115,7 @@ def variances(alpha: Tensor, beta: Tensor) -> Variances:
 
 
 def steady_root(transition: Tensor, gain: Tensor) -> Tensor:
-    """Lower root ``(..., k, k)`` of the covariance that white noise leaves in ``x = (I - gain H) F x + gain noise``.
+    """Lower root ``(..., k, k)`` of the steady-state covariance of ``x = (I - gain H) F x + gain noise``.
 
     Args:
         transition: ``F (..., k, k)``, position first.
@@ -124,13 +124,13 @@ def steady_root(transition: Tensor, gain: Tensor) -> Tensor:
     eye = torch.eye(gain.shape[-1], dtype=gain.dtype, device=gain.device)
     step = (eye - gain.unsqueeze(-1) * eye[0]) @ transition
     root = gain.unsqueeze(-1)
-    for _ in range(12):  # each doubles the past that is looked at
+    for _ in range(12):  # each iteration doubles the number of steps
         root, step = tria(hstack(root, step @ root)), step @ step
     return root
 
 
 def stable(gains: Gains) -> bool:
-    """Whether errors die out, of every filter."""
+    """Whether every filter is stable: errors decay."""
     alpha, beta, gamma = gains
     column = [alpha, beta] if gamma is None else [alpha, beta, gamma / 2]
     gain = torch.stack(torch.broadcast_tensors(*column), -1)

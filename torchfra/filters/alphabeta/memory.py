@@ -23,7 +23,7 @@ class Earlier(NamedTuple):
 
 
 class AlphaBetaBankState(NamedTuple):
-    """State after a step; ``g`` is the number of axes, or 1 where all axes decide together."""
+    """State after a step; ``g`` is the number of axes, or 1 if all axes decide together."""
 
     mean: Tensor
     root: Tensor
@@ -31,29 +31,29 @@ class AlphaBetaBankState(NamedTuple):
     start: Tensor
     """``(..., k, d)`` std of position, velocity(, acceleration) of the prior."""
     used: Tensor
-    """``(..., g)`` measurements that were used since the (re)start."""
+    """``(..., g)`` number of measurements used since the (re)start."""
     since: Tensor
-    """``(..., g)`` seconds since the last of them."""
+    """``(..., g)`` seconds since the last used measurement."""
     rejected: Tensor
-    """``(..., g)`` measurements rejected since then."""
+    """``(..., g)`` number of measurements rejected since the last used one."""
     flags: Tensor
-    """``(..., votes, c)`` of the last measurements, the newest first; ``c`` is an axis, or range and azimuth."""
-    known: Tensor
-    """``(..., g)`` how many of them there are."""
+    """``(..., votes, c)`` flags of the last measurements, the newest first; ``c`` is an axis, or range and azimuth."""
+    flag_count: Tensor
+    """``(..., g)`` number of flags in the history."""
     manoeuvre: Tensor
     """``(..., g)`` 1 in a manoeuvre."""
     quiet: Tensor
-    """``(..., g)`` steps since the last vote for one."""
+    """``(..., g)`` steps since the last vote for a manoeuvre."""
     level: Tensor
     """``(..., g, N)`` the filter that was used last."""
     last: Tensor
     """``(..., d)`` the last measurement, used or not."""
     since_last: Tensor
-    """``(..., d)`` seconds since it."""
+    """``(..., d)`` seconds since the last measurement."""
     earlier: Earlier | None
-    """What a restart is confirmed by, if it has to be."""
+    """The measurement before the last one, by which a restart is confirmed; None without ``confirm``."""
     fastest: Gaussian | None
-    """Mean ``(..., n)`` and entries of the root of the fastest filter, if that runs all the time."""
+    """Mean ``(..., n)`` and entries of the root of the fastest filter, if it runs all the time."""
 
     @property
     def belief(self) -> Gaussian:
@@ -62,18 +62,18 @@ class AlphaBetaBankState(NamedTuple):
 
 
 class AlphaBetaInfo(NamedTuple):
-    """Per step and track, for each axis, or once where all axes decide together: ``(..., T, g)``."""
+    """Per step and track, for each axis, or once if all axes decide together: ``(..., T, g)``."""
 
     level: Tensor
-    """Which filter was used, from 0 (the fastest); at a rejected step the one before."""
+    """Number of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
     vote: Tensor
     """bool: the flags voted for a manoeuvre."""
     manoeuvre: Tensor
-    """bool: treated as one."""
+    """bool: the step is treated as part of a manoeuvre."""
     rejected: Tensor
-    """bool: an outlier, not used."""
+    """bool: the measurement was rejected as an outlier."""
     restarted: Tensor
-    """bool: begun anew after too many of them, or too long without one that was used."""
+    """bool: the track restarted, after too many rejections or too long without a used measurement."""
 
     @property
     def outlier(self) -> Tensor:
@@ -91,16 +91,16 @@ class AxisInnovation(NamedTuple):
     residual: Tensor
     """``(..., d)``, 0 where nothing was measured."""
     size: Tensor
-    """``(..., d)`` of the residual, in std."""
+    """``(..., d)`` absolute residual, in std."""
     channels: Tensor
-    """``(..., c)`` the residuals that flags are raised by, in std: of each axis, or of range and azimuth."""
+    """``(..., c)`` the absolute residuals that raise flags, in std: of each axis, or of range and azimuth."""
     axis_measured: Tensor
     """``(..., d)`` 1 where the axis was measured."""
     measured: Tensor
-    """``(..., g)`` 1 where there is something to decide."""
+    """``(..., g)`` 1 where all axes of a decision were measured."""
     dt: Tensor
     since: Tensor
-    """``(..., g)`` seconds since the last measurement that was used."""
+    """``(..., g)`` seconds since the last used measurement."""
     std: Tensor
 
 
@@ -115,37 +115,38 @@ class Vote(NamedTuple):
 
 
 class OutlierTest(NamedTuple):
-    """The test for outliers, and what follows from it."""
+    """The test for outliers, and restarts."""
 
     rejected: Tensor
-    """``(..., g)`` 1 for a measurement that is not used."""
+    """``(..., g)`` 1 for a rejected measurement."""
     accepted: Tensor
-    """``(..., g)`` 1 for one that is."""
+    """``(..., g)`` 1 for an accepted measurement."""
     counted: Tensor
-    """``(..., g)`` 1 for one that counts as used."""
+    """``(..., g)`` 1 for a measurement that ``used`` counts."""
     in_a_row: Tensor
-    """``(..., g)`` rejections since the last measurement that was used."""
+    """``(..., g)`` number of rejections since the last used measurement."""
     restarted: Tensor
+    """``(..., g)`` 1 where the track starts or restarts."""
     points: Tensor
-    """``(..., g)`` measurements that a restart begins with."""
+    """``(..., g)`` number of measurements that a restart begins with."""
     again: Tensor
-    """``(..., g)`` 1 where the track had started before it restarts."""
+    """``(..., g)`` 1 where a track restarts that had started before."""
 
 
 def remember(
     state: AlphaBetaBankState, innovation: AxisInnovation, vote: Vote, test: OutlierTest, flag: Tensor
 ) -> AlphaBetaBankState:
-    """Counters, flags and the last measurement after the step; only the last measurement survives a restart.
+    """The state with counters, flags and last measurement after the step; a restart keeps the last measurement alone.
 
     Args:
         state: before the step.
         innovation: of the step.
         vote: of the step.
         test: of the step.
-        flag: ``(..., c)`` what this measurement leaves in the history.
+        flag: ``(..., c)`` the flag that the history keeps of this measurement.
     """
     keep, measured, axis_measured = 1 - test.restarted, innovation.measured, innovation.axis_measured
-    voting = measured * (state.used > 1.5)  # the two points that start a track vote for nothing
+    voting = measured * (state.used > 1.5)  # the two points that start a track have no vote
     change = voting.unsqueeze(-2) * (_pushed(state.flags, flag) - state.flags)
     since_last = state.since_last + innovation.dt
     earlier = state.earlier
@@ -158,7 +159,7 @@ def remember(
         since=keep * innovation.since * (1 - test.accepted),
         rejected=keep * test.in_a_row * (1 - test.accepted),
         flags=keep.unsqueeze(-2) * (state.flags + change),
-        known=keep * (state.known + voting),
+        flag_count=keep * (state.flag_count + voting),
         manoeuvre=keep * (state.manoeuvre + measured * (vote.manoeuvre - state.manoeuvre)),
         quiet=keep * vote.quiet,
         last=state.last + axis_measured * (innovation.z - state.last),

@@ -1,4 +1,4 @@
-"""One filter of constant gains."""
+"""A single constant-gain filter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from torchfra.filters.alphabeta.axes import (
 )
 from torchfra.filters.alphabeta.base import ConstantGainFilter, record
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.base import Mix
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
@@ -32,16 +31,16 @@ from torchfra.types import Gaussian
 
 
 class AlphaBetaState(NamedTuple):
-    """What one filter knows after a step."""
+    """State of a single filter after a step."""
 
     mean: Tensor
     """``(..., n)``."""
     root: Tensor
-    """``(..., p, d)`` the entries of the covariance's root that are not zero, for each axis."""
+    """``(..., p, d)`` nonzero entries of the covariance root of each axis."""
     used: Tensor
-    """``(..., d)`` measurements that were used."""
+    """``(..., d)`` number of measurements used."""
     since: Tensor
-    """``(..., d)`` seconds since the last of them."""
+    """``(..., d)`` seconds since the last used measurement."""
 
     @property
     def belief(self) -> Gaussian:
@@ -52,21 +51,21 @@ class AlphaBetaState(NamedTuple):
 class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
     """Alpha-beta filter, or alpha-beta-gamma with a motion of constant acceleration.
 
-    The first two measurements give position and velocity.  ``Estimate.scale_tril`` is that of the errors which the
-    prior and the measurement noise of the sensor leave: it grows while nothing is measured, and comes to a steady
-    state.  What a manoeuvre adds is not in it.
+    The first two measurements give position and velocity.  ``Estimate.scale_tril`` is a root of the covariance of
+    errors by the prior and the measurement noise under these gains: it grows while measurements are missing, and
+    otherwise reaches a steady state.  Errors by manoeuvres are not in it.
 
     Args:
         motion: constant velocity (two gains) or acceleration (three; with two the acceleration stays 0); only its
             dimensions and orders count.
         sensor: a ``Position``.
-        gains: ``torchfra.filters.alphabeta.gains`` has how to choose them.
+        gains: of the filter; ``torchfra.filters.alphabeta.gains`` has designs.
         expanding: use the gains of a least-squares line until they have fallen to ``gains`` (two gains only).
         initiation: ``"two-point"`` takes position and velocity from the first two measurements, ``"prior"`` from the
             prior.
-        period: seconds between measurements that the gains are meant for: those of shorter steps are smaller.  Where
-            steps differ much constant gains are not stable, and it should be near the longest; None for steps that
-            hardly differ.
+        period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  If
+            steps differ much, constant gains are not stable without it; it should be near the longest step.  None for
+            steps that hardly differ.
 
     Raises:
         ValueError: gains that are not stable, or a motion or a sensor of another kind.
@@ -100,7 +99,7 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         mean, zero, count = self._first(belief)
         return AlphaBetaState(mean, self._first_root(belief), count, zero)
 
-    def advance(self, state: AlphaBetaState, frame: Frame, mix: Mix | None = None) -> tuple[AlphaBetaState, Record]:
+    def advance(self, state: AlphaBetaState, frame: Frame) -> tuple[AlphaBetaState, Record]:
         """One step: prediction, residual, update by the gains."""
         dt, since = frame.dt.unsqueeze(-1), state.since + frame.dt.unsqueeze(-1)
         predicted = predict_axes(self._components(state.mean), dt)
@@ -119,7 +118,7 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         return gains if self.gamma is None else [*gains, self.gamma(like).unsqueeze(-1) / 2]
 
     def _gains_now(self, gains: list[Tensor], since: Tensor, used: Tensor) -> list[Tensor]:
-        """Gains of this step: larger ones for the first measurements, smaller ones for short steps."""
+        """Gains of this step: larger for the first measurements, smaller for short steps."""
         if self.expanding:
             line = design.expanding_memory(used + 1)
             gains = [torch.maximum(*pair) for pair in zip(gains, line[:2], strict=True)]

@@ -1,4 +1,4 @@
-"""GPB: regimes of the motion and outliers of the measurement as hypotheses of every step."""
+"""GPB: in every step, regimes of the motion and outliers of the measurement are hypotheses."""
 
 from torchfra.filters.gpb.filter import GPB
 from torchfra.filters.gpb.outliers import Outliers

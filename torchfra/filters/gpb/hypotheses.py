@@ -1,4 +1,4 @@
-"""Hypotheses: beliefs of which one holds, how likely each is, and what they are together."""
+"""Hypotheses: beliefs of which one is true, with their weights; merging them, and carrying them over a step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, shared
+from torchfra.gaussian.mixture import matched, share_roots
 from torchfra.gaussian.model import Carried, canonical, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.linalg.batches import broadcast_shapes
@@ -27,54 +27,54 @@ which nothing differs, or over which hypotheses have been merged, has size 1, so
 
 
 class Posterior(NamedTuple):
-    """How likely hypotheses are, given the measurement."""
+    """Probabilities of hypotheses given the measurement."""
 
     probability: Tensor
     """``(2, R, 2, ...)``, which sum to one."""
     share: Tensor
-    """``(2, R, 2, ...)`` the same, given whether the measurement has an outlier."""
+    """``(2, R, 2, ...)`` probabilities given whether the measurement has an outlier; they sum to one for either."""
     mode: Tensor
     """``(2, 1, 1, ...)`` square roots of the probabilities of no outlier and of some."""
     log_regimes: Tensor
-    """``(2, R, 1, ...)`` logs of the probabilities of that and of the regime."""
+    """``(2, R, 1, ...)`` logs of the joint probabilities of no outlier or some, and of the regime."""
     log_likelihood: Tensor
-    """``(...)`` of the measurement."""
+    """``(...)`` log likelihood of the measurement."""
 
 
 @event_ranks(log_weight=0)
 class Hypotheses(NamedTuple):
-    """Beliefs of which one holds, with the logs of their weights, which need not sum to one."""
+    """Beliefs of which one is true, with the logs of their weights, which need not sum to one."""
 
     belief: Gaussian
     """``mean (2, R, 2, ..., n)``; ``scale_tril`` any root."""
     log_weight: Tensor
     """``(2, R, 2, ...)``; minus infinity for a hypothesis that is ruled out, whose belief may be NaN."""
 
-    def shares(self, *axes: int) -> tuple[Tensor, Tensor]:
+    def share_roots(self, *axes: int) -> tuple[Tensor, Tensor]:
         """Square roots of the probabilities along some axes given the others, and the log weights of those others.
 
         Where no hypothesis has any weight all shares are 0.
         """
-        roots, total = shared(_in_front(self.log_weight, axes).flatten(0, len(axes) - 1))
+        roots, total = share_roots(_in_front(self.log_weight, axes).flatten(0, len(axes) - 1))
         roots = torch.where(total == -torch.inf, 0.0, roots)
         sizes = [self.log_weight.shape[axis] for axis in axes]
         return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _kept(total, axes)
 
     def posterior(self) -> Posterior:
-        """How likely each is, if weights hold the likelihood of the measurement."""
-        share, log_mode = self.shares(MOTION, BEFORE)
-        mode, log_likelihood = shared(log_mode)  # NaN where every hypothesis has failed
+        """Probability of each, where weights are prior times likelihood of the measurement."""
+        share, log_mode = self.share_roots(MOTION, BEFORE)
+        mode, log_likelihood = share_roots(log_mode)  # NaN where every hypothesis has failed
         log_regimes = log_mode + safe_log(share.square().sum(BEFORE, keepdim=True)) - log_likelihood
         return Posterior((share * mode).square(), share.square(), mode, log_regimes, log_likelihood[0, 0])
 
     def merged(self, *axes: int, angles: Sequence[int] = ()) -> Hypotheses:
-        """The hypotheses along some axes as one with their moments.
+        """The hypotheses along some axes merged into one with their moments.
 
         Args:
-            axes: which; they have size 1 afterwards.
+            axes: the axes to merge over; they have size 1 afterwards.
             angles: components of a state that are angles, as in ``gaussian.moment_match``.
         """
-        roots, total = self.shares(*axes)
+        roots, total = self.share_roots(*axes)
         return Hypotheses(merge(self.belief, roots, axes, angles), total)
 
     def of(self, regimes: Sequence[int]) -> Hypotheses:
@@ -84,12 +84,12 @@ class Hypotheses(NamedTuple):
 
 
 def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int] = ()) -> Gaussian:
-    """Hypotheses along some axes as one with their moments, by square roots of their probabilities.
+    """The beliefs of hypotheses along some axes merged into one with their moments.
 
     Args:
         belief: ``(2, R, 2, ..., n)``, any root.
-        roots: ``(2, R, 2, ...)``.
-        axes: which; they have size 1 afterwards.
+        roots: ``(2, R, 2, ...)`` square roots of the probabilities.
+        axes: the axes to merge over; they have size 1 afterwards.
         angles: components of a state that are angles, as in ``gaussian.moment_match``.
     """
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
@@ -101,15 +101,15 @@ def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence
 
 
 def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
-    """All hypotheses of a state together, ``(..., n)``, by square roots of their probabilities."""
+    """The Gaussian ``(..., n)`` with the moments of all hypotheses, by square ``roots`` of their probabilities."""
     one = merge(belief, roots, (OUTLIER, MOTION, BEFORE), motion.angles)
     return canonical(motion, Gaussian(one.mean[0, 0, 0], one.scale_tril[0, 0, 0]))
 
 
 def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
-    """Beliefs with ``K`` motions on axis ``MOTION``, carried over a step, each by its own motion.
+    """Carries beliefs with ``K`` motions on axis ``MOTION`` over a step, each by its own motion.
 
-    Process noise that is the same for several hypotheses has size 1 along their axes.
+    Process noise that several hypotheses share has size 1 along their axes.
 
     Args:
         bank: the motions.
@@ -117,14 +117,14 @@ def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
         belief: ``(1, K, ..., n)``.
         frame: for each motion.
     """
-    ahead = propagate(bank, rule, models_last(belief), frame)
+    carried = propagate(bank, rule, models_last(belief), frame)
     rank = belief.mean.dim() - 1
 
     def back(event: int, x: Tensor) -> Tensor:
         return x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
 
-    carried: Carried = tree.map_ranked(back, ahead)
-    return carried
+    result: Carried = tree.map_ranked(back, carried)
+    return result
 
 
 def models_last(belief: Gaussian) -> Gaussian:
@@ -133,13 +133,13 @@ def models_last(belief: Gaussian) -> Gaussian:
 
 
 def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], count: int = 3) -> Hypotheses:
-    """What a state holds, ``(..., 2, K, n)`` and ``(..., 2, R)``, as hypotheses.
+    """The hypotheses of a state, whose tensors are ``(..., 2, K, n)`` and ``(..., 2, R)``.
 
     Args:
         belief: without and with an outlier, for each motion.
         log_weight: without and with an outlier, of each regime.
-        axes: where these two go.
-        count: how many axes hypotheses have.
+        axes: the axes of hypotheses that these two dimensions become.
+        count: number of axes of hypotheses.
     """
 
     def placed(event: int, x: Tensor) -> Tensor:
@@ -151,7 +151,7 @@ def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], coun
 
 
 def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypotheses:
-    """The reverse of ``from_state``; all other axes have size 1."""
+    """The inverse of ``from_state``; all other axes must have size 1."""
 
     def placed(event: int, x: Tensor) -> Tensor:
         return _behind(x, axes, count, event)
@@ -161,12 +161,12 @@ def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypoth
 
 
 def batch_first(values: Tensor, axis: int, count: int = 3) -> Tensor:
-    """Numbers that differ along one of so many axes alone, ``(..., R)`` along ``MOTION`` or ``(..., 2)``."""
+    """Values that differ along one of ``count`` axes alone, with that axis last: ``(..., R)`` or ``(..., 2)``."""
     return _behind(values, (axis,), count, 0)
 
 
 def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
-    """Some of the ``count`` axes behind the batch, in front of the event; all others have size 1 and go."""
+    """Moves some of the ``count`` axes behind the batch, in front of the event; the others, of size 1, are dropped."""
     x = _in_front(x, axes)
     for _ in range(count - len(axes)):
         x = x.squeeze(len(axes))
@@ -179,7 +179,7 @@ def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
 
 
 def _kept(x: Tensor, axes: Sequence[int]) -> Tensor:
-    """The axes that a sum has taken away, with size 1."""
+    """Inserts the axes that a sum has taken away again, with size 1."""
     for axis in sorted(axes):
         x = x.unsqueeze(axis)
     return x

@@ -1,4 +1,4 @@
-"""Outliers of a measurement: each block of elements from one device is as stated, or an outlier of some size."""
+"""Outliers of a measurement: each block of elements from one device is an inlier, or an outlier of some size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 from torchfra.filters.gpb.hypotheses import Hypotheses
 from torchfra.filters.gpb.regimes import in_front
 from torchfra.filters.markov import mean_durations
-from torchfra.gaussian.mixture import matched, shared, without_failed
+from torchfra.gaussian.mixture import matched, share_roots, without_failed
 from torchfra.hyper import Hyper, Values, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
@@ -29,13 +29,13 @@ class Outliers(nn.Module):
         blocks: numbers of the elements of each block: those of a device fail together.
         outlier_transition: ``(..., 2, 2)``, ``[i, j] = P(now j | was i)`` of no outlier and outlier, from one
             measurement to the next, whatever the time between them; rows sum to one.
-        outlier_durations: ``(..., 2)`` instead of it: mean seconds without outliers, and that a device is wrong then.
-        outlier_sizes: ``(..., C)`` by which an outlier's measurement noise is multiplied, as a covariance.
-        outlier_shares: ``(..., C)`` of the outliers that have each size, which sum to one.
-        outlier_offsets: ``(..., C)`` by which the elements of outliers of each size are too large in the mean, in units
-            of their noise, as ranges without a line of sight are; None for 0.
-        adaptive_largest_size: whether the last size grows to the mean square error of a block, in units of its noise,
-            where that is larger: outliers of any size are then as likely as others of that kind.
+        outlier_durations: ``(..., 2)`` instead of it: mean seconds without outliers, and of a fault of the device.
+        outlier_sizes: ``(..., C)`` factors on the covariance of the measurement noise of outliers.
+        outlier_shares: ``(..., C)`` share of the outliers that have each size; they sum to one.
+        outlier_offsets: ``(..., C)`` mean of the noise of outliers of each size, in units of the nominal noise, as of
+            ranges without a line of sight, which are too large; None for 0.
+        adaptive_largest_size: whether the last size is at least the mean squared residual of a block in units of its
+            noise, so that outliers of any size beyond it are equally likely.
 
     Raises:
         ValueError: shapes that do not go together, values out of their range or that do not sum to one, or not one of
@@ -43,11 +43,11 @@ class Outliers(nn.Module):
     """
 
     outlier_transition: Hyper | None
-    """None if it was made with ``outlier_durations``."""
+    """None if ``outlier_durations`` were given."""
     outlier_durations: Hyper | None
-    """None if it was made with ``outlier_transition``."""
+    """None if ``outlier_transition`` was given."""
     outlier_offsets: Hyper | None
-    """None if it was made without."""
+    """None if none were given."""
 
     def __init__(
         self,
@@ -62,12 +62,12 @@ class Outliers(nn.Module):
     ) -> None:
         super().__init__()
         self.adaptive_largest_size = adaptive_largest_size
-        name, chain = one_given(outlier_transition=outlier_transition, outlier_durations=outlier_durations)
-        given = chain, outlier_sizes, outlier_shares
-        chain, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        name, modes = one_given(outlier_transition=outlier_transition, outlier_durations=outlier_durations)
+        arguments = modes, outlier_sizes, outlier_shares
+        modes, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in arguments)
         event = (2, 2) if name == "outlier_transition" else (2,)
-        if chain.shape[-len(event) :] != event:
-            raise ValueError(f"{name}: expected {event}, received {tuple(chain.shape)}")
+        if modes.shape[-len(event) :] != event:
+            raise ValueError(f"{name}: expected {event}, received {tuple(modes.shape)}")
         if sizes.shape[-1:] != shares.shape[-1:]:
             raise ValueError(f"outlier_shares: expected one for each of outlier_sizes, received {tuple(shares.shape)}")
         offsets = None if outlier_offsets is None else torch.as_tensor(outlier_offsets, dtype=torch.float64)
@@ -80,9 +80,9 @@ class Outliers(nn.Module):
         self.blocks = tuple(tuple(block) for block in blocks)
         self.outlier_transition = self.outlier_durations = None
         if name == "outlier_transition":
-            self.outlier_transition = Hyper(chain, constraints.simplex, event_dim=2, name=name)
+            self.outlier_transition = Hyper(modes, constraints.simplex, event_dim=2, name=name)
         else:
-            self.outlier_durations = mean_durations(chain, 1, name)
+            self.outlier_durations = mean_durations(modes, 1, name)
         self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
         self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
         self.outlier_offsets = None
@@ -100,7 +100,7 @@ class Outliers(nn.Module):
         self.check_noise("sensor", sensor.root)
 
     def check_noise(self, name: str, root: Tensor | None) -> None:
-        """Checks that the noise of a root ``(..., m, m)`` of its covariance, if there is one, fits the blocks.
+        """Checks that noise with a root ``(..., m, m)`` of its covariance, if there is one, fits the blocks.
 
         Raises:
             ValueError: it is correlated between blocks.
@@ -116,13 +116,15 @@ class Outliers(nn.Module):
         if bool((correlated & ~within).any()):
             raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
 
-    def forgotten(self, before: Tensor | None, dt: Tensor) -> Tensor | None:
-        """How far ``(...)`` the last measurement says nothing of outliers any more, ``dt (...)`` seconds later.
+    def relaxation(self, before: Tensor | None, dt: Tensor) -> Tensor | None:
+        """How far ``(...)`` the Markov chain has returned to its stationary distribution, ``dt (...)`` seconds later.
 
-        Before the first measurement they are as likely as the chain has them in the long run.
+        It is ``1 - exp(-t (1 / without + 1 / faulty))``, ``t`` seconds after a measurement.  Before the first
+        measurement the chain is in its stationary distribution.
 
         Args:
-            before: 0 at a measurement, 1 before the first; None without durations, where it stays so.
+            before: the relaxation ``dt`` seconds earlier: 0 at a measurement, 1 before the first.  None without
+                durations; then it stays None.
             dt: seconds.
         """
         if before is None:
@@ -131,33 +133,33 @@ class Outliers(nn.Module):
         later: Tensor = before - (1 - before) * torch.expm1(-dt * rate)
         return later
 
-    def now(self, outlier: Tensor, forgotten: Tensor | None) -> Tensor:
-        """Probability ``(..., B)`` of each block that it is wrong now, from that at the last measurement.
+    def now(self, outlier: Tensor, relaxation: Tensor | None) -> Tensor:
+        """Probability ``(..., B)`` that each block is faulty now, from that at the last measurement.
 
-        Without durations the chain counts measurements, and what was wrong stays so until the next.
+        Without durations the chain counts measurements, and the probability stays until the next one.
 
         Args:
-            outlier: ``(..., B)`` at the last measurement.
-            forgotten: ``(...)`` from ``forgotten``, None without durations.
+            outlier: ``(..., B)`` probability of an outlier at the last measurement.
+            relaxation: ``(...)`` from ``relaxation``, None without durations.
         """
-        if forgotten is None:
+        if relaxation is None:
             return outlier
-        begins, lasts = self._chances(outlier, forgotten)
+        begins, lasts = self._probabilities(outlier, relaxation)
         return begins + outlier * (lasts - begins)
 
-    def ahead(self, outlier: Tensor, forgotten: Tensor | None, measured: Tensor) -> tuple[Tensor, Tensor]:
-        """What the outliers of a step say of those of the next; where nothing is measured in that, they stay.
+    def predict(self, outlier: Tensor, relaxation: Tensor | None, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """Transition probabilities of outliers to the next step; without a measurement in that, the modes stay.
 
         Args:
-            outlier: ``(..., B)`` probability of each block that it was an outlier, if any was.
-            forgotten: ``(...)`` from ``forgotten``, None without durations.
-            measured: ``(...)`` whether anything is measured in the next step.
+            outlier: ``(..., B)`` probability that each block was an outlier, given that some block was.
+            relaxation: ``(...)`` from ``relaxation``, None without durations.
+            measured: ``(...)`` bool, whether the next step has a measurement.
 
         Returns:
-            Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after one without and
-            with some, and ``(1, 1, 2, ..., B)`` of each block that it is one if any is.
+            Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after a step without
+            or with some, and the probability ``(1, 1, 2, ..., B)`` that each block is one, given that some block is.
         """
-        begins, lasts = self._chances(outlier, forgotten)
+        begins, lasts = self._probabilities(outlier, relaxation)
         now = torch.stack([begins.expand_as(outlier), begins + outlier * (lasts - begins)])[None, None]
         none = safe_log1p(-now).sum(-1)
         some = -torch.expm1(none)
@@ -165,13 +167,13 @@ class Outliers(nn.Module):
         same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
         return torch.where(measured, torch.cat([none, safe_log(some)]), same), share
 
-    def _chances(self, like: Tensor, forgotten: Tensor | None) -> tuple[Tensor, Tensor]:
+    def _probabilities(self, like: Tensor, relaxation: Tensor | None) -> tuple[Tensor, Tensor]:
         """Probabilities ``(..., 1)`` of an outlier after none, and after one."""
-        if forgotten is None:
-            chain = self.outlier_transition(like)  # type: ignore[misc]
-            return chain[..., 0, 1].unsqueeze(-1), chain[..., 1, 1].unsqueeze(-1)
-        without, wrong = self.outlier_durations(like).unbind(-1)  # type: ignore[misc]
-        begins, lasts = forgotten * wrong / (without + wrong), 1 - forgotten * without / (without + wrong)
+        if relaxation is None:
+            transition = self.outlier_transition(like)  # type: ignore[misc]
+            return transition[..., 0, 1].unsqueeze(-1), transition[..., 1, 1].unsqueeze(-1)
+        without, faulty = self.outlier_durations(like).unbind(-1)  # type: ignore[misc]
+        begins, lasts = relaxation * faulty / (without + faulty), 1 - relaxation * without / (without + faulty)
         return begins.unsqueeze(-1), lasts.unsqueeze(-1)
 
     def update(
@@ -180,28 +182,28 @@ class Outliers(nn.Module):
         compare: Callable[[Gaussian], Whitened],
         reads: int,
         missing: Tensor,
-        before: tuple[Tensor, Tensor],
+        modes: tuple[Tensor, Tensor],
     ) -> tuple[Hypotheses, Tensor]:
-        """The measurement taken as the sensor states it, and with outliers in some blocks.
+        """The update of all hypotheses, without outliers and with outliers in some blocks.
 
-        Blocks are independent, so they are taken one after the other: what they cost adds up.  Each is taken with its
-        noise as stated and with that of outliers of all sizes, and these are merged at once, in the space of what is
-        measured: beliefs are kept in units of the root of the prediction, ``N(0, I)`` at first.  What the points of a
-        sensor that bends add to its noise is much the same for all blocks, so the first one that is measured alone has
-        it: counted for each, as if it were independent, it makes a belief along an arc too sure.
+        Blocks are independent, so the update takes one after the other, and its cost is linear in their number.  For
+        each block the updates under the nominal noise and under that of outliers of all sizes are merged at once, in
+        the space of the measurement: beliefs are in units of the root of the prediction, ``N(0, I)`` at first.  The
+        error of the statistical linearisation is nearly the same for all blocks, so only the first block that is
+        measured has it as noise: if each block had it as independent noise, a belief along an arc would be too small.
 
         Args:
             predicted: ``(1, R, 2, ...)``.
-            compare: the measurement against a belief ``(..., d)`` of what the sensor reads.
-            reads: ``d``, the leading components of a state that the sensor reads.
+            compare: compares the measurement with a belief ``(..., d)`` of the components that the sensor reads.
+            reads: ``d``, the number of leading components of a state that the sensor reads.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
-            before: from ``ahead``.
+            modes: from ``predict``.
 
         Returns:
-            ``(2, R, 2, ...)`` without and with outliers, and the probability ``(1, R, 2, ..., B)`` of each block that
-            it is one if any is.
+            ``(2, R, 2, ...)`` without and with outliers, and the probability ``(1, R, 2, ..., B)`` that each block is
+            one, given that some block is.
         """
-        log_mode, prior = before
+        log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
         rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
         sizes, log_shares = in_front(self.outlier_sizes(mean), rank), in_front(self.outlier_shares(mean).log(), rank)
@@ -227,14 +229,14 @@ class Outliers(nn.Module):
             adapted = self.adapted(sizes, residual[-1:], gone, offsets)
             updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, gone, offsets)
             none, log_none = _entry(updated, 0), log_updated[0]
-            if b:  # with and without outliers have the first block's prediction in common alone
+            if b:  # after the first block, beliefs without and with outliers differ
                 first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
                 none, log_none = _entry(first, 0), log_first[0]
             joint = torch.cat(
                 [(log_updated[0] + torch.log1p(-share)).unsqueeze(0), log_updated[1:] + share.log() + log_shares]
             )
-            first_size = int(only)  # if some block is an outlier and there is no other, this one is
-            roots, log_some = shared(joint[first_size:])
+            first_size = int(only)  # given that some block is an outlier, a single block is
+            roots, log_some = share_roots(joint[first_size:])
             some = matched(Gaussian(updated.mean[first_size:], updated.scale_tril[first_size:]), roots)
             both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
             spread = cross @ both.scale_tril
@@ -246,29 +248,31 @@ class Outliers(nn.Module):
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1)
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
-        """Sizes ``(C, ...)`` of the noise, the last one as large as a residual ``(..., m)`` asks for, if it grows."""
+        """Sizes ``(C, ...)`` of the noise, the last at least the mean square of a residual ``(..., m)`` if adaptive."""
         if not self.adaptive_largest_size:
             return sizes
         if offsets is not None:
             residual = residual - offsets[-1:].unsqueeze(-1) * (1 - missing)
-        asked = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
-        last = torch.maximum(sizes[-1:], asked)
+        mean_square = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
+        last = torch.maximum(sizes[-1:], mean_square)
         return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
 
 
 def sequential(
     rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor, offsets: Tensor | None = None
 ) -> tuple[Gaussian, Tensor]:
-    """A measurement's unknowns ``(C, ..., k)`` after it, any root, and its log density, for ``C`` sizes of its noise.
-
-    Elements are taken one after the other, as their noise is independent.
+    """Sequential update of unknowns by the elements of a measurement of independent noise, for ``C`` sizes of noise.
 
     Args:
-        rows: ``(..., m, k)``: measured are these times the unknowns, which are ``N(0, I)`` before.
+        rows: ``(..., m, k)`` measurement matrix of the unknowns, which are ``N(0, I)`` before.
         residual: ``(..., m)``.
         sizes: ``(C, ...)`` of the noise's covariance, in units of what the sensor states.
         missing: ``(..., m)`` 1 where missing, 0 where measured.
-        offsets: ``(C, ...)`` mean of the noise, in the same units; None for 0.
+        offsets: ``(C, ...)`` mean of the noise, in units of what the sensor states; None for 0.
+
+    Returns:
+        The posterior ``(C, ..., k)`` of the unknowns, with any root, and the log density ``(C, ...)`` of the
+        measurement, constants left out.
 
     Source: Potter's square-root update, in Bierman (1977), chapter II.
     """
@@ -288,7 +292,7 @@ def sequential(
         root = root - covariance.unsqueeze(1) * (follows * once)
         squares = squares + normalised.square()
         stds.append(torch.where(missing[..., i] > 0, 1.0, std))
-    # Two at a time: their product does not overflow where their squares do not.
+    # The log of two factors at a time: their product does not overflow where their squares do not.
     log_density = -0.5 * squares
     for i in range(0, m, 2):
         log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
@@ -296,7 +300,7 @@ def sequential(
 
 
 def _of_block(whitened: Whitened, block: Sequence[int]) -> Whitened:
-    """What some elements measure."""
+    """The measurement of some elements."""
     residual, spread = whitened.residual, whitened.spread
     if len(block) < residual.shape[-1]:
         residual = torch.stack([residual[..., i] for i in block], -1)
@@ -305,12 +309,12 @@ def _of_block(whitened: Whitened, block: Sequence[int]) -> Whitened:
 
 
 def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
-    """What is measured, and the belief, by the same independent unknowns of variance 1.
+    """Measurement and belief as functions of the same ``k`` independent unknowns of variance 1.
 
     Returns:
-        ``rows (..., m, k)``: measured, without its noise, are these times ``k`` unknowns; ``cross (..., d, k)`` by
-        which the belief follows those; a root ``(..., d, d)`` of what no measurement can tell of it, None for nothing;
-        and the residual ``(..., m)``.
+        The measurement matrix ``rows (..., m, k)`` of the unknowns; the matrix ``cross (..., d, k)`` from the unknowns
+        to the belief; a root ``(..., d, d)`` of the part of the belief that is independent of the unknowns, None if
+        there is none; and the residual ``(..., m)``.
     """
     residual, spread, _, _ = whitened
     m, d = residual.shape[-1], belief.mean.shape[-1]
@@ -322,7 +326,7 @@ def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, 
 
 
 def _lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
-    """Beliefs of states, any root, from those of the components that a sensor reads, in units of the predicted root."""
+    """Beliefs of whole states, any root, from those of the components that a sensor reads, in units of the root."""
     mean, root = predicted
     gain = root[..., : belief.mean.shape[-1]]
     own = gain @ belief.scale_tril

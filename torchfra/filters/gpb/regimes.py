@@ -18,48 +18,49 @@ from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
-FURTHEST = 1e5
-"""Largest factor of a jump or a manoeuvre on the covariance, however far off the measurement is."""
-USUAL_JUMP, USUAL_MANOEUVRE = 1000.0, 30.0
-"""Normalised innovation squared per element up to which all jumps, and all manoeuvres, have the same odds."""
+LARGEST_FACTOR = 1e5
+"""Largest factor of a jump or a manoeuvre on a covariance, whatever the normalised innovation squared."""
+JUMP_NIS, MANOEUVRE_NIS = 1000.0, 30.0
+"""Normalised innovation squared per element beyond which a jump, or a manoeuvre, is less likely the larger it is."""
 
 
-class Moves(NamedTuple):
-    """Weights ``(1, R, 2, ...)`` of how regimes go over into those of the next step, all by the same factor."""
+class Switching(NamedTuple):
+    """How probability moves between regimes from one step to the next: weights ``(1, R, 2, ...)`` up to one factor."""
 
     stayed: Tensor
-    """Of each regime, that it goes on."""
-    left: Tensor
-    """Of each regime before, that it ends."""
+    """Weight of each regime that goes on."""
+    ended: Tensor
+    """Weight of each regime that ends."""
     restarted: Tensor
-    """Of each regime, that it begins where another has ended."""
+    """Weight with which each regime begins after another has ended."""
     log_weight: Tensor
-    """Logs of the weights of the regimes in the step: of those that go on or begin."""
+    """Logs of the weights of the regimes in the next step, ``stayed + restarted``, without the common factor."""
 
 
 class Regimes(nn.Module):
-    """How a step may go: a Markov chain over motions, levels of their process noise, manoeuvres and jumps.
+    """The Markov chain of a step's regime: levels of process noise, the motions of a bank, manoeuvres and jumps.
 
-    The first motion comes at ``L`` levels, the others of a bank as they are. ``M`` manoeuvres have as much more process
-    noise than the first motion's last level as the measurement asks for, ``J`` jumps widen the position of its
-    prediction in the same way. In this order they are the ``R = L + (K - 1) + M + J`` regimes. A regime goes on with a
-    probability of its own, or for a time of its own; then the next one is drawn from the restart distribution. Before
-    the first step regimes are as likely as the chain has them in the long run. Values are given by kind,
-    ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks of any size.
+    There are ``R = L + (K - 1) + M + J`` regimes, in this order.  The first motion has ``L`` levels of process noise,
+    each other motion of a bank is one regime.  In each of ``M`` manoeuvres the process noise of the first motion's last
+    level is multiplied in proportion to the normalised innovation squared; in each of ``J`` jumps the covariance of the
+    predicted position is.  A regime goes on with its self-transition probability, or for its mean duration; then the
+    next one is drawn from the restart distribution.  The chain starts from its stationary distribution.  Values are by
+    kind, ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks of any
+    size.
 
     Tensors of regimes have the axes of ``Hypotheses``.
 
     Args:
-        motions: their number, ``K``.
-        noise_levels: ``(..., L)`` by which the variance of the first motion's process noise is multiplied, ascending.
-        jump_factors: ``(..., J)`` times the normalised innovation squared per element: by so much, at least 1, the
-            covariance of the predicted position is multiplied; its correlations stay.
+        motions: number of motions, ``K``.
+        noise_levels: ``(..., L)`` factors on the variance of the first motion's process noise, ascending.
+        jump_factors: ``(..., J)`` factors on the covariance of the predicted position per unit of the normalised
+            innovation squared per element; the product is 1 at least.  Correlations of the position stay.
         self_transition: self-transition probabilities by kind, of a step, whatever its ``dt``.
         durations: instead of these, mean seconds by kind until a regime ends: a Markov chain in continuous time.
         restart: restart distribution by kind, which sums to one; other motions share theirs evenly.
-        manoeuvre_factors: ``(..., M)`` times the normalised innovation squared per element: by so much, at least 1, the
-            variance of the last level's process noise is multiplied.  Beyond five standard deviations a manoeuvre is
-            the rarer the larger it is: what is far off once is an outlier.
+        manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
+            normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations a
+            manoeuvre is the less likely the larger it is, as a single large innovation is rather an outlier.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one, or not one
@@ -67,25 +68,25 @@ class Regimes(nn.Module):
     """
 
     self_transition: Hyper | None
-    """None if it was made with ``durations``."""
+    """None if ``durations`` were given."""
     durations: Hyper | None
-    """None if it was made with ``self_transition``."""
+    """None if ``self_transition`` was given."""
 
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
     ) -> None:  # fmt: skip
         super().__init__()
-        ends, last = one_given(self_transition=self_transition, durations=durations)
-        given = noise_levels, manoeuvre_factors, jump_factors, last, restart
-        levels, manoeuvres, jumps, last, begins = (torch.as_tensor(x, dtype=torch.float64) for x in given)
+        sojourn, stay = one_given(self_transition=self_transition, durations=durations)
+        arguments = noise_levels, manoeuvre_factors, jump_factors, stay, restart
+        levels, manoeuvres, jumps, stay, begin = (torch.as_tensor(x, dtype=torch.float64) for x in arguments)
         for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
         kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
-        for name, value in ((ends, last), ("restart", begins)):
+        for name, value in ((sojourn, stay), ("restart", begin)):
             if value.shape[-1:] != (kinds,):
                 raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (kinds - self.level_count - 1)
@@ -106,16 +107,11 @@ class Regimes(nn.Module):
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.self_transition = self.durations = None
-        if ends == "durations":
-            self.durations = mean_durations(last, 1, ends)
+        if sojourn == "durations":
+            self.durations = mean_durations(stay, 1, sojourn)
         else:
-            self.self_transition = Hyper(last, constraints.unit_interval, event_dim=1, name=ends)
-        self.restart = Hyper(begins, constraints.simplex, event_dim=1, name="restart")
-
-    @property
-    def agile(self) -> int:
-        """The number of the first motion's last level, from which manoeuvres and jumps start."""
-        return self.level_count - 1
+            self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name=sojourn)
+        self.restart = Hyper(begin, constraints.simplex, event_dim=1, name="restart")
 
     # ------------------------------------------------------------ the Markov chain
 
@@ -124,13 +120,13 @@ class Regimes(nn.Module):
         odds = self._by_regime(self.restart(like), like.dim() - 1)
         others = torch.tensor([float(self.motions - 1) if k else 1.0 for k in self.motion_of]).to(odds)
         odds = odds / others.reshape(-1, *(1,) * (odds.dim() - 1))
-        return odds / odds.sum(0)  # one motion has no others
+        return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
 
-        It is the stationary distribution of the chain: how often each begins, times how long it stays.  A chain that
-        may begin a regime that never ends is in one from the first step on.
+        It is the stationary distribution of the chain: restart probability times mean duration, normalised.  If a
+        regime that may begin is absorbing, the chain is in an absorbing regime from the first step on.
         """
         rank, restart = like.dim() - 1, self.restart_distribution(like)
         if self.durations is not None:
@@ -139,21 +135,21 @@ class Regimes(nn.Module):
             return stationary
         assert self.self_transition is not None
         ends = 1 - self._by_regime(self.self_transition(like), rank)
-        for_ever = (ends == 0) & (restart > 0)
-        weight = torch.where(for_ever.any(0), torch.where(for_ever, restart, 0.0), safe_divide(restart, ends))
+        absorbing = (ends == 0) & (restart > 0)
+        weight = torch.where(absorbing.any(0), torch.where(absorbing, restart, 0.0), safe_divide(restart, ends))
         return weight / weight.sum(0)
 
-    def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
-        """Of a chain of steps the self-transition probabilities and the restart distribution, both ``(R, ...)``.
+    def discrete(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """Self-transition probabilities and restart distribution, both ``(R, ...)``, of a chain that counts steps.
 
-        No level, manoeuvre or jump begins where nothing is measured, or what measurements have told of them would be
-        forgotten over steps without one.  Other motions do: the longer a gap is, the less is known.  Over 0 seconds
-        every regime goes on.
+        No level, manoeuvre or jump begins in a step without a measurement; otherwise their posterior probabilities
+        would decay over a gap.  Other motions may begin: the longer a gap, the less is known of the motion.  Over 0
+        seconds every regime goes on.
 
         Args:
             like: ``(R, ...)``.
             dt: ``(...)`` seconds.
-            measured: ``(...)`` whether anything is.
+            measured: ``(...)`` bool, whether the step has a measurement.
         """
         assert self.self_transition is not None
         stay, restart = self._by_regime(self.self_transition(like), like.dim() - 1), self.restart_distribution(like)
@@ -164,19 +160,19 @@ class Regimes(nn.Module):
         return torch.where(dt == 0, 1.0, stay), torch.where(measured, restart, safe_divide(others, share))
 
     def continuous(self, like: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
-        """Of a chain in continuous time: probabilities that regimes last, and that others are there at the end.
+        """Transition probabilities over ``dt (...)`` seconds of a chain in continuous time, for ``like (R, ...)``.
 
-        Motions other than the first are alike, so that the chain of the kinds says all.
+        All motions but the first have the same rates, so the chain over kinds is enough.
 
         Returns:
-            ``(R, ...)`` that a regime does not end in a step, and ``(R now, R was, ...)`` that one has ended and
-            another, or the same, is there after it; their sum is one of the chain's ``exp(G dt)``.
+            ``(R, ...)`` probability that a regime does not end within the step, and ``(R now, R was, ...)`` probability
+            that it ends and the regime at the end of the step is this one.  Together they are ``exp(G dt)``.
         """
         rank = like.dim() - 1
         durations, restart = self.durations(like), self.restart(like)  # type: ignore[misc]
-        if self.motions == 1:  # which has no others
-            there = torch.tensor([float(k != self.level_count) for k in range(restart.shape[-1])]).to(restart)
-            restart = restart * there / (restart * there).sum(-1, keepdim=True)
+        if self.motions == 1:  # the kind "any other motion" has no regime
+            present = torch.tensor([float(k != self.level_count) for k in range(restart.shape[-1])]).to(restart)
+            restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
         ended = (over_seconds(rates(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(0.0)
         each = [
@@ -185,23 +181,29 @@ class Regimes(nn.Module):
         ]
         return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])
 
-    def moves(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Moves:
-        """How regimes ``(1, R, 2, ...)`` with such weights go over into those of the next step."""
+    def switch(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Switching:
+        """How regimes with log weights ``(1, R, 2, ...)`` switch between two steps ``dt (...)`` seconds apart.
+
+        Args:
+            log_weight: of the regimes before.
+            dt: seconds.
+            measured: ``(...)`` bool, whether the next step has a measurement.
+        """
         top = largest(log_weight, MOTION, keepdim=True)
         weight = (log_weight - top).exp()
         if self.durations is not None:
             lasts, ended = self.continuous(weight[0], dt)
             stayed, restarted = lasts * weight, (ended * weight).sum(1).unsqueeze(0)
-            return Moves(stayed, weight - stayed, restarted, safe_log(stayed + restarted) + top)
-        stay, restart = self.chain(weight[0], dt, measured)
-        stayed, left = stay * weight, (1 - stay) * weight
-        restarted = left.sum(MOTION, keepdim=True) * restart
-        return Moves(stayed, left, restarted, safe_log(stayed + restarted) + top)
+            return Switching(stayed, weight - stayed, restarted, safe_log(stayed + restarted) + top)
+        stay, restart = self.discrete(weight[0], dt, measured)
+        stayed, ended = stay * weight, (1 - stay) * weight
+        restarted = ended.sum(MOTION, keepdim=True) * restart
+        return Switching(stayed, ended, restarted, safe_log(stayed + restarted) + top)
 
     def transition(self, like: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
-        """Logs ``(R now, 2, R before, ...)`` of how regimes follow each other, for ``like (R, 2, ...)``."""
+        """Logs ``(R now, 2, R before, ...)`` of the transition probabilities, for ``like (R, 2, ...)``."""
         if self.durations is None:
-            stay, restart = self.chain(like, dt, measured)
+            stay, restart = self.discrete(like, dt, measured)
             stay = stay.movedim(0, 1)
             ended = restart.unsqueeze(2) * (1 - stay)
         else:
@@ -211,94 +213,101 @@ class Regimes(nn.Module):
         same = torch.eye(count, dtype=stay.dtype, device=stay.device)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
-    def rarer(self, log_weight: Tensor, nis: Tensor) -> Tensor:
-        """Log weights ``(..., R, 2, ...)`` with odds of jumps and manoeuvres that fall with their size.
+    def penalised(self, log_weight: Tensor, nis: Tensor) -> Tensor:
+        """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
         Args:
-            log_weight: before it is known how far off the measurement is.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, of the agile level.
+            log_weight: of the regimes by the Markov chain alone.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
         """
-        manoeuvre, jump = ((nis / usual).clamp_min(1.0).log() for usual in (USUAL_MANOEUVRE, USUAL_JUMP))
+        manoeuvre, jump = ((nis / limit).clamp_min(1.0).log() for limit in (MANOEUVRE_NIS, JUMP_NIS))
         return log_weight - self._of_kinds(0.0, 2 * manoeuvre, jump)
 
     # ------------------------------------------------------------ predictions
 
-    def agile_prediction(self, ahead: Carried) -> Gaussian:
-        """Of the first motion's last level, ``(1, 1, 2, ..., n)``, from each motion's ``(1, K, 2, ...)``."""
-        noise = self.noise_levels(ahead.mean)[..., -1].sqrt()[..., None, None] * ahead.process_noise[:, :1]
-        return Gaussian(ahead.mean[:, :1], tria(hstack(ahead.spread[:, :1], noise)))
-
-    def predictions(self, ahead: Carried, nis: Tensor, position: slice) -> Gaussian:
-        """Of every regime the prediction ``(1, R, 2, ..., n)``.
-
-        A manoeuvre or a jump that is wider than what is measured asks for would never be contradicted where little can
-        be told from the measurement, or nothing at all, and widen the estimate without bound.
+    def agile_prediction(self, carried: Carried) -> Gaussian:
+        """The prediction ``(1, 1, 2, ..., n)`` by the agile level, the last level of the first motion.
 
         Args:
-            ahead: ``(1, K, 2, ...)`` of each motion.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, of the agile level.
-            position: which components of a state are its position.
+            carried: ``(1, K, 2, ...)`` by each motion.
         """
-        noise = self._noise_factors(ahead.mean, nis) * self.of_motions(ahead.process_noise)
-        root = tria(hstack(self.of_motions(ahead.spread), noise))
-        widths = self._widths(ahead.mean, nis, position)
-        return Gaussian(self.of_motions(ahead.mean), widths * root)  # scaled rows of a lower root: still one
+        noise = self.noise_levels(carried.mean)[..., -1].sqrt()[..., None, None] * carried.process_noise[:, :1]
+        return Gaussian(carried.mean[:, :1], tria(hstack(carried.spread[:, :1], noise)))
 
-    def carried(self, ahead: Carried, nis: Tensor, position: slice) -> Carried:
-        """The parts of ``predictions``."""
-        widths = self._widths(ahead.mean, nis, position)
-        noise = self._noise_factors(ahead.mean, nis) * self.of_motions(ahead.process_noise)
-        return Carried(self.of_motions(ahead.mean), widths * self.of_motions(ahead.spread), widths * noise, None)
+    def predictions(self, carried: Carried, nis: Tensor, position: slice) -> Gaussian:
+        """The prediction ``(1, R, 2, ..., n)`` of every regime.
+
+        Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement that says
+        little of the state, or a missing one, could not rule them out, and they would widen the estimate without bound.
+
+        Args:
+            carried: ``(1, K, 2, ...)`` by each motion.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
+            position: components of a state that are its position.
+        """
+        root = tria(hstack(self.per_regime(carried.spread), self._noise(carried, nis)))
+        widths = self._widths(carried.mean, nis, position)
+        return Gaussian(self.per_regime(carried.mean), widths * root)  # with scaled rows a lower root stays one
+
+    def predicted_parts(self, carried: Carried, nis: Tensor, position: slice) -> Carried:
+        """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made, of the same arguments."""
+        widths = self._widths(carried.mean, nis, position)
+        spread, noise = self.per_regime(carried.spread), self._noise(carried, nis)
+        return Carried(self.per_regime(carried.mean), widths * spread, widths * noise, None)
+
+    def _noise(self, carried: Carried, nis: Tensor) -> Tensor:
+        """Roots ``(1, R, 2, ..., n, q)`` of the process noise of every regime."""
+        return self._noise_factors(carried.mean, nis) * self.per_regime(carried.process_noise)
 
     def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
-        """Factors ``(1, R, 2, ..., 1, 1)`` on the root of the process noise."""
+        """Factors ``(1, R, 2, ..., 1, 1)`` on the root of the process noise of each regime's motion."""
         rank = nis.dim() - 2
         levels = in_front(self.noise_levels(mean), rank).unsqueeze(0)
         manoeuvres = []
         if self.manoeuvre_factors is not None:
             levels = levels.expand(1, self.level_count, *nis.shape[2:])
-            asked = in_front(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
-            manoeuvres = [levels[:, -1:] * asked.clamp(1.0, FURTHEST)]
+            factors = in_front(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
+            manoeuvres = [levels[:, -1:] * factors.clamp(1.0, LARGEST_FACTOR)]
         others = [torch.ones_like(levels[:, :1])] * (self.motions - 1)
         every = torch.cat([levels, *others, *manoeuvres, *[levels[:, -1:]] * self.jump_count], MOTION)
         return every.sqrt()[..., None, None]
 
     def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
-        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of roots."""
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: those of the position in a jump."""
         jumps = in_front(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
-        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, FURTHEST).sqrt())
-        there = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
-        there[position] = 1.0
-        return (1 + (widths.unsqueeze(-1) - 1) * there).unsqueeze(-1)
+        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
+        rows = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
+        rows[position] = 1.0
+        return (1 + (widths.unsqueeze(-1) - 1) * rows).unsqueeze(-1)
 
     # ------------------------------------------------------------ regimes and their motions
 
-    def of_motions(self, x: Tensor, axis: int = MOTION) -> Tensor:
-        """Of motions along an axis what goes with each regime."""
+    def per_regime(self, x: Tensor, axis: int = MOTION) -> Tensor:
+        """Values of the ``K`` motions along an axis, repeated for each regime of a motion: ``R`` along that axis."""
         return torch.stack([x.select(axis, motion) for motion in self.motion_of], axis)
 
     def by_motion(self, weight: Tensor) -> Tensor:
-        """Of weights ``(1, R, 2, ...)`` the sum of each motion, ``(1, K, 2, ...)``."""
+        """Weights ``(1, R, 2, ...)`` of regimes summed for each motion, ``(1, K, 2, ...)``."""
         return torch.stack([sum(weight[:, r] for r in regimes) for regimes in self.regimes_of], MOTION)  # type: ignore[misc]
 
     def log_by_motion(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
-        """The same of logs of weights, along an axis."""
+        """Logs of weights of ``R`` regimes along an axis, summed for each of the ``K`` motions."""
         each = [torch.stack([log_weight.select(axis, r) for r in regimes], axis) for regimes in self.regimes_of]
         return torch.stack([log_sum(x, axis) for x in each], axis)
 
     def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
-        """Hypotheses ``(2, R, 2, ...)`` merged into one for each motion, whatever was before: ``(2, K, 1, ...)``."""
+        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a motion and the outlier before: ``(2, K, 1, ...)``."""
         motions = [every.of(regimes).merged(MOTION, BEFORE, angles=angles) for regimes in self.regimes_of]
         belief = Gaussian(*(torch.cat(x, MOTION) for x in zip(*(one.belief for one in motions), strict=True)))
         return Hypotheses(belief, torch.cat([one.log_weight for one in motions], MOTION))
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
-        """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` of so many dimensions behind the first."""
+        """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` with ``rank`` dimensions behind the first."""
         values = in_front(kinds, rank)
         return torch.stack([values[kind] for kind in self.kind_of])
 
     def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
-        """Values ``(1, R, 2, ...)``: of manoeuvres and jumps ``(1, 1 or M, 2, ...)``, and of all others."""
+        """Values ``(1, R, 2, ...)`` from those ``(1, 1 or more, 2, ...)`` of manoeuvres and jumps, and all others."""
         batch = jumps.shape[2:]
         manoeuvres = manoeuvres.expand(1, self.manoeuvre_count, *batch)
         jumps = jumps.expand(1, self.jump_count, *batch)
@@ -307,6 +316,6 @@ class Regimes(nn.Module):
 
 
 def in_front(values: Tensor, rank: int) -> Tensor:
-    """Values ``(..., C)`` of tracks as ``(C, ...)``, to go before tensors of ``rank`` dimensions that end in tracks."""
+    """Values ``(..., C)`` of tracks as ``(C, ...)``, with ``rank`` dimensions behind the first, the last of tracks."""
     values = values.movedim(-1, 0)
     return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])

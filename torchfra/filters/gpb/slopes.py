@@ -1,4 +1,4 @@
-"""What a measurement says of beliefs that are wider than the sensor's points can tell."""
+"""Comparison of a measurement with a belief so wide that sigma points show no slope of the sensor."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 BLIND = 0.02
-"""Share of a predicted element's variance below which the slope of its points counts for nothing."""
+"""Share of a predicted element's variance that its slope must explain; below it the points show no slope."""
 NEAR = 0.01
-"""Scale of the points that then stand for the slope at the mean."""
+"""Scale of the points around the mean that give the slope there instead."""
 
 
 def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Whitened:
-    """The measurement against a predicted belief; elements whose points show no slope, by that at the mean.
+    """Compares the measurement with a predicted belief; elements whose points show no slope by the slope at the mean.
 
     Args:
-        compare: the measurement against a belief, by its points.
-        belief: ``(..., n)``.
+        compare: compares the measurement with a belief by the belief's points.
+        belief: ``(..., n)`` predicted.
     """
     mean, root = belief
     both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
@@ -36,8 +36,8 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     )
 
 
-def exactly(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
-    """The measurement against a predicted belief ``(..., n)``, of a sensor that is linear: no points are needed."""
+def compare_linear(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
+    """Compares the measurement of a linear sensor with a predicted belief ``(..., n)``, without points."""
     d, noise = sensor.reads, frame.measurement_noise
     mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
     residual = noise.whiten(sensor.difference(frame.z, sensor(mean)).unsqueeze(-1)).squeeze(-1)

@@ -1,4 +1,4 @@
-"""Smoothing by GPB: what comes later is a measurement of every hypothesis before."""
+"""Smoothing by GPB: all later measurements together act as one measurement of every hypothesis before."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from torchfra.gaussian.model import adapted
 from torchfra.types import Gaussian
 
 MOTION_BEFORE, AXES = 3, 4
-"""One more axis of hypotheses: the motion or the regime of the step before."""
+"""One more axis of hypotheses, the motion or the regime of the step before, and how many axes there are with it."""
 
 
 def smoothed(f: Any, past: GPBPast) -> Smoothed:
-    """All hypotheses together, and the probabilities of regimes and outliers."""
+    """The estimate of all hypotheses, and the probabilities of regimes and outliers."""
     belief, log_weight = from_state(past.hypotheses, past.log_weights, (BEFORE, MOTION))
     roots = (0.5 * f.regimes.log_by_motion(log_weight)).exp()
     weights = past.log_weights.exp()
@@ -43,16 +43,16 @@ def smoothed(f: Any, past: GPBPast) -> Smoothed:
 
 
 def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
-    """One step back: hypotheses of the step before meet those of the step.
+    """One step of the backward pass, over all pairs of a hypothesis before the step and one after it.
 
-    As in ``filters.model_smoothing``: what comes later is the measurement that makes of a prediction its smoothed
-    belief, here for each motion of the step with and without an outlier in it.  Beliefs of the regimes of one motion
-    have been merged, so that later measurements say of those what their Markov chain passes on.
+    As in ``filters.model_smoothing``, all later measurements together act as the measurement that turns a prediction
+    into its smoothed belief, here for each motion after the step, with and without an outlier.  The beliefs of the
+    regimes of one motion have been merged, so later measurements reach those regimes through their Markov chain alone.
 
     Args:
         f: the filter.
         step: two ``GPBPast``, and the frame between them.
-        after: smoothed.
+        after: the smoothed ``GPBPast`` after the step.
     """
     regimes, difference, frame, measured = f.regimes, f.motion.difference, step.frame, step.next.measured > 0
     nis = step.next.nis.movedim(-1, 0)[None, None, :, None]
@@ -60,22 +60,22 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
     prior, prior_of_carried = (_prior(f, x, nis, frame.dt, measured) for x in (step.past, step.carried))
 
-    # What comes later, as the measurement that has made of each prediction what it is known to be now.
+    # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     carried = from_state(step.carried.hypotheses, step.carried.log_weights, (BEFORE, MOTION), AXES)
-    mixed, _ = f.mix(carried.belief, regimes.moves(carried.log_weight, frame.dt, measured))
+    mixed, _ = f.mix(carried.belief, regimes.switch(carried.log_weight, frame.dt, measured))
     frame = adapted(for_each_model(frame), models_last(mixed).mean)  # as the filter has adapted it
     predicted = regimes.predictions(carry(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
     to_step = Hypotheses(predicted, log_sum(prior_of_carried, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
-    news = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
-    news = tree.map_tensors(regimes.of_motions, news)  # (2, R, 1, 1, ...)
+    measurement = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
+    measurement = tree.map_tensors(regimes.per_regime, measurement)  # (2, R, 1, 1, ...)
 
-    # Every motion before, carried by every regime, meets it.
+    # The belief of every motion before, carried by every regime, is updated by it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.motions, *x.shape[2:]) for x in before.belief))
-    ahead = regimes.carried(carry(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
-    each, fit = news.update(ahead, difference)  # (2, R, 2, K, ...)
-    joint = prior + regimes.of_motions(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
+    by_regime = regimes.predicted_parts(carry(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
+    each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
+    joint = prior + regimes.per_regime(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
-    none = total == -torch.inf  # nothing leads there
+    none = total == -torch.inf  # no hypothesis before leads to this one
     joint = without_failed(torch.where(none, -torch.inf, joint - torch.where(none, 0.0, total))) + later.log_weight
     updated = Hypotheses(each, regimes.log_by_motion(joint, MOTION_BEFORE)).merged(OUTLIER, MOTION).belief
     log_weight = log_sum(log_sum(joint, MOTION), OUTLIER)[None, None]
@@ -86,9 +86,9 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
 
 
 def _prior(f: Any, past: GPBPast, nis: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
-    """Logs ``(2, R, 2, R, ...)`` of the probabilities of two steps: outliers and regimes, now and before."""
+    """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before."""
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
     regime = log_weight + f.regimes.transition(log_weight.transpose(0, 1), dt, measured)
-    log_mode, _ = f.outliers.ahead(past.outlier, f.outliers.forgotten(past.forgotten, dt), measured)
-    pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.rarer(regime.unsqueeze(0), nis)
+    log_mode, _ = f.outliers.predict(past.outlier, f.outliers.relaxation(past.relaxation, dt), measured)
+    pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), nis)
     return pairs

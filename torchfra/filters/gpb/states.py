@@ -1,4 +1,4 @@
-"""What GPB knows after a step, and what it says of it."""
+"""State, info and past of GPB."""
 
 from __future__ import annotations
 
@@ -11,47 +11,47 @@ from torchfra.types import Alarm, Gaussian
 
 
 class GPBState(NamedTuple):
-    """What GPB knows after a step.
+    """State of GPB after a step.
 
-    Over steps without any measurement ``outlier`` and the first dimension of ``hypotheses`` and ``log_weights`` are of
-    the last one that had some.
+    Over steps without any measurement, ``outlier`` and the first dimension of ``hypotheses`` and ``log_weights`` refer
+    to the last step that had one.
     """
 
     belief: Gaussian
-    """All hypotheses together."""
+    """The estimate: the Gaussian with the moments of all hypotheses."""
     lagged: Gaussian
-    """Of the step before, now that its hypotheses have met the measurement of this one, if there is any."""
+    """The one-step smoothed estimate of the step before: smoothed by the measurement of this step, if it has one."""
     hypotheses: Gaussian
-    """``(..., 2, K)`` without and with an outlier in the measurement, for each motion."""
+    """``(..., 2, K)`` beliefs without and with an outlier in the measurement, for each motion."""
     log_weights: Tensor
-    """``(..., 2, R)`` logs of the probabilities of that, and of the regimes."""
+    """``(..., 2, R)`` logs of the joint probabilities of no outlier or some, and of the regime."""
     outlier: Tensor
-    """``(..., B)`` probability of each block that it was an outlier, if any was."""
+    """``(..., B)`` probability that each block was an outlier, given that some block was."""
     lasted: Tensor
     """``(..., B)`` seconds, as in ``Alarm``."""
-    forgotten: Tensor | None = None
-    """``(...)`` how far the last measurement says nothing of outliers any more, where they have durations: from 0 at a
-    measurement to 1, as before the first."""
+    relaxation: Tensor | None = None
+    """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
+    measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
 
 
 class GPBInfo(NamedTuple):
     """Per step and track."""
 
     filtered: Gaussian
-    """``mean (..., T, n)`` and ``scale_tril``: what was known at the step itself."""
+    """``mean (..., T, n)`` and ``scale_tril``: the filtered estimate."""
     lagged: Gaussian
-    """The same, with the step's hypotheses weighed by the next step's measurement; as filtered where there is none."""
+    """The one-step smoothed estimate, in the same shapes; it equals ``filtered`` where no step follows."""
     regimes: Tensor
     """``(..., T, R)`` probabilities of the regimes."""
     outlier: Tensor
-    """``(..., T, B)`` of each block that it is an outlier; 0 where nothing is measured in a step.  Of a block that is
-    missing among others it is what its Markov chain says."""
+    """``(..., T, B)`` probability that each block is an outlier; 0 in a step without any measurement.  For a block that
+    is missing among others it is the prediction of its Markov chain."""
     alarm: Alarm
     """Whether the sensor is faulty now, since when, and by how much."""
 
 
 class Step(NamedTuple):
-    """What one step says: of itself, and now for good of the one before."""
+    """The info of one step, and the final one of the step before, which ``Late`` marks."""
 
     lagged: Late
     regimes: Tensor
@@ -69,8 +69,9 @@ class GPBPast(NamedTuple):
     outlier: Tensor
     """As in ``GPBState``."""
     nis: Tensor
-    """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier before."""
+    """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier in the
+    measurement before."""
     measured: Tensor
-    """``(...)`` 1 where anything was, else 0."""
-    forgotten: Tensor | None = None
+    """``(...)`` 1 where the step has a measurement, else 0."""
+    relaxation: Tensor | None = None
     """As in ``GPBState``."""

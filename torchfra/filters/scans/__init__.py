@@ -1,1 +1,1 @@
-"""Filters of scans: several targets, whose measurements do not say whose they are."""
+"""Filters of scans: several targets, and unassociated measurements."""

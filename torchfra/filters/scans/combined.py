@@ -1,4 +1,4 @@
-"""What an SRCKF learns from all measurements that may be a target's, by their probabilities."""
+"""Updates of an SRCKF by all measurements that may be a target's, weighted by their association probabilities."""
 
 from __future__ import annotations
 
@@ -20,59 +20,59 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 
 def learned(
-    side: NominalNoise, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
+    estimate: NominalNoise, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
     share_noise: bool,
 ) -> Any:  # fmt: skip
-    """The memory of the measurement noise after a scan, if ``when`` is when the inner filter learns: eq. (19).
+    """The memory of the noise estimate after a scan, if ``when`` equals its ``adapt``; else as it is: eq. (19).
 
     Args:
-        side: of the inner filter.
-        memory: before.
+        estimate: the noise estimate of the inner filter.
+        memory: before the scan.
         whitened: the measurements.
         when: ``"innovation"`` or ``"residual"``.
-        association: which of them is whose.
+        association: of targets and measurements.
         frame: of the scan.
         share_noise: whether all targets share the estimate.
     """
     share = association.probabilities
-    if side.adapt != when:
+    if estimate.adapt != when:
         return memory
-    memory = side(memory, *weighted_mean(side.excess(whitened), share, frame.measured))
+    memory = estimate(memory, *weighted_mean(estimate.excess(whitened), share, frame.measured))
     if not share_noise:
         return memory
-    measured = share.sum(-1)[..., None, None]  # how probably each target was
+    measured = share.sum(-1)[..., None, None]  # probability that each target was measured
     total = measured.sum(-3, keepdim=True)
     mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
     return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
 
 
-def widen(
-    f: SRCKF, prediction: Prediction, known: Whitened, memory: Memory | None, scan: Scan, association: Association,
+def fade(
+    f: SRCKF, prediction: Prediction, rescaled: Whitened, memory: Memory | None, scan: Scan, association: Association,
     frame: Frame,
 ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:  # fmt: skip
-    """Prediction and measurements with fading factors, the innovations remembered, and the factors ``(..., N)``."""
+    """Prediction and measurements with fading factors, the memory of innovations, and the factors ``(..., N)``."""
     if memory is None:
-        return prediction, known, None, None
+        return prediction, rescaled, None, None
     share = association.probabilities
-    residual, total = weighted_mean(known.residual, share, frame.measured)
+    residual, total = weighted_mean(rescaled.residual, share, frame.measured)
     memory = f.fading.remember(memory, residual, (total >= 0.5).to(residual))
-    nearest = likeliest(share, known)
+    nearest = likeliest(share, rescaled)
     nis = scan.candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
     factor = f.fading(prediction, nearest, memory, f.robust(nearest.residual, nis))
-    factor = torch.where(total.amax(-1) >= 0.5, factor, 1.0)  # nothing was measured that could ask for it
+    factor = torch.where(total.amax(-1) >= 0.5, factor, 1.0)  # 1 if the target was probably missed
     prediction = f.fading.inflate(prediction, factor)
     return prediction, f.compare(prediction.belief, frame), memory, factor.squeeze(-1)
 
 
 def update(
-    f: SRCKF, predicted: Gaussian, known: Whitened, scan: Scan, association: Association, frame: Frame
+    f: SRCKF, predicted: Gaussian, rescaled: Whitened, scan: Scan, association: Association, frame: Frame
 ) -> tuple[Gaussian, Tensor | None]:
-    """The Gaussian with the moments of all that may have happened, and the weights of a robust filter."""
+    """The Gaussian with the moments of all association hypotheses, and the weights of a robust filter."""
     robust, log_weights = f.robust, association.log_weights
     if robust.plain:
-        log_weights, known = gated(log_weights, known)
-    weights = robust(known.residual, scan.candidates.nis)
-    each = robust.correct(predicted, known, weights, frame.measurement_noise)
+        log_weights, rescaled = gated(log_weights, rescaled)
+    weights = robust(rescaled.residual, scan.candidates.nis)
+    each = robust.correct(predicted, rescaled, weights, frame.measurement_noise)
     if each.belief.scale_tril.shape[-3] == 1:
         belief = missed_or_hit(predicted, each.belief, log_weights)
     else:

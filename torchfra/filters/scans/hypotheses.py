@@ -1,4 +1,4 @@
-"""Targets against the measurements of a scan: batches ``(..., N)``, ``(..., N, 1)`` and ``(..., N, J)``."""
+"""State and info of a filter of scans, and the pairs ``(..., N, J)`` of targets and measurements in a scan."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ C = TypeVar("C", Whitened, Frame)
 
 
 class JPDAState(NamedTuple):
-    """What is known of the targets after a scan."""
+    """State after a scan."""
 
     inner: Any
-    """Of the filters, ``(..., N)``."""
+    """State of the targets' filters, ``(..., N)``."""
     missed: Tensor
-    """``(..., N)`` expected number of scans since each was measured last."""
+    """``(..., N)`` expected number of scans since the last measurement of each."""
     searched: Tensor
-    """``(..., N)`` how often the covariance of each has been quadrupled for that."""
+    """``(..., N)`` number of times that the covariance of each has been quadrupled as that of a lost track."""
 
     @property
     def belief(self) -> Gaussian:
-        """``(..., N)``."""
+        """The estimates ``(..., N)``."""
         belief: Gaussian = self.inner.belief
         return belief
 
@@ -49,42 +49,43 @@ class JPDAInfo(NamedTuple):
     noise: Tensor | None = None
     """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
     weights: Tensor | None = None
-    """``(..., N, T, J, m)`` of a robust inner filter: by which it would divide the noise of each measurement."""
+    """``(..., N, T, J, m)`` weights of a robust inner filter, which divide the noise of each measurement."""
     repaired: Tensor | None = None
-    """``(..., N, T)`` covariances that were not positive definite and were repaired; of rules with negative
+    """``(..., N, T)`` number of covariances that were not positive definite and were repaired; for rules with negative
     weights."""
     inner: Any = None
-    """What a filter of several models or regimes says of each target, ``(..., N, T)``: its ``info``, as expected over
-    what may have happened.  None of an ``SRCKF``."""
+    """``(..., N, T)`` expectation over the association hypotheses of the ``info`` of an inner filter of several models
+    or regimes.  None for an ``SRCKF``."""
 
 
 class Scan(NamedTuple):
-    """The measurements of a scan ``(..., N, J)`` against the prediction of each target."""
+    """The measurements of a scan ``(..., N, J)`` compared with the prediction of each target."""
 
     whitened: Whitened
     root: Tensor
-    """``(..., N, J, m, m)`` of the innovation's covariance, in units of the nominal noise."""
+    """``(..., N, J, m, m)`` root of the innovation's covariance, in units of the nominal noise."""
     normalised: Tensor
+    """``(..., N, J, m)`` residual divided by its root."""
     candidates: Candidates
     log_density: Tensor
     """``(..., N, J)`` of each measurement if it is the target's."""
 
 
 def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **options: Any) -> Association:
-    """Whose the measurements are, where targets claim them only as probably as they exist.
+    """The association of measurements with targets that may not exist.
 
     Args:
         exists: ``(..., N)`` probability that each target exists, before the scan.
-        log_ratio: ``(..., N, J)`` of targets that exist, as of ``torchfra.association.associate``.
-        log_miss: a number or ``(..., N)``, of targets that exist.
+        log_ratio: ``(..., N, J)`` for targets that exist, see ``torchfra.association.associate``.
+        log_miss: a number or ``(..., N)``, for targets that exist.
         options: of ``associate``.
 
     Returns:
-        Of each target the association given that it exists; the evidence is that of targets that may not.
+        The association of each target conditional on its existence; the evidence is not conditional.
 
     Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".
     """
-    none = torch.log1p(exists * torch.expm1(log_miss))  # there, and missed, or not there
+    none = torch.log1p(exists * torch.expm1(log_miss))  # it exists and was missed, or it does not exist
     association = associate(log_ratio + exists.log().unsqueeze(-1), none, **options)
     missed = association.log_weights[..., 0] + exists.log() + log_miss - none
     both = torch.cat([missed.unsqueeze(-1), association.log_weights[..., 1:]], -1)
@@ -92,17 +93,19 @@ def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **o
 
 
 def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:
-    """All that may have happened, ``(J + 1, ..., N)``: missed, or any one of the measurements ``(..., N, J)``."""
+    """Beliefs ``(J + 1, ..., N)`` of the association hypotheses: missed, or one of the measurements ``(..., N, J)``."""
     mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
     root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
     return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
 
 
 def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
-    """Only as many of the measurements ``(..., N, J)`` as the fullest gate holds; all of them where code is traced.
+    """The measurements ``(..., N, K)`` in each gate, where K is the number in the fullest gate.
+
+    While code is traced it is all of them.
 
     Args:
-        log_weights: ``(..., N, J + 1)`` of the target being missed, and of each measurement.
+        log_weights: ``(..., N, J + 1)`` of a miss, and of each measurement.
         whitened: the measurements.
     """
     inside = log_weights[..., 1:] > -torch.inf
@@ -111,17 +114,17 @@ def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
     order = gated_first(inside)
     if order.shape == inside.shape:
         return log_weights, whitened
-    chances = _taken(log_weights[..., 1:], 0, order, inside.shape)
-    return torch.cat([log_weights[..., :1], chances], -1), chosen(whitened, order, inside.shape)
+    associated = _taken(log_weights[..., 1:], 0, order, inside.shape)
+    return torch.cat([log_weights[..., :1], associated], -1), chosen(whitened, order, inside.shape)
 
 
 def gated_first(inside: Tensor) -> Tensor:
-    """Numbers ``(..., N, K)`` of measurements, first of those ``inside (..., N, J)`` the gate.
+    """Numbers ``(..., N, K)`` of measurements, those ``inside (..., N, J)`` the gate first.
 
-    K is what the fullest gate holds; all of them where code is traced.
+    K is the number in the fullest gate; while code is traced it is J.
     """
     if is_elementary():
-        return torch.arange(inside.shape[-1]).expand(inside.shape)  # all of them, in any order
+        return torch.arange(inside.shape[-1]).expand(inside.shape)  # all measurements; their order does not matter
     order = inside.to(torch.int8).sort(dim=-1, descending=True, stable=True)[1]
     if is_traced(inside) or inside.numel() == 0:
         return order
@@ -129,22 +132,22 @@ def gated_first(inside: Tensor) -> Tensor:
 
 
 def likeliest(share: Tensor, whitened: Whitened) -> Whitened:
-    """Of the measurements ``(..., N, J)`` the one with the largest ``share (..., N, J)``, ``(..., N, 1)``."""
+    """The measurement ``(..., N, 1)`` with the largest ``share (..., N, J)``."""
     return chosen(whitened, share.argmax(-1, keepdim=True), share.shape)
 
 
 def weighted_mean(x: Tensor, share: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean ``(..., N, 1, m)`` of ``x (..., N, J, m)`` by the probability of each measurement, and their sum.
+    """Mean ``(..., N, 1, m)`` of ``x (..., N, J, m)``, weighted by association probabilities, and their sum.
 
-    0 where the sum is below a half: nothing is learned from it then.
+    The mean is 0 where the sum is below a half, so that nothing is learned from it.
 
     Args:
-        x: of each measurement.
+        x: values of each measurement.
         share: ``(..., N, J)`` probability that it is the target's.
         measured: ``(..., 1, J, m)`` 1 where measured.
     """
     weight = share.unsqueeze(-1) * measured
-    x = torch.where(weight > 0, x, 0.0)  # others may be infinite
+    x = torch.where(weight > 0, x, 0.0)  # a value of zero weight may be infinite
     total = weight.sum(-2, keepdim=True)
     return safe_divide((weight * x).sum(-2, keepdim=True), torch.where(total >= 0.5, total, 0.0)), total
 
@@ -152,14 +155,14 @@ def weighted_mean(x: Tensor, share: Tensor, measured: Tensor) -> tuple[Tensor, T
 def combined(
     share: Tensor, residual: Tensor, root: Tensor, normalised: Tensor, frame: Frame
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What all measurements together say, in their own units, by the probabilities ``share (..., N, J)``.
+    """The combined innovation of each target, in the units of the measurement.
 
     Args:
-        share: probability that a measurement is the target's.
+        share: ``(..., N, J)`` association probability of each measurement.
         residual: ``(..., N, J, m)`` in units of the measurement noise.
-        root: ``(..., N, J, m, m)`` of its covariance, in units of the measurement noise.
+        root: ``(..., N, J, m, m)`` root of its covariance, in units of the measurement noise.
         normalised: ``(..., N, J, m)`` residual divided by its root.
-        frame: of the scan; tells the units.
+        frame: of the scan, with the measurement noise.
 
     Returns:
         The weighted innovation ``(..., N, m)``, the root of the likeliest one's covariance, and the weighted normalised
@@ -168,22 +171,22 @@ def combined(
     noise = frame.measurement_noise
     weight, best = share.unsqueeze(-1), share.argmax(-1)[..., None, None, None]
     coloured, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
-    if root.shape[-3] > 1:  # else it is the same for all
+    if root.shape[-3] > 1:  # otherwise all measurements share it
         root = root.expand(*share.shape, *root.shape[-2:])
         root = root.gather(-3, best.expand(*share.shape[:-1], 1, *root.shape[-2:]))
     return (weight * coloured).sum(-2), root.squeeze(-3), (weight * normalised).sum(-2)
 
 
 def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
-    """How many covariances of a target had to be repaired; None for rules that never need it."""
+    """Number of covariances of a target that were repaired; None for rules without negative weights."""
     measured = None if whitened.subtracted is None else repaired_root(whitened)[1].any(-1)
     return add_counts(None if prediction.repaired is None else prediction.repaired.squeeze(-1), measured)
 
 
 def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | None = None) -> C:
-    """Of measurements ``shape = (..., N, J)`` those whose numbers are in ``order (..., N, K)``.
+    """The measurements with the numbers ``order (..., N, K)``, out of those of ``shape = (..., N, J)``.
 
-    With ``only``, other fields of the tuple stay as they are.
+    With ``only``, all other fields of the tuple stay as they are.
     """
     taken: C = tree.map_ranked(lambda rank, x: _taken(x, rank, order, shape), trees, only=only)
     return taken
@@ -192,6 +195,6 @@ def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | N
 def _taken(x: Tensor, rank: int, order: Tensor, shape: torch.Size) -> Tensor:
     event = x.shape[x.dim() - rank :]
     if x.shape[-rank - 1] == 1:
-        return x  # the same for all
+        return x  # all measurements share it
     rows = order[(..., *[None] * rank)].expand(*order.shape, *event)
     return x.expand(*shape, *event).gather(-rank - 1, rows)

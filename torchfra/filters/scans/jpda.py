@@ -1,4 +1,4 @@
-"""Joint probabilistic data association: several targets, scans of measurements that do not say whose they are."""
+"""Joint probabilistic data association: several targets, and scans of unassociated measurements."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
-from torchfra.filters.base import Filter, Mix
+from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Past, Record, Smoothed
-from torchfra.filters.scans.apart import core, measured, missed, together, widened
-from torchfra.filters.scans.combined import learned, update, widen
+from torchfra.filters.scans.combined import fade, learned, update
 from torchfra.filters.scans.hypotheses import (
     JPDAInfo,
     JPDAState,
@@ -30,8 +29,9 @@ from torchfra.filters.scans.hypotheses import (
     combined,
     target_repairs,
 )
-from torchfra.filters.scans.lost_tracks import log_miss, missed_scans, search, wider
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, missed_scans, search
 from torchfra.filters.scans.merging import check_merges
+from torchfra.filters.scans.separate import core, inflated_state, measured, missed, together
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
@@ -42,54 +42,55 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
 
 Associate = Callable[[Scan, Tensor], Association]
-"""From the measurements of a scan and their log membership ``(..., N, J)`` of gates to whose they are."""
+"""From the measurements of a scan and their log membership ``(..., N, J)`` of gates to the association."""
 
 
 class ScanPast(NamedTuple):
-    """What the backward pass needs of a scan; ``(..., N, T, ...)`` of a whole sequence."""
+    """The parts of a scan that the backward pass needs; ``(..., N, T, ...)`` for a whole sequence."""
 
     inner: Past
-    """Of the targets' filters."""
+    """The past of the targets' filters."""
     searched: Tensor
-    """``(..., N)`` how often the covariance of a target that seemed lost has been quadrupled."""
+    """``(..., N)`` number of times that the covariance of a lost track has been quadrupled."""
 
 
 class JPDA(Soft, Filter[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
 
-    Each target's update is the Gaussian with the moments of all that may have happened: that it was missed, or that any
-    one of the measurements in its gate is its own.  Of a filter of several models or regimes a measurement counts by
-    its likelihood under all of them, each then has such a Gaussian of its own, and its probability is that of all that
-    may have happened: nothing but the merging is approximate.
+    The update of each target is the Gaussian with the moments of its association hypotheses: that it was missed, or
+    that one of the measurements in its gate is its own.  With an inner filter of several models or regimes, the
+    likelihood of a measurement is that under all of them; each model then has such a Gaussian of its own, and its
+    probability is summed over the hypotheses: only the merging is approximate.
 
-    Measurements come as scans: ``z (..., T, J, m)`` of J measurements at most, in any order; a row of NaN is none.
-    Targets are the last dimension of the batch: priors are ``(..., N, n)``, estimates ``(..., N, T, n)``.  A
-    measurement of which only some elements are NaN is one of the others.
+    Measurements come in scans: ``z (..., T, J, m)`` of J measurements at most, in any order; a row of NaN is missing,
+    and of a measurement with some NaN the other elements are used.  Targets are the last dimension of the batch: priors
+    are ``(..., N, n)``, estimates ``(..., N, T, n)``.
 
     Args:
-        inner: an ``SRCKF``, plain, robust, with fading factors or an estimate of the noise, which learn from the
-            combined innovation; an ``IMM`` of it without such an estimate; a ``GPB``, whose jumps and last
-            size of outliers grow with a measurement, so that a far one counts somewhat more than a density would.
-            Copies of it, gate and clutter run here.
-            Hyperparameters may differ between targets, ``(N,)``, and between scenes, ``(B, 1)`` or ``(B, N)``.
+        inner: an ``SRCKF``, plain, robust, or with fading factors or a noise estimate, which use the combined
+            innovation; an ``IMM`` of it without a noise estimate; or a ``GPB``, whose jumps and largest outliers scale
+            with the measurement, so that a distant measurement has a somewhat larger likelihood than its density.
+            Inner filter, gate and clutter are copied.  Hyperparameters may differ between targets, ``(N,)``, and
+            between scenes, ``(B, 1)`` or ``(B, N)``.
         gate: which measurements may be a target's (``torchfra.association.Gate``), by the Gaussian with the moments of
             its prediction.
-        clutter: how dense false ones are.
-        detection: probability that a target is measured, up to 1.
-        lost: a track that has been missed so often in a row that chance has at most this probability must have followed
-            something false: its covariance then quadruples with every further miss, five times at most, until it is
-            measured again (of several models before they are carried on).  0 for tracks that are never taken for lost.
-        share_noise: whether all targets share their estimates of the noise, averaged by how probably each was measured.
+        clutter: density of false measurements.
+        detection: probability of detection, up to 1.
+        lost: largest probability that a track which is on its target misses so many scans in a row.  Below it a track
+            is taken for lost: its covariance quadruples with every further miss, five times at most, until it is
+            measured again (that of several models before the prediction).  0 for never.
+        share_noise: whether all targets share one noise estimate, the mean weighted by their probabilities of being
+            measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
-        temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, through which
-            gradients reach its size.
+        temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, which gives the
+            gate's size a gradient.
 
-    ``Estimate.log_likelihood`` is the log density of a scan against one of false measurements alone, shared out among
-    the targets of a cluster: its sum over targets is what ``losses.innovation_nll`` makes large.  ``nis`` is that of
-    the combined innovation, as ``step`` gives it.
+    ``Estimate.log_likelihood`` is the log density of a scan over that of false measurements alone, divided among the
+    targets of a cluster: ``losses.innovation_nll`` maximises its sum over targets.  ``nis`` is that of the combined
+    innovation, as in ``step``.
 
     Raises:
-        ValueError: another filter than that, a sensor that gate or clutter cannot work with, a value out of its range.
+        ValueError: another inner filter, a sensor that gate or clutter cannot use, a value out of its range.
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations
     weighted by their probabilities, which is our reading; Chen & Tugnait (2001), "Tracking of Multiple Maneuvering
@@ -144,69 +145,74 @@ class JPDA(Soft, Filter[JPDAState]):
         return self.inner.sensor
 
     def begin(self, belief: Gaussian) -> JPDAState:
-        """The state of beliefs: no target missed yet."""
+        """The state of beliefs: no target has been missed."""
         nothing, rank = torch.zeros_like(belief.mean[..., 0]), belief.mean.dim() - 1
         inner = self.inner.begin(tree.insert_batch_dimension(belief))
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
-        self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, exists: Tensor | None = None,
-        count_empty: bool = False,
-    ) -> tuple[JPDAState, Record]:  # fmt: skip
-        """One scan; ``mix`` is not used.
+        self, state: JPDAState, frame: Frame, *, exists: Tensor | None = None, count_empty: bool = False
+    ) -> tuple[JPDAState, Record]:
+        """One scan.
 
         Args:
-            state: before it.
-            frame: of it.
-            mix: not used.
-            exists: ``(..., N)`` probability of each target, before the scan; None if all do.  The next state and the
-                association of each are those given that it exists.
-            count_empty: whether all targets are missed in a scan without any measurement.
+            state: before the scan.
+            frame: of the scan.
+            exists: ``(..., N)`` probability that each target exists, before the scan; None if all do.  The next state
+                and the association of each are conditional on its existence.
+            count_empty: whether a scan without any measurement counts as missing all targets.
         """
-        miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
+        miss, factor, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
-            times, searched = search(state.missed, state.searched, miss, self.lost)
-        follow = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
+            factor, searched = search(state.missed, state.searched, miss, self.lost)
+        update_all = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
         associate = partial(self.associate, miss=miss, exists=exists)
-        inner, scan, association, info = follow(state.inner, times, associate, frame)
+        inner, scan, association, info = update_all(state.inner, factor, associate, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
         return JPDAState(inner, missed_scans(state.missed, association, frame.measured, count_empty), searched), record
 
     def by_innovations(
-        self, state: State, times: Tensor | None, associate: Associate, frame: Frame
+        self, state: State, inflation: Tensor | None, associate: Associate, frame: Frame
     ) -> tuple[State, Scan, Association, JPDAInfo]:
-        """A scan of one motion: one gain for all measurements; equation numbers of Chen, Zou & Wu.
+        """A scan with an inner filter of one motion, by the combined innovation; equations of Chen, Zou & Wu.
 
         Args:
             state: of the inner filter.
-            times: factor ``(..., N)`` on the root of what is predicted; None for none.
-            associate: says whose the measurements of a scan in gates are.
+            inflation: factor ``(..., N)`` on the root of the prediction; None for none.
+            associate: computes the association.
             frame: of the scan.
         """
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state)
         prediction = f.predicted(belief, frame)
-        prediction = prediction if times is None else wider(prediction, times)
+        prediction = prediction if inflation is None else inflated(prediction, inflation)
         scan = self.compare_scan(f, prediction.belief, noise, frame)
         repaired = target_repairs(prediction, scan.whitened)
         association = associate(scan, self.inside(scan))  # (25)-(27)
         learn = partial(learned, f.noise, association=association, frame=frame, share_noise=self.share_noise)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
-        known = f.noise.known(scan.whitened, noise)
-        prediction, known, fading, factor = widen(f, prediction, known, fading, scan, association, frame)
-        belief, weights = update(f, prediction.belief, known, scan, association, frame)  # (28)-(30)
+        rescaled = f.noise.rescale(scan.whitened, noise)
+        prediction, rescaled, fading, factor = fade(f, prediction, rescaled, fading, scan, association, frame)
+        belief, weights = update(f, prediction.belief, rescaled, scan, association, frame)  # (28)-(30)
         if f.noise.adapt == "residual":
-            left = f.compare(tree.insert_batch_dimension(belief), frame)
-            noise = learn(noise, left, "residual")
+            residual = f.compare(tree.insert_batch_dimension(belief), frame)
+            noise = learn(noise, residual, "residual")
         inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
         info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
         return inner, scan, association, info
 
     def by_states(
-        self, state: Any, times: Tensor | None, associate: Associate, frame: Frame
+        self, state: Any, inflation: Tensor | None, associate: Associate, frame: Frame
     ) -> tuple[Any, Scan, Association, JPDAInfo]:
-        """A scan of several models or regimes: a state for every measurement, merged; arguments as above."""
-        f, state = self.inner, state if times is None else widened(self.inner, state, times)
+        """A scan with an inner filter of several models or regimes: a state for every measurement, then merged.
+
+        Args:
+            state: of the inner filter.
+            inflation: factor ``(..., N)`` on the roots of the state; None for none.
+            associate: computes the association.
+            frame: of the scan.
+        """
+        f, state = self.inner, state if inflation is None else inflated_state(self.inner, state, inflation)
         none, record = missed(f, state, frame, self.sensor)
         scan = self.compare_scan(core(f), record.belief, None, frame)
         inside = self.inside(scan)
@@ -217,12 +223,19 @@ class JPDA(Soft, Filter[JPDAState]):
         return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
 
     def compare_scan(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
-        """The measurements of a scan against the prediction ``belief (..., N, 1)`` of a filter for each target."""
-        whitened, side = f.compare(belief, frame), None if noise is None else f.noise
-        known = whitened if side is None else side.known(whitened, noise)
-        root, normalised = innovation(known)
-        every = frame.measured if root.shape[-3] > 1 else torch.ones_like(frame.measured[..., :1, :])
-        root = root if side is None else side.nominal(root, noise, every)
+        """Compares the measurements of a scan with the prediction ``belief (..., N, 1)`` of each target.
+
+        Args:
+            f: the filter of each target.
+            belief: predicted.
+            noise: memory of the noise estimate; None without an estimate.
+            frame: of the scan.
+        """
+        whitened = f.compare(belief, frame)
+        root, normalised = innovation(whitened if noise is None else f.noise.rescale(whitened, noise))
+        if noise is not None:
+            every = frame.measured if root.shape[-3] > 1 else torch.ones_like(frame.measured[..., :1, :])
+            root = f.noise.nominal(root, noise, every)
         measured, unit = frame.measured > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         expected = self.sensor.at_points(belief.mean, frame.u)
@@ -232,14 +245,14 @@ class JPDA(Soft, Filter[JPDAState]):
         return Scan(whitened, root, normalised, candidates, density(root, normalised) + unit.log_norm)
 
     def inside(self, scan: Scan) -> Tensor:
-        """Log membership ``(..., N, J)`` of measurements in gates; minus infinity outside, and where missing."""
+        """Log membership ``(..., N, J)`` of measurements in gates; minus infinity outside and for missing ones."""
         candidates = scan.candidates
         measured = candidates.measured.sum(-1) > 0
-        temperature = self.heat if self.soft else 0.0
+        temperature = self.temperature if self.soft else 0.0
         return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
     def associate(self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None) -> Association:
-        """Which measurement is whose: eqs. (25)-(27).
+        """The association of targets and measurements: eqs. (25)-(27).
 
         Args:
             scan: the measurements.
@@ -254,14 +267,18 @@ class JPDA(Soft, Filter[JPDAState]):
         return solve(ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact)
 
     def finish(self, state: JPDAState, belief: Gaussian, info: JPDAInfo) -> tuple[Gaussian, JPDAInfo]:
-        """What the inner filter decides late."""
+        """The estimates of all scans, by ``finish`` of the inner filter."""
         if info.inner is None:
             return belief, info
         belief, inner = self.inner.finish(state.inner, belief, info.inner)
         return belief, info._replace(inner=inner)
 
     def check_smooths(self) -> None:
-        """Raises a ``NotImplementedError`` where the inner filter is one of several models or regimes."""
+        """Checks that the inner filter is one of a single model.
+
+        Raises:
+            NotImplementedError: it is one of several models or regimes.
+        """
         if not isinstance(self.inner, SRCKF):
             name = type(self.inner).__name__
             raise NotImplementedError(
@@ -270,7 +287,7 @@ class JPDA(Soft, Filter[JPDAState]):
             )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
-        """What the backward pass needs: of each target its beliefs, in which associations stay as they were."""
+        """The past of each target for the backward pass, which keeps the associations of the forward pass."""
         return ScanPast(self.inner.past(belief, info, None, None), steps)
 
     def fresh(self, past: ScanPast) -> ScanPast:
@@ -280,12 +297,12 @@ class JPDA(Soft, Filter[JPDAState]):
     decided = needed_of_next = fresh
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
-        """The last scan, which no later one speaks of."""
+        """Where the backward pass begins: the filtered beliefs after the last scan."""
         last: tuple[Gaussian, Smoothed] = self.inner.last(past.inner)
         return last
 
     def retreat(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
-        """One scan back, of each target for itself."""
+        """One step of the backward pass, of each target by itself."""
         belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.next.inner.factor
         carried = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
         times = 2 ** (step.next.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
@@ -298,7 +315,7 @@ class JPDA(Soft, Filter[JPDAState]):
         return smoothed.belief, smoothed
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of scenes, checked; targets are no part of it."""
+        """The batch of scenes of the arguments, checked; targets are no part of it."""
         batch = super()._batch(measurements, prior, name)
         if isinstance(self.inner, GPB):
             self.inner.outliers.check_noise("noise", measurements.noise)
@@ -326,7 +343,7 @@ class JPDA(Soft, Filter[JPDAState]):
         return [frame._replace(measurement_noise=unit) for frame in frames], log_norm
 
     def complete(self, measurements: Measurements) -> bool:
-        """Whether measurements are complete or missing, and all have the same noise: then they share their gains."""
+        """Whether each measurement is complete or missing and all have the same noise, so that they share one gain."""
         z, _, _, std, noise = measurements
         if isinstance(measurements, CompleteScans):
             return True
@@ -342,12 +359,12 @@ class JPDA(Soft, Filter[JPDAState]):
         return record.normalised.square().sum(-1), record.density
 
     def innovation_of(self, record: Record, frame: Frame) -> Innovation:
-        """The combined innovation, its root, and what they say of the scan."""
+        """The combined innovation, its root, and the scores of the scan."""
         assert record.residual is not None
         return Innovation(record.residual, record.root, *self._scores(record, frame.measurement_noise.log_norm))
 
     def for_each_target(self, measurements: Measurements) -> Measurements:
-        """Measurements for the backward pass of targets: time steps and ``u`` of scenes have one more dimension."""
+        """Measurements for the backward pass, in which each target is a track: ``dt`` and ``u`` get its dimension."""
         dt, u = measurements.dt, measurements.u
         dt = dt.unsqueeze(-2) if isinstance(dt, Tensor) and dt.dim() > 1 else dt
         return measurements._replace(dt=dt, u=u.unsqueeze(-3) if u is not None and u.dim() > 2 else u)

@@ -1,4 +1,4 @@
-"""Tracks that are missed so often that they seem lost: how often, and how wide they then search."""
+"""Tracks that have been missed so often that they are taken for lost, and the inflation of their covariances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.hyper import Hyper
 from torchfra.types import Gaussian, Prediction
 
 _SEARCH = 5.0
-"""Times that the covariance of a track that seems lost quadruples."""
+"""Largest number of times that the covariance of a lost track quadruples."""
 
 
 def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
@@ -26,34 +26,34 @@ def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
 
 
 def missed_scans(before: Tensor, association: Association, measured: Tensor, count_empty: bool) -> Tensor:
-    """Expected scans ``(..., N)`` since the last measurement.
+    """Expected number ``(..., N)`` of scans since the last measurement.
 
     Args:
-        before: ``(..., N)``.
+        before: ``(..., N)`` before this scan.
         association: of this scan.
         measured: ``(..., 1, J, m)`` 1 where measured.
-        count_empty: whether all targets are missed in a scan without any measurement; else it changes nothing.
+        count_empty: whether a scan without any measurement counts as missing all targets.
     """
     some = ((measured.sum((-2, -1)) > 0) | count_empty).expand(before.shape)
     return torch.where(some, association.log_weights[..., 0].exp() * (before + 1), before)
 
 
 def search(missed: Tensor, searched: Tensor, log_miss: Tensor, lost: float) -> tuple[Tensor, Tensor]:
-    """Factor ``(..., N)`` on the root of the covariance of a track that seems lost, and how often it has been widened.
+    """Factor ``(..., N)`` on the covariance root of a lost track, and the number of times it has been quadrupled.
 
     Args:
-        missed: ``(..., N)`` scans since the last measurement.
-        searched: ``(..., N)`` how often the covariance has been quadrupled.
-        log_miss: see above.
-        lost: probability to be missed so often by chance, below which a track seems lost.
+        missed: ``(..., N)`` expected number of scans since the last measurement.
+        searched: ``(..., N)`` number of times that the covariance has been quadrupled before.
+        log_miss: log of the probability that a target has no measurement in its gate.
+        lost: probability of so many misses in a row below which a track is taken for lost.
     """
     patience = math.log(lost) / log_miss
     wanted = (missed - patience).clamp(0.0, _SEARCH)
     return 2.0 ** (wanted - searched).clamp_min(0.0), wanted
 
 
-def wider(prediction: Prediction, times: Tensor) -> Prediction:
-    """A prediction ``(..., N, 1)`` whose covariance has a root ``times (..., N)`` as large."""
-    factor = times[..., None, None, None]
+def inflated(prediction: Prediction, factor: Tensor) -> Prediction:
+    """A prediction ``(..., N, 1)`` whose covariance root is multiplied by ``factor (..., N)``."""
+    factor = factor[..., None, None, None]
     (mean, root), spread, process_noise, repaired = prediction
     return Prediction(Gaussian(mean, factor * root), factor * spread, factor * process_noise, repaired)

@@ -1,4 +1,4 @@
-"""Steps of a filter of scans as ``targets.Targets`` calls them: what to expect of a scan, and what it has said."""
+"""Steps of a filter of scans for ``targets.Targets``: predicted measurements of a scan, and the update by it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.engine import INTERPRETED
-from torchfra.filters.scans.apart import missed, widened
 from torchfra.filters.scans.hypotheses import JPDAState
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.scans.lost_tracks import log_miss, search, wider
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, search
+from torchfra.filters.scans.separate import inflated_state, missed
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.triangular import hstack, tria
@@ -27,9 +27,9 @@ class Uncertain(NamedTuple):
     """Targets that may not exist."""
 
     state: JPDAState
-    """If they do."""
+    """The state of targets that exist."""
     exists: Tensor
-    """``(..., N)`` probability that they do."""
+    """``(..., N)`` probability that each exists."""
 
     @property
     def belief(self) -> Gaussian:
@@ -40,10 +40,10 @@ class Uncertain(NamedTuple):
 def stepped(
     f: JPDA, function: Callable[[JPDA, S, Frame], tuple[S, Any]], state: S, measurements: Measurements
 ) -> tuple[S, Any]:
-    """A ``function`` of this module on a checked scan ``z (C, J, m)``.
+    """Calls a ``function`` of this module on a checked scan ``z (C, J, m)``.
 
-    Only an interpreted step can look for clusters: where a scan may be too large to sum over all its events as one, it
-    is interpreted.
+    Only an interpreted step can split a scan into clusters, so a scan that is too large to sum over all its joint
+    events at once runs interpreted.
     """
     targets, count = state.belief.mean.shape[-2], measurements.z.shape[-2]
     small = targets == 1 or (targets <= f.exact[0] and count <= f.exact[1])
@@ -53,15 +53,15 @@ def stepped(
 def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
     """The state after a scan, the association ``(..., N, J + 1)`` and the log density ``(..., N)``: see ``JPDAInfo``.
 
-    In a scan without any measurement all targets were missed.
+    A scan without any measurement misses all targets.
     """
     return _advanced(f, state, frame, None)
 
 
 def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertain, tuple[Tensor, Tensor]]:
-    """The same of targets that may not exist: state and association of each are those given that it exists."""
-    state, said = _advanced(f, targets.state, frame, targets.exists)
-    return targets._replace(state=state), said
+    """``among`` for targets that may not exist: state and association of each are conditional on its existence."""
+    state, result = _advanced(f, targets.state, frame, targets.exists)
+    return targets._replace(state=state), result
 
 
 def _advanced(
@@ -73,26 +73,27 @@ def _advanced(
 
 
 def outlook(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, Gaussian]:
-    """The state as it was, and what a measurement ``(..., N)`` of each target in the scan is expected to be.
+    """The unchanged state, and the predicted measurement ``(..., N)`` of each target in the scan.
 
-    Of the scan only the noise counts.
+    Of the scan only its noise is used.
     """
-    inner, learned, times = state.inner, None, None
+    inner, learned, factor = state.inner, None, None
     if f.lost:
         miss = log_miss(f.detection, f.gate, state.missed)
-        times, _ = search(state.missed, state.searched, miss, f.lost)
+        factor, _ = search(state.missed, state.searched, miss, f.lost)
     if isinstance(f.inner, SRCKF):
         before, _, noise = tree.insert_batch_dimension(inner)
         prediction = f.inner.predicted(before, frame)
-        belief = (prediction if times is None else wider(prediction, times)).belief
+        belief = (prediction if factor is None else inflated(prediction, factor)).belief
         learned = f.inner.noise.scale(noise)
     else:
-        belief = missed(f.inner, inner if times is None else widened(f.inner, inner, times), frame, f.sensor)[1].belief
+        before = inner if factor is None else inflated_state(f.inner, inner, factor)
+        belief = missed(f.inner, before, frame, f.sensor)[1].belief
     return state, tree.remove_batch_dimension(_measurement(f.sensor, belief, frame, learned))
 
 
 def _measurement(sensor: Sensor, belief: Gaussian, frame: Frame, learned: Tensor | None) -> Gaussian:
-    """A measurement ``(..., m)`` of predictions ``(..., n)``, its noise included, by points of third degree."""
+    """The predicted measurement ``(..., m)`` of predictions ``(..., n)``, noise included, by third-degree cubature."""
     mean, root = belief
     n = mean.shape[-1]
     offsets = (n**0.5 * root).movedim(-1, 0)  # (n, ..., n)

@@ -1,4 +1,4 @@
-"""One state for several: what is left of hypotheses about a step, each of which has led to a state of a filter."""
+"""Merging of filter states: one state with the moments of several, each of which follows from one hypothesis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torchfra.types import Gaussian
 
 
 def check_merges(inner: Filter) -> None:
-    """Checks that states of a filter can be merged, and so that it can follow one of several targets.
+    """Checks that states of a filter can be merged, as an inner filter of ``JPDA`` needs.
 
     Raises:
         ValueError: they cannot.
@@ -44,13 +44,12 @@ def check_merges(inner: Filter) -> None:
 
 
 def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
-    """The state that has the moments of several.
+    """The state with the moments of several states.
 
     Args:
-        inner: the filter; what it keeps apart, models and regimes, stays apart.
-        states: of it, hypotheses in front: ``(P, ...)``.
-        log_weights: ``(P, ...)`` logs of the probabilities of the hypotheses; minus infinity for one that does not
-            count.
+        inner: the filter; its models or regimes are merged one by one.
+        states: its states, with a first dimension of hypotheses, ``(P, ...)``.
+        log_weights: ``(P, ...)`` logs of the probabilities of the hypotheses, minus infinity for zero weight.
     """
     if isinstance(inner, GPB):
         return _of_regimes(inner, states, log_weights)
@@ -61,11 +60,11 @@ def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
 
 
 def averaged(trees: Any, log_weights: Tensor, angles: Sequence[int] = ()) -> Any:
-    """Trees ``(P, ...)`` as one: beliefs by their moments, truth values of the first, all else by the mean.
+    """Trees ``(P, ...)`` merged into one: beliefs by their moments, truth values of the first, all else by the mean.
 
     Args:
-        trees: of hypotheses, in front.
-        log_weights: as in ``merged``.
+        trees: with a first dimension of hypotheses.
+        log_weights: see ``merged``.
         angles: components of beliefs that are angles, rad.
     """
 
@@ -82,7 +81,7 @@ def averaged(trees: Any, log_weights: Tensor, angles: Sequence[int] = ()) -> Any
 
 
 def on_beliefs(function: Callable[[Any], Any], trees: Any) -> Any:
-    """``function`` of every belief, and of every tensor outside of one."""
+    """Applies ``function`` to every belief of a tree, and to every tensor outside of beliefs."""
     if isinstance(trees, tuple) and not isinstance(trees, Gaussian):
         parts = [on_beliefs(function, part) for part in trees]
         return type(trees)(*parts) if hasattr(trees, "_fields") else tuple(parts)
@@ -90,7 +89,7 @@ def on_beliefs(function: Callable[[Any], Any], trees: Any) -> Any:
 
 
 def _of_models(inner: IMM, states: Any, log_weights: Tensor) -> IMMState:
-    """Each model by its share of each hypothesis: the probability of both together is what counts."""
+    """Merges each model by its joint probability with each hypothesis."""
     after, shares = _shared(_joint(log_weights.unsqueeze(-1), states.log_weights), log_weights.unsqueeze(-1))
     every: IMMState = states._replace(
         belief=moment_match(states.belief, log_weights, inner.motion.angles),
@@ -98,12 +97,12 @@ def _of_models(inner: IMM, states: Any, log_weights: Tensor) -> IMMState:
         log_weights=after,
     )
     if every.active is not None:
-        return every._replace(active=every.active[0])  # chosen before the measurement: the same for all
+        return every._replace(active=every.active[0])  # the set was chosen before the measurement
     return every
 
 
 def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
-    """Without and with outliers, each motion of each, by the share of each hypothesis."""
+    """Merges each motion, without and with an outlier, by its joint probability with each hypothesis."""
     joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
     _, shares = _shared(inner.regimes.log_by_motion(joint, -1), log_weights[..., None, None])  # (P, ..., 2, K)
     _, some = _shared(log_sum(joint[..., 1, :], -1), log_weights)
@@ -115,17 +114,17 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         log_sum(joint, 0),
         averaged(states.outlier, some),
         averaged(states.lasted, log_weights),
-        None if states.forgotten is None else averaged(states.forgotten.unsqueeze(-1), log_weights).squeeze(-1),
+        None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
     )
 
 
 def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
-    """Of hypotheses and what is kept apart inside of them; what does not count may be NaN."""
+    """Logs of the joint weights of hypotheses and of models inside of them, which may be NaN if the weight is 0."""
     return torch.where(log_weights > -torch.inf, log_weights + inside, -torch.inf)
 
 
 def _shared(joint: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Sums over hypotheses ``(P, ...)``, and logs of their shares: ``log_weights`` where none has any weight."""
+    """Log sums over hypotheses ``(P, ...)``, and logs of their shares; ``log_weights`` where all weights are 0."""
     total = log_sum(joint, 0)
     nothing = total == -torch.inf
     return total, torch.where(nothing, log_weights, joint - torch.where(nothing, 0.0, total))

@@ -1,4 +1,4 @@
-"""A scan for filters of several models or regimes: each measurement in a gate gives a state, and these are merged."""
+"""A scan for filters of several models or regimes: one state for each measurement in a gate, then merged."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ class Pairs(NamedTuple):
     """Targets ``(..., N)``, each with the measurements in its gate: at most ``K`` of them."""
 
     states: Any
-    """Of the filter, ``(K, ..., N)``."""
+    """States ``(K, ..., N)`` of the filter."""
     info: Any
-    """Of the filter, ``(K, ..., N)``."""
+    """Info ``(K, ..., N)`` of the filter."""
     number: Tensor
-    """``(..., N, K)`` of each measurement in the scan."""
+    """``(..., N, K)`` number of each measurement in the scan."""
     log_density: Tensor
-    """``(..., N, J)`` of each measurement of the scan if it is the target's; minus infinity of all others."""
+    """``(..., N, J)`` of each measurement of the scan if it is the target's; minus infinity outside the gate."""
 
 
 def core(inner: Filter) -> Any:
-    """The filter that holds measurements against a Gaussian: that of the models, where there are several."""
+    """The filter that compares measurements with a Gaussian: of an ``IMM`` that of its models."""
     return inner.inner if isinstance(inner, IMM) else inner
 
 
 def missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any, Record]:
-    """The state ``(1, ..., N)`` of targets that are not measured, and what the filter keeps of it, ``(..., N, 1)``."""
+    """State and info ``(1, ..., N)`` of targets that are missed, and the record ``(..., N, 1)`` of the step."""
     z = torch.zeros_like(frame.z[..., :1, :])
     nothing = sensor.measurement_noise(torch.full_like(z, torch.nan))
     rank = state.belief.mean.dim() - 1
@@ -49,7 +49,7 @@ def missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any
 
 
 def measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
-    """The states that each measurement ``inside (..., N, J)`` a target's gate would lead to."""
+    """The states after each measurement that is ``inside (..., N, J)`` a target's gate."""
     number, rank = gated_first(inside), state.belief.mean.dim() - 1
     frame = chosen(frame, number, inside.shape, only=("z", "measured", "measurement_noise"))
     state, record = inner.advance(_with_rows(state, rank, number.shape[-1]), frame)
@@ -60,36 +60,35 @@ def measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
 
 
 def together(inner: Filter, none: tuple[Any, Any], each: Pairs, association: Association) -> tuple[Any, Any]:
-    """One state for each target, and one info: of being missed (``none``) and of ``each`` measurement."""
-    chances = association.log_weights
-    own = chances[..., 1:].gather(-1, each.number).movedim(-1, 0)
-    log_weights = torch.cat([chances[..., 0].unsqueeze(0), own])
+    """One state and one info for each target, merged from a miss (``none``) and from ``each`` measurement."""
+    missed, associated = association.log_weights[..., 0], association.log_weights[..., 1:]
+    log_weights = torch.cat([missed.unsqueeze(0), associated.gather(-1, each.number).movedim(-1, 0)])
     state, info = tree.map_tensors(lambda *xs: torch.cat(xs), none, (each.states, each.info))
     return merged(inner, state, log_weights), averaged(info, log_weights, inner.motion.angles)
 
 
-def widened(inner: Filter, state: Any, times: Tensor) -> Any:
-    """A state of the filter whose beliefs have roots ``times (...)`` as large; what models know together follows."""
+def inflated_state(inner: Filter, state: Any, factor: Tensor) -> Any:
+    """A state of the filter with all covariance roots multiplied by ``factor (...)``; models are pooled again."""
 
-    def wider(x: Any) -> Any:
+    def inflate(x: Any) -> Any:
         if not isinstance(x, Gaussian):
             return x
-        factor = times.reshape(times.shape + (1,) * (x.scale_tril.dim() - times.dim()))
-        return Gaussian(x.mean, factor * x.scale_tril)
+        each = factor.reshape(factor.shape + (1,) * (x.scale_tril.dim() - factor.dim()))
+        return Gaussian(x.mean, each * x.scale_tril)
 
-    state = on_beliefs(wider, state)
+    state = on_beliefs(inflate, state)
     if isinstance(state, IMMState) and state.active is None:
         state = state._replace(belief=pooled(state.inner.belief, state.log_weights, inner.motion))
     return state
 
 
 def _with_rows(state: Any, rank: int, count: int) -> Any:
-    """The state ``count`` times, along one more dimension at the end of the batch."""
+    """The state, repeated ``count`` times along a new last dimension of the batch."""
     return tree.map_tensors(lambda x: x.unsqueeze(rank).expand(*x.shape[:rank], count, *x.shape[rank:]), state)
 
 
 def _rows_first(trees: Any, rank: int, count: int) -> Any:
-    """The ``count`` entries along that dimension in front; what is the same for all is repeated."""
+    """Trees with that dimension moved to the front; tensors with a single entry are repeated."""
 
     def first(x: Tensor) -> Tensor:
         return x.expand(*x.shape[:rank], count, *x.shape[rank + 1 :]).movedim(rank, 0)
