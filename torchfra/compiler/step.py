@@ -20,6 +20,7 @@ from torchfra.compiler.routines import called_for_each
 from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.tangents import tangent
 from torchfra.compiler.trees import late
+from torchfra.compiler.zeros import staying
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, paths, unflatten
 
@@ -96,19 +97,36 @@ class Step:
         leaves = flatten(self.state)
         if not all(x.is_floating_point() for x in leaves):
             raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
-        self.zero, self._plain = self._always_zero([as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves])
+        zero = [as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves]
+        self.zero, self._plain = self._always_zero(self._guessed(zero))
         self.record = self._plain.record
 
     def unknown(self, book: Expressions) -> dict[str, Entries]:
         """All inputs, of one track."""
         return {name: Entries.inputs(book, x.shape, self.dtype) for name, x in self.inputs.items()}
 
-    def copy_with(self, inputs: Mapping[str, Entries]) -> nn.Module:
+    def copy_with(self, inputs: Mapping[str, Tensor]) -> nn.Module:
         """A copy of the module that has these values: they may differ between tracks, and be set to others later."""
         module = frozen(self.module)
         for name in (name for name, kind in self.inputs.items() if kind.value):
             put_in_place(module, name, inputs[name])
         return module
+
+    def _guessed(self, zero: list[Tensor]) -> list[Tensor]:
+        """Those of the entries that are 0 before the first step that stay 0 in a step of random numbers."""
+
+        def run(draw: Callable[[Sequence[int]], Tensor], leaves: Sequence[Tensor]) -> list[Tensor]:
+            inputs = {name: draw(x.shape) for name, x in self.inputs.items()}
+            return flatten(self._stepped(inputs, leaves)[0])
+
+        with suppress(Exception), elementary(), torch.no_grad():  # random numbers may be none that the step takes
+            return staying(run, zero, self.dtype)
+        return zero
+
+    def _stepped(self, inputs: Mapping[str, Tensor], leaves: Sequence[Tensor]) -> tuple[Any, Any]:
+        """The next state and the record, from inputs by name and leaves of a state."""
+        data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
+        return self._advance(self.copy_with(inputs), unflatten(self.state, iter(leaves)), data)
 
     def _always_zero(self, zero: list[Tensor]) -> tuple[list[Tensor], Trace]:
         """The entries of the state that are 0 before the first step and stay 0, and a trace that knows it."""
@@ -134,11 +152,9 @@ class Step:
         if differentiable:
             for x in (*before, *inputs.values()):
                 x.requires_grad_()
-        module = self.copy_with(inputs)
-        data = {name: inputs[name] for name, kind in self.inputs.items() if not kind.value}
-        name = type(module).__name__
+        name = type(self.module).__name__
         with refusals_of(name), elementary(caller), torch.set_grad_enabled(differentiable):
-            state, record = self._advance(module, unflatten(self.state, iter(before)), data)
+            state, record = self._stepped(inputs, before)
         after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
         for kind, leaves in (("", before), ("next.", after)):
             _name(book, [kind + path for path in _paths(self.state, "state")], leaves)
