@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
 from typing import Any, NamedTuple
 
 import torch
@@ -28,6 +27,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Regimes, Switching, in_front
+from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
@@ -43,11 +43,6 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Alarm, Gaussian, Whitened
-
-BLIND = 0.02
-"""Share of a predicted element's variance that its slope must explain; below it the points show no slope."""
-NEAR = 0.01
-"""Scale of the points around the mean that give the slope there instead."""
 
 
 class Mixing(NamedTuple):
@@ -350,30 +345,3 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
-
-
-def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Whitened:
-    """Compares the measurement with a predicted belief; elements whose points show no slope by the slope at the mean.
-
-    Args:
-        compare: compares the measurement with a belief by the belief's points.
-        belief: ``(..., n)`` predicted.
-    """
-    mean, root = belief
-    both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
-    slope, rest = (reduce(torch.add, x[0].square().unbind(-1), x.new_zeros(())) for x in (both.slope, both.rest))
-    blind = slope < BLIND * (slope + rest)
-    some = blind.any()  # hardly ever: in kernels the points nearby are then not computed
-    (wide, near), spread = both.residual, both.spread
-    steep = torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0])
-    return Whitened(
-        torch.where(some, torch.where(blind, near, wide), wide), torch.where(some, steep, spread[0]), both.reads
-    )
-
-
-def compare_linear(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
-    """Compares the measurement of a linear sensor with a predicted belief ``(..., n)``, without points."""
-    d, noise = sensor.reads, frame.measurement_noise
-    mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
-    residual = noise.whiten(sensor.difference(frame.z, sensor(mean)).unsqueeze(-1)).squeeze(-1)
-    return Whitened(residual, noise.whiten(sensor(root.mT).mT), d)
