@@ -137,7 +137,7 @@ class ChiSquare(Gate):
 
 
 def _beyond_ellipsoid(candidates: Candidates, probability: Tensor) -> Tensor:
-    """How far ``(..., N, J)`` beyond the ellipsoid of a probability, as ``log tail / log(1 - probability) - 1``.
+    """Distance ``(..., N, J)`` beyond the ellipsoid of a probability, as ``log tail / log(1 - probability) - 1``.
 
     ``tail`` is the probability of a larger normalised innovation squared; where it underflows the result is infinity.
     """

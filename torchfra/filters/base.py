@@ -115,7 +115,7 @@ class Filter(nn.Module, Generic[S]):
     originals: tuple[Sensor, ...] = ()
     """The sensors that the filter's own sensor is a copy of: they count as its own."""
     engine: Engine
-    """What runs its steps: see ``compile``."""
+    """The engine that runs its steps: see ``compile``."""
     motion: Motion
     sensor: Sensor
     fading: NoFading
@@ -214,7 +214,7 @@ class Filter(nn.Module, Generic[S]):
         """
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
-        """What the backward pass needs: a tree of ``(..., T, ...)`` tensors.
+        """The past for the backward pass: a tree of ``(..., T, ...)`` tensors.
 
         Args:
             belief: the estimates of ``forward``.

@@ -190,7 +190,7 @@ class WithErrors(Filter[WithErrorsState]):
         return self.inner.needed_of_next(past)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
-        """Where the backward pass begins."""
+        """Where the backward pass begins: the last step of the inner filter."""
         state, smoothed = self.inner.last(past)
         return state, self.own(smoothed)
 

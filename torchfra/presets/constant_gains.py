@@ -21,7 +21,7 @@ _TUNED: dict[str, Any] = {
     "manoeuvre": 3.5, "outlier": 18.0, "margin": 6.0, "hysteresis": 0.7, "dwell": 20.0, "degrees": [0.25],
     "onset": "fastest", "confirm": True,
 }  # fmt: skip
-"""Of three gains, tuned on ``scenarios.level_then_weave``."""
+"""Defaults for levels of three gains, tuned on ``scenarios.level_then_weave``."""
 
 
 @register.filter("alphabeta", words="switching constant gains", constant_gains=True)

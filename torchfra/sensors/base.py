@@ -194,7 +194,7 @@ class Sensor(nn.Module):
         return MeasurementNoise(diagonal, measured / diagonal, lower, inverse, _log_norm(diagonal, measured))
 
     def describe(self) -> str:
-        """What the sensor is, in a few words for tables and messages: by default the words of the class's name."""
+        """The sensor in a few words, for tables and messages: by default the words of the class's name."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
 
     def extra_repr(self) -> str:

@@ -78,7 +78,7 @@ class Hypotheses(NamedTuple):
         return Hypotheses(merge(self.belief, roots, axes, angles), total)
 
     def of(self, regimes: Sequence[int]) -> Hypotheses:
-        """Those of some regimes."""
+        """The hypotheses of some regimes."""
         chosen: Hypotheses = tree.map_tensors(lambda x: torch.stack([x[:, r] for r in regimes], MOTION), self)
         return chosen
 

@@ -60,18 +60,18 @@ class Step(NamedTuple):
 
 
 class GPBPast(NamedTuple):
-    """What smoothing needs of a step; ``(..., T, ...)`` of a whole track."""
+    """The past of a step for the backward pass; ``(..., T, ...)`` for a whole track."""
 
     hypotheses: Gaussian
-    """As in ``GPBState``."""
+    """See ``GPBState``."""
     log_weights: Tensor
-    """As in ``GPBState``."""
+    """See ``GPBState``."""
     outlier: Tensor
-    """As in ``GPBState``."""
+    """See ``GPBState``."""
     nis: Tensor
     """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier in the
     measurement before."""
     measured: Tensor
     """``(...)`` 1 where the step has a measurement, else 0."""
     relaxation: Tensor | None = None
-    """As in ``GPBState``."""
+    """See ``GPBState``."""

@@ -135,12 +135,12 @@ class JPDA(Soft, Filter[JPDAState]):
 
     @property
     def motion(self) -> Any:  # type: ignore[override]
-        """Of the inner filter."""
+        """The motion of the inner filter."""
         return self.inner.motion
 
     @property
     def sensor(self) -> Any:  # type: ignore[override]
-        """Of the inner filter."""
+        """The sensor of the inner filter."""
         return self.inner.sensor
 
     def begin(self, belief: Gaussian) -> JPDAState:
