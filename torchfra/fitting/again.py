@@ -1,4 +1,4 @@
-"""Fits that are made again from the best values: to resampled tracks, and with one value held."""
+"""Further fits from the best values: to resampled tracks (bootstrap), and with one value fixed (profile)."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from torchfra.fitting.newton import Sums, minimised
 from torchfra.tables import text_table
 
 WITHIN = 3.841458820694124
-"""Twice the growth of minus the log likelihood at the ends of a 95 % interval: chi-squared of one degree."""
+"""Twice the increase of minus the log likelihood at the ends of a 95 % interval: chi-squared of one degree."""
 
 
 class Profile(NamedTuple):
-    """The least loss with one value held, for several of its values."""
+    """The profile of the loss: its minimum with one value fixed, for several of its values."""
 
     name: str
     values: list[float]
     """In natural units, ascending."""
     growth: list[float]
-    """Of the loss of all tracks together above its least."""
+    """Increase of the loss of all tracks together above its minimum."""
 
     @property
     def inside(self) -> list[float]:
-        """The values that a likelihood ratio test does not reject at 5 %; means something for likelihoods only."""
+        """The values that a likelihood ratio test does not reject at 5 %; meaningful for likelihoods only."""
         return [v for v, growth in zip(self.values, self.growth, strict=True) if 2 * growth <= WITHIN]
 
     def __str__(self) -> str:
@@ -51,15 +51,15 @@ class Bootstrap(NamedTuple):
 def profile(
     sums: Sums, raw: Tensor, certainty: Certainty, name: str, *, points: int = 9, reach: float = 3.0
 ) -> Profile:
-    """The least loss with one value held, all of its values at once.
+    """The profile of the loss over one value, by one minimisation for all of its values at once.
 
     Args:
         sums: the loss of the tracks.
         raw: ``(P,)`` the best values.
-        certainty: of them.
-        name: of the number that is held, ``"motion.q"``.
-        points: how many of its values.
-        reach: how many standard errors to either side.
+        certainty: of the best values.
+        name: of the fixed number, ``"motion.q"``.
+        points: number of its values.
+        reach: standard errors to either side.
 
     Raises:
         ValueError: an unknown name, one of odds that sum to one, or a value without a standard error; ``points`` or
@@ -74,16 +74,16 @@ def profile(
     error = certainty.covariance[i, i].sqrt()
     if not bool(error.isfinite()):
         raise ValueError(f"name: expected a value with a standard error, received {name}")
-    held = raw.repeat(points, 1, 1)
-    held[:, 0, i] += error * torch.linspace(-reach, reach, points, dtype=raw.dtype)
+    fixed = raw.repeat(points, 1, 1)
+    fixed[:, 0, i] += error * torch.linspace(-reach, reach, points, dtype=raw.dtype)
     others = sums.directions[:, sums.directions[i] == 0]
     least = sums.losses(raw[None, None])[0, 0]
     if others.shape[1]:
-        held, curvature = minimised(Sums(sums.objective, sums.batch, others), held)
+        fixed, curvature = minimised(Sums(sums.objective, sums.batch, others), fixed)
         growth = curvature.loss[:, 0] - least
     else:
-        growth = sums.losses(held)[:, 0] - least
-    return Profile(name, vector.natural(held[:, 0])[:, i].tolist(), growth.tolist())
+        growth = sums.losses(fixed)[:, 0] - least
+    return Profile(name, vector.natural(fixed[:, 0])[:, i].tolist(), growth.tolist())
 
 
 def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
@@ -92,7 +92,7 @@ def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
     Args:
         sums: the loss of the tracks.
         raw: ``(P,)`` the best values.
-        resamples: how many.
+        resamples: number of resamples.
         seed: of the draws.
 
     Raises:

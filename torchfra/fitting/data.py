@@ -1,4 +1,4 @@
-"""What a fit learns from: tracks as one batch, from scenarios, functions, tensors, loaders or recordings."""
+"""The data of a fit: tracks as one batch, from scenarios, functions, tensors, loaders or recordings."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from torchfra.tree import flatten, map_tensors
 from torchfra.types import Gaussian
 
 FIELDS = ("z", "dt", "u", "prior", "truth")
-"""What tensors may be given by name; all but ``z`` may be left out."""
+"""Names of tensors; all but ``z`` are optional."""
 Simulator = Callable[..., Any]
 Source = Scenario | Simulator | Tensor | Tracks | Mapping[str, Any] | Iterable[Any]
 
 
 class Batch(NamedTuple):
-    """N tracks; those with fewer steps than the longest end in NaN."""
+    """N tracks; those with fewer steps than the longest are padded with NaN."""
 
     z: Tensor
     """``(N, T, m)`` measurements, or scans ``(N, T, J, m)``."""
     prior: Gaussian | First
-    """``(N, n)`` and ``(N, n, n)``, each one ``dt`` before the first measurement; of several targets ``(N, K, n)``.  Of
-    tracks that came without one: the measurement that they begin with, one ``dt`` before the first of ``z``."""
+    """``(N, n)`` and ``(N, n, n)``, one ``dt`` before the first measurement; for several targets ``(N, K, n)``.  For
+    tracks without a prior: their first measurement, one ``dt`` before the first of ``z``."""
     dt: Tensor
     """``(N, T)`` seconds since the step before."""
     u: Tensor | None
-    """``(N, T, k)`` what the models need to know."""
+    """``(N, T, k)`` inputs of the models."""
     truth: Tensor | None
     """``(N, T, n)`` states, NaN where unknown; None if none is known."""
 
@@ -49,16 +49,16 @@ class Batch(NamedTuple):
         return rows
 
     def to(self, dtype: torch.dtype) -> Batch:
-        """The same in another precision."""
+        """The batch in another precision."""
         batch: Batch = map_tensors(lambda x: x.to(dtype), self)
         return batch
 
     def belief(self, f: Filter) -> Gaussian:
-        """What the filter's tracks begin with, as it is at the moment."""
+        """The priors of the tracks for the filter with its current values."""
         return self.prior if isinstance(self.prior, Gaussian) else started(f.motion, f.sensor, self.prior)
 
     def digest(self) -> str:
-        """SHA-256 of all numbers, which tells whether a fit goes on with the tracks that it began with."""
+        """SHA-256 of all numbers, by which a resumed fit checks that it has the same tracks."""
         parts = (x.detach().cpu().contiguous().numpy().tobytes() for x in flatten(self))
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -158,10 +158,10 @@ def _alike(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
 
 
 def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """For each step of each track.
+    """A tensor, expanded to each step of each track.
 
     Raises:
-        ValueError: it is of others.
+        ValueError: it does not broadcast to them.
     """
     try:
         return x.expand(shape)
@@ -175,7 +175,7 @@ def _belief(prior: Any) -> tuple[Tensor, Tensor]:
     """Mean and root of a prior.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is no prior.
     """
     if not isinstance(prior, tuple) or len(prior) != 2:
         raise ValueError(f"prior: expected a Gaussian, received {type(prior).__name__}")
@@ -184,7 +184,7 @@ def _belief(prior: Any) -> tuple[Tensor, Tensor]:
 
 
 def _long(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
-    """The same with ``longest`` steps."""
+    """The tensor, padded to ``longest`` steps."""
     more = list(x.shape)
     more[time] = longest - x.shape[time]
     return torch.cat([x, x.new_full(more, fill)], time)

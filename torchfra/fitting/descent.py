@@ -19,15 +19,15 @@ from torchfra.running import distributed
 
 KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "optimiser": dict, "best": torch.Tensor,
                           "scores": torch.Tensor, "since": int, "rows": list}  # fmt: skip
-"""What a checkpoint holds."""
+"""Fields of a checkpoint, and their types."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a fit goes: see ``torchfra.fit``.
+    """Settings of a fit: see ``torchfra.fit``.
 
     Raises:
-        ValueError: one that is out of its range.
+        ValueError: a setting is out of its range.
     """
 
     loss: str
@@ -61,7 +61,7 @@ class Settings:
             raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out!r}")
 
     def of(self, objective: Objective, errors: str | None) -> Settings:
-        """The same with the loss that was chosen, and the standard errors that go with it unless others are wanted."""
+        """The settings with the chosen loss, and the kind of standard errors, by default the one for that loss."""
         kind = errors or ("hessian" if objective.name == "likelihood" else "sandwich")
         return replace(self, loss=objective.name, scale=objective.scale, errors=kind)
 
@@ -72,7 +72,7 @@ def _at_least(least: int, name: str, value: Any) -> None:
 
 
 class Descent:
-    """Where R descents are.
+    """The state of R descents.
 
     Args:
         objective: the loss.

@@ -1,4 +1,4 @@
-"""How well values are known: standard errors, and which of them the tracks tell at all."""
+"""Standard errors of fitted values, and which values the tracks identify."""
 
 from __future__ import annotations
 
@@ -12,45 +12,44 @@ from torchfra.fitting.newton import Curvature
 from torchfra.fitting.vector import NORMAL_95, Vector
 
 KINDS = ("hessian", "sandwich")
-TOLD = math.log(10.0)
-"""Widest 95 % interval, in unconstrained values, of one that counts as identified: a factor of 10 for what is above 0.
-"""
+WIDEST = math.log(10.0)
+"""Widest 95 % interval of an identified value, in unconstrained units: a factor of 10 for a value above 0."""
 OFF = 0.5
-"""Standard errors of the gradient from 0 on which the values are not where the loss is least."""
+"""Gradient at the fitted values, in its standard errors, above which they are not at the minimum of the loss."""
 RATIO = 1.6
-"""From which on the two kinds of standard errors differ by a quarter."""
+"""Ratio of scatter (``Certainty.ratio``) above which the two kinds of standard errors differ by a quarter."""
 
 
 class Certainty(NamedTuple):
-    """What is known of the values at the end of a fit."""
+    """Standard errors and identifiability of the values at the end of a fit."""
 
     covariance: Tensor
     """``(P, P)`` of the unconstrained values; NaN where the loss has no minimum here."""
     errors: Tensor
     """``(P,)`` standard errors in natural units."""
     low: Tensor
-    """``(P,)`` where the 95 % intervals begin, in natural units."""
+    """``(P,)`` lower ends of the 95 % intervals, in natural units."""
     high: Tensor
-    """``(P,)`` where they end."""
+    """``(P,)`` upper ends of the 95 % intervals, in natural units."""
     identified: list[bool]
-    """Of each value, whether its interval is narrow enough: see ``TOLD``."""
+    """For each value, whether its interval is narrower than ``WIDEST``."""
     condition: float
-    """Of the Hessian whose rows and columns are scaled to a unit diagonal: 1 where values do not depend on each other,
-    infinite where the tracks do not tell some direction at all."""
+    """Condition number of the Hessian scaled to a unit diagonal: 1 if values do not depend on each other, infinite if
+    the tracks do not identify some direction at all."""
     weakest: str
-    """The direction that the tracks tell least, in words."""
+    """The direction that the tracks identify least, in words."""
     off: float
-    """How many of its standard errors the gradient is away from 0."""
+    """The gradient in units of its standard errors, 0 at a minimum."""
     ratio: float
-    """Scatter of the tracks' gradients over what the Hessian says it should be: 1 where the loss is a likelihood of a
-    model that holds, and only then are standard errors of the Hessian right (White's information matrix)."""
+    """Scatter of the tracks' gradients over its expectation by the Hessian: 1 if the loss is the likelihood of a model
+    that holds, and only then are standard errors by the Hessian right (White's information matrix)."""
 
     kind: str
     """``"hessian"`` or ``"sandwich"``."""
 
     @property
     def notes(self) -> list[str]:
-        """What is to be said of it, a line each."""
+        """Warnings, one line each."""
         lines = []
         if bool(self.covariance.isnan().any()):
             lines.append("the loss has no minimum here: there are no standard errors")
@@ -63,14 +62,14 @@ class Certainty(NamedTuple):
 
 
 def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> Certainty:
-    """Standard errors of the values ``raw (P,)`` and what is identified.
+    """Standard errors of the values ``raw (P,)``, and which of them are identified.
 
     Args:
         vector: of the values.
-        raw: where the loss is least.
-        curvature: there, of one problem.
-        kind: ``"hessian"``, right where the loss is minus the log likelihood of a model that holds; or ``"sandwich"``,
-            right for any loss of independent tracks, which needs many of them.
+        raw: values at the minimum of the loss.
+        curvature: of the loss at these values, of one problem.
+        kind: ``"hessian"``, right if the loss is minus the log likelihood of a model that holds; or ``"sandwich"``,
+            right for any loss of many independent tracks.
 
     Source: van der Vaart (1998), "Asymptotic Statistics", theorem 5.23; White (1982), Econometrica 50.
     """
@@ -88,16 +87,16 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     condition = float(scaled[-1] / scaled[0]) if scaled[0] > 0 else math.inf
     low, high = vector.intervals(raw, covariance)
     return Certainty(
-        covariance, vector.errors(raw, covariance), low, high, (2 * reach < TOLD).tolist(), condition,
+        covariance, vector.errors(raw, covariance), low, high, (2 * reach < WIDEST).tolist(), condition,
         _words(vector, vector.directions @ axes[:, 0], inner, axes[:, 0]), float(curvature.off[0, 0]),
         float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
     )  # fmt: skip
 
 
 def _words(vector: Vector, axis: Tensor, inner: Tensor, inside: Tensor) -> str:
-    """A direction: which values change in it, in the order of the values, and how well it is known.
+    """A direction in words: the values that change in it, in the order of the vector, and its standard error.
 
-    The sign of an eigenvector says nothing, and equal shares have no order: the first value that changes goes up.
+    The sign of an eigenvector is arbitrary, and equal shares have no order: the first value that changes goes up.
     """
     shares = axis / axis.abs().max()
     main = [(share, name) for share, name in zip(shares.tolist(), vector.names, strict=True) if abs(share) > 0.3]

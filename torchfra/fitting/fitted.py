@@ -1,4 +1,4 @@
-"""What a fit has found: values, how well they are known, and what they are worth on held-out tracks."""
+"""The result of a fit: values, their standard errors, and their loss on held-out tracks."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Tracks:
-    """The tracks of a fit, and how their losses are computed."""
+    """The tracks of a fit, and their losses."""
 
     objective: Objective
     sums: Sums
-    """Over the tracks that values were learned from."""
+    """Losses of the tracks for learning."""
     test: Batch
 
     @property
     def measured(self) -> Tensor | None:
-        """``(N,)`` steps of the test tracks with a measurement, by which likelihoods are weighed; else None."""
+        """``(N,)`` number of measured steps of the test tracks, which weights likelihoods; None for other losses."""
         if self.objective.loss not in ("likelihood", "smoothed"):
             return None
         return (~self.test.z.isnan()).flatten(2).any(-1).sum(1).cpu()
@@ -62,29 +62,29 @@ class Fitted:
     """The result of ``torchfra.fit``; ``print`` shows it as tables."""
 
     filter: Filter
-    """With the learned values, which are fixed now."""
+    """The filter with the learned values, which are fixed now."""
     start: dict[str, float]
-    """The values before, in natural units."""
+    """The values before the fit, in natural units."""
     learned: dict[str, float]
-    """The values that were found."""
+    """The learned values, in natural units."""
     certainty: Certainty
     """Standard errors, intervals, what is identified."""
     held_out: dict[str, Judged]
-    """Before and after on tracks that neither learning nor stopping has seen, by quantity."""
+    """Losses before and after, by quantity, on tracks used neither for learning nor for stopping."""
     rows: list[dict[str, float]]
-    """The learning curve: one for each iteration."""
+    """The learning curve: one row for each iteration."""
     restarts: list[float]
-    """The validation loss that each start came to."""
+    """The final validation loss from each start."""
     settings: Settings
     compiled: bool
     """Whether the filter ran as compiled kernels."""
     dtype: str
-    """Of descent; standard errors are computed in float64."""
+    """Precision of the descent; standard errors are computed in float64."""
     counts: dict[str, int]
-    """Tracks to learn from, to stop by, to judge by, and left out."""
+    """Numbers of tracks for learning, stopping and judging, and left out."""
     seconds: float
     notes: list[str]
-    """What went otherwise than asked for."""
+    """Warnings, and departures from the arguments."""
     _tracks: Tracks = field(repr=False)
     _raw: Tensor = field(repr=False)
 
@@ -128,28 +128,28 @@ class Fitted:
         return HeldOutComparison(self.quantity, len(tracks.test.z), rows)
 
     def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
-        """How the loss grows away from the best value of one number, all others adapted: ``fitting.again.profile``."""
+        """Profile of the loss over one number, minimised over all others: ``fitting.again.profile``."""
         return profile(self._tracks.sums, self._raw, self.certainty, name, points=points, reach=reach)
 
     def bootstrap(self, resamples: int = 100) -> Bootstrap:
-        """Standard errors by fitting again to tracks drawn with replacement: ``fitting.again.bootstrap``."""
+        """Standard errors by fits to tracks drawn with replacement: ``fitting.again.bootstrap``."""
         return bootstrap(self._tracks.sums, self._raw, resamples, self.settings.seed)
 
     @property
     def quantity(self) -> str:
-        """What the loss is, in words."""
+        """The loss in words."""
         return QUANTITIES.get(self.settings.loss, "loss")
 
     def to_json(self, path: str | Path | None = None) -> dict[str, Any]:
-        """All that was found, with settings and versions; written to ``path`` if there is one."""
-        known = self.certainty
+        """The result with settings and versions; also written to ``path`` if that is not None."""
+        certainty = self.certainty
         data = {
             "values": {
                 name: {"start": self.start[name], "learned": self.learned[name], "error": self.errors[name],
                        "interval": list(self.intervals[name]), "identified": identified}
-                for name, identified in zip(self.learned, known.identified, strict=True)
+                for name, identified in zip(self.learned, certainty.identified, strict=True)
             },
-            "condition": known.condition, "weakest": known.weakest, "gradient": known.off,
+            "condition": certainty.condition, "weakest": certainty.weakest, "gradient": certainty.off,
             "held_out": {name: {when: figure._asdict() for when, figure in row.figures.items()}
                          for name, row in self.held_out.items()},
             "restarts": self.restarts, "tracks": self.counts, "settings": dataclasses.asdict(self.settings),
@@ -164,7 +164,7 @@ class Fitted:
         """The learning curve, a figure of matplotlib; written to ``path`` if there is one, as PDF, SVG or PNG.
 
         Raises:
-            ValueError: a name that ends otherwise.
+            ValueError: a file name with another ending.
             OSError: it cannot be written.
         """
         if path is not None:
@@ -178,14 +178,14 @@ class Fitted:
         return figure
 
     def __str__(self) -> str:
-        known = self.certainty
+        certainty = self.certainty
         rows = [
             [name, f"{self.start[name]:.5g}", f"{value:.5g}", f"{self.errors[name]:.2g}",
-             "[{:.5g}, {:.5g}]".format(*self.intervals[name]), "yes" if told else "no"]
-            for (name, value), told in zip(self.learned.items(), known.identified, strict=True)
+             "[{:.5g}, {:.5g}]".format(*self.intervals[name]), "yes" if identified else "no"]
+            for (name, value), identified in zip(self.learned.items(), certainty.identified, strict=True)
         ]  # fmt: skip
         text = text_table(["value", "start", "learned", "standard error", "95 %", "identified"], rows, align="<>>>>>")
-        text += f"\ncondition {known.condition:.3g}; least told: {known.weakest}\n"
+        text += f"\ncondition {certainty.condition:.3g}; least identified: {certainty.weakest}\n"
         rows = [[name, *map(str, row.figures.values())] for name, row in self.held_out.items()]
         heads = next(iter(self.held_out.values())).figures
         text += text_table([f"{self.counts['test']} held-out tracks", *heads], rows) + "\n"

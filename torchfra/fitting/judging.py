@@ -11,9 +11,9 @@ from torch import Tensor
 from torchfra.tables import text_table
 
 RESAMPLES = 2000
-"""Of the tracks."""
+"""Number of resamples of the tracks."""
 LOST = 30.0
-"""Median changes from which on a track decides the mean of all."""
+"""Multiple of the median change beyond which a track dominates the mean of all."""
 
 
 class Figure(NamedTuple):
@@ -28,24 +28,24 @@ class Figure(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """One quantity of two sets of values (or two filters) on the same tracks."""
+    """One quantity for two sets of values (or two filters) on the same tracks."""
 
     before: Figure
     after: Figure
     change: Figure
-    """After minus before, by tracks drawn for both together."""
+    """After minus before, with the same resampled tracks for both."""
     middle: Figure
-    """The median over tracks of what each changes by, which a few lost tracks do not decide."""
+    """The median over tracks of the change, which a few lost tracks do not dominate."""
     lost: int
-    """Tracks that change by over 30 times as much as the median track: they decide the mean."""
+    """Number of tracks that change by over 30 times as much as the median track: they dominate the mean."""
 
     @property
     def figures(self) -> dict[str, Figure]:
-        """By name, as tables and files have them."""
+        """The figures by their names in tables and files."""
         return {"before": self.before, "after": self.after, "change": self.change, "median change": self.middle}
 
     def note(self, name: str, count: int) -> str:
-        """What is to be said of those that are lost, out of so many."""
+        """The warning about lost tracks, out of ``count`` tracks."""
         much = f"over {LOST:g} times as much as the median one"
         return f"{self.lost} of {count} held-out tracks change {much}, and decide that of the {name}: are they lost?"
 
@@ -56,10 +56,10 @@ def judged(
     """A mean over tracks before and after, and its change.
 
     Args:
-        before: ``(N,)`` of each track.
-        after: likewise.
-        weights: ``(N,)`` of the tracks, their numbers of measurements say; all the same if None.
-        root: whether the square root of the mean is wanted.
+        before: ``(N,)`` value of each track before.
+        after: ``(N,)`` value of each track after.
+        weights: ``(N,)`` of the tracks, such as their numbers of measurements; equal if None.
+        root: whether to take the square root of the mean.
         seed: of the resamples.
     """
     generator = torch.Generator().manual_seed(seed)

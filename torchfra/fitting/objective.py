@@ -1,4 +1,4 @@
-"""What a fit makes small: the loss of every track at many sets of values at once, and its gradient for each of them."""
+"""The objective of a fit: the loss of every track at many sets of values at once, and its gradient for each of them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from torchfra.types import Estimate, Gaussian
 LOSSES = ("likelihood", "smoothed", "robust", "mse", "nll")
 NEEDS_TRUTH = ("robust", "mse", "nll")
 LARGEST = 2_000_000
-"""Steps of tracks that go through the filter in one call; more go one part after the other, to bound the memory."""
+"""Largest number of steps of tracks in one call of the filter; more are divided into parts, to bound the memory."""
 FOLDS = 5
-"""Of the smoothed likelihood: each of them hides every fifth measurement."""
+"""Number of folds of the smoothed likelihood: each hides every fifth measurement."""
 Own = Callable[[Estimate, Batch], Tensor]
-"""A loss of one's own: from an estimate and its tracks, one number per track ``(..., N)``."""
+"""A loss function of a user: from an estimate and its tracks to one number per track ``(..., N)``."""
 
 
 class Objective:
@@ -35,12 +35,12 @@ class Objective:
 
     Args:
         f: the filter, whose learned values are replaced in each call.
-        vector: of those values.
+        vector: of its learned values.
         loss: one of ``LOSSES`` or a function.
         scale: of the robust loss, m.
-        states: components of state and truth that count.
+        states: components of state and truth in the loss.
         convert: from estimates to the coordinates of the truth.
-        skip: steps at the start of each track that do not count.
+        skip: number of steps at the start of each track that the loss leaves out.
 
     Raises:
         ValueError: an unknown loss.
@@ -59,36 +59,36 @@ class Objective:
         self.call = _Call(f, loss == "smoothed")
 
     def compile(self) -> None:
-        """From here on the filter runs as compiled kernels."""
+        """Makes the filter run as compiled kernels."""
         self.filter.compile()
         if self.call.one_step is not None:
             self.call.one_step.compile()
 
     def interpret(self) -> None:
-        """From here on it runs interpreted."""
+        """Makes the filter run interpreted."""
         for part in (self.filter, self.call.one_step):
             if part is not None:
                 part.engine = INTERPRETED
 
     @property
     def name(self) -> str:
-        """Of the loss."""
+        """The name of the loss."""
         return self.loss if isinstance(self.loss, str) else getattr(self.loss, "__name__", "own")
 
     def of_filter(self, f: Filter, batch: Batch) -> Tensor:
-        """``(N,)`` this loss of another filter with its own values."""
+        """The loss ``(N,)`` of another filter with its own values."""
         other = copy.copy(self)
         other.filter, other.call = f, _Call(f, self.loss == "smoothed")
         with torch.no_grad():
             return other._measured(batch).reshape(-1).cpu()
 
     def losses(self, raw: Tensor, batch: Batch) -> Tensor:
-        """``(R, N)`` of each track at the values ``raw (R, N, P)`` of each, or ``(R, 1, P)`` of all."""
+        """Losses ``(R, N)`` of each track at values ``raw (R, N, P)`` for each track, or ``(R, 1, P)`` for all."""
         with torch.no_grad():
             return self._in_parts(lambda raw, part: self._values(raw, part)[0].unsqueeze(-1), raw, batch).squeeze(-1)
 
     def gradients(self, raw: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
-        """``(R, N)`` losses of each track and their gradients ``(R, N, P)``; ``raw`` as above."""
+        """Losses ``(R, N)`` of each track and their gradients ``(R, N, P)``; for ``raw`` see ``losses``."""
 
         def both(raw: Tensor, part: Batch) -> Tensor:
             # Every track has its own copy of the values.  The gradient of the sum of all losses with respect to one
@@ -102,7 +102,7 @@ class Objective:
         return whole[..., 0], whole[..., 1:]
 
     def estimate(self, raw: Tensor, batch: Batch) -> Estimate:
-        """Of tracks ``(R, N)``, in the coordinates of the truth; ``raw`` as above."""
+        """Estimates of tracks ``(R, N)``, in the coordinates of the truth; for ``raw`` see ``losses``."""
         with torch.no_grad():
             values = self.vector.parameters(raw.to(batch.z).expand(-1, len(batch.z), -1))
             estimate: Estimate = self.call.of(values, batch, self._estimate)
@@ -164,7 +164,7 @@ class Objective:
 
 
 def _of_tracks(found: Any, batch: Batch) -> Tensor:
-    """What a loss of one's own gives.
+    """Checks the result of a user's loss function.
 
     Raises:
         ValueError: it is not one number for each track.
@@ -185,10 +185,10 @@ class _Call(nn.Module):
         self.one_step = SRCKF(motion, f.sensor) if hides else None
 
     def of(self, values: Mapping[str, Tensor], batch: Batch, work: Callable[[Batch], Any]) -> Any:
-        """What ``work`` makes of the tracks with these values."""
+        """The result of ``work`` on the tracks with these values in the filter."""
         replaced = {f"filter.{name}": x for name, x in values.items()}
         return functional_call(self, replaced, (batch, work), tie_weights=False)  # or both that share one stay replaced
 
     def forward(self, batch: Batch, work: Callable[[Batch], Any]) -> Any:
-        """The same with the filter's values."""
+        """The result of ``work`` on the tracks with the filter's values."""
         return work(batch)

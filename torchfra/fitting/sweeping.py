@@ -20,11 +20,11 @@ class Sweep(NamedTuple):
     """Mean losses over tracks at a grid of values."""
 
     names: list[str]
-    """Of the values."""
+    """Names of the values."""
     points: list[tuple[float, ...]]
-    """Each combination of them."""
+    """Combinations of the values."""
     losses: list[float]
-    """Its mean loss per track."""
+    """Mean loss per track of each combination."""
     notes: list[str]
 
     @property
@@ -46,14 +46,14 @@ def sweep(
 
     Args:
         filter: any preset; it stays as it is.
-        data: as of ``fit``.
-        values: of hyperparameters by name, in natural units, to try; ``{"q": (0.1, 1, 10), "std": (1, 2)}``.
-        loss: as of ``fit``.
-        scale: likewise.
-        skip: likewise.
-        runs: likewise.
-        compile: likewise.
-        seed: of what is simulated.
+        data: see ``fit``.
+        values: values of hyperparameters by name, in natural units; ``{"q": (0.1, 1, 10), "std": (1, 2)}``.
+        loss: see ``fit``.
+        scale: see ``fit``.
+        skip: see ``fit``.
+        runs: see ``fit``.
+        compile: see ``fit``.
+        seed: of simulated tracks.
 
     Raises:
         ValueError: names that are not those of single numbers, or arguments that do not fit.

@@ -18,13 +18,13 @@ NORMAL_95 = 1.959963984540054
 class Vector:
     """Reads and writes the learned hyperparameters of a filter; all are unconstrained, ``raw (..., P)``, unless named.
 
-    Wherever the filter is, the vector is float64 on the CPU: it is short, and every number of it is looked at.
+    The vector is float64 on the CPU wherever the filter is: it is short, and its numbers are read one by one.
 
     Args:
         f: the filter; its parameters are hyperparameters that have one value each, not a batch of values.
 
     Raises:
-        ValueError: it learns nothing, or something else.
+        ValueError: the filter has no parameters, or others than hyperparameters.
     """
 
     def __init__(self, f: nn.Module) -> None:
@@ -43,9 +43,9 @@ class Vector:
                 raise ValueError(f"filter: expected {expected}, received {path} {tuple(hyper.raw.shape)}")
         self.hypers: dict[str, Hyper] = known
         self.names = [name for path, hyper in known.items() for name in element_names(path, hyper)]
-        """Of each number, ``"motion.q[1]"``."""
+        """The name of each number, ``"motion.q[1]"``."""
         self.directions = torch.block_diag(*(_directions(hyper) for hyper in known.values()))
-        """``(P, Q)`` orthonormal: in which the values change.  Odds that sum to one do not change when all grow."""
+        """``(P, Q)`` orthonormal directions in which values change: probabilities do not if all logits grow alike."""
 
     def raw(self) -> Tensor:
         """``(P,)`` the values of the filter at the moment."""
@@ -113,7 +113,7 @@ class Vector:
 
 
 def _directions(hyper: Hyper) -> Tensor:
-    """In which the unconstrained numbers of a hyperparameter change its value ``(k, q)``."""
+    """Directions ``(k, q)`` in which the unconstrained numbers of a hyperparameter change its value."""
     count = hyper.raw.numel()
     if hyper.constraint is not constraints.simplex:
         return torch.eye(count, dtype=torch.float64)
