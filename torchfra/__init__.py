@@ -96,7 +96,7 @@ else:
         "running.memory": ("keep_memory",),
     }
     _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-    """Where the functions and classes are that ``torchfra`` has by itself."""
+    """The module of each function and class of ``torchfra.__all__``."""
 
     def __getattr__(name: str) -> Any:
         """A function or class of ``__all__``, or any module of the package, loaded when it is first named."""

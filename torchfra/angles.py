@@ -9,12 +9,12 @@ from torch import Tensor
 
 
 def wrap(angle: Tensor) -> Tensor:
-    """The same angle between -pi and pi, rad; half a turn, which both ends are, is pi but for rounding."""
+    """An angle brought into (-pi, pi], rad; up to rounding, half a turn of either sign becomes pi."""
     return angle - 2 * math.pi * _turns(angle)
 
 
 def near(angle: Tensor, other: Tensor) -> Tensor:
-    """The same angle within half a turn of another, rad; as it is where it is already."""
+    """An angle shifted by whole turns to within half a turn of another, rad; unchanged where it is there already."""
     return angle - 2 * math.pi * _turns(angle - other)
 
 
@@ -28,7 +28,7 @@ def _turns(angle: Tensor) -> Tensor:
 
 
 def turned(azimuth: Tensor) -> Tensor:
-    """The same azimuth in [0, 2 pi)."""
+    """An azimuth brought into [0, 2 pi), rad."""
     turn = 2 * math.pi
     positive = azimuth - turn * torch.floor(azimuth / turn)
     return torch.where(positive >= turn, positive - turn, positive)  # rounding makes a whole turn of just below 0

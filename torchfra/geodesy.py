@@ -16,7 +16,7 @@ Origin: TypeAlias = tuple[float, float, float]
 """Latitude and longitude in degrees, altitude in metres."""
 
 _AXIS = 6378137.0
-"""Of the equator, m."""
+"""Radius of the equator, m."""
 _FLAT = 1 / 298.257223563
 _SQUASH = _FLAT * (2 - _FLAT)
 """Eccentricity squared."""

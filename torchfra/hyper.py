@@ -31,10 +31,10 @@ def one_of(**choices: tuple[str, Collection[str]]) -> None:
 
 
 def one_given(**arguments: Any) -> tuple[str, Any]:
-    """Of arguments that take the place of each other the one that is given, by name.
+    """Name and value of the only argument that is not None, among mutually exclusive ones.
 
     Raises:
-        ValueError: none is, or several are.
+        ValueError: all are None, or several are not.
     """
     given = {name: value for name, value in arguments.items() if value is not None}
     if len(given) != 1:

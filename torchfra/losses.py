@@ -92,7 +92,7 @@ def innovation_nll(estimate: Estimate) -> Tensor:
 def calibration(
     estimate: Estimate, truth: Tensor, states: slice | None = None, *, angles: Collection[int] = ()
 ) -> Tensor:
-    """How dishonest the covariances are: the squared log of the mean NEES per component; one number.
+    """Inconsistency of the covariances: the squared log of the mean NEES per component; one number.
 
     0 when the mean over all tracks and known steps is the number of components; covariances that are too large or too
     small by the same factor have the same loss.

@@ -33,22 +33,22 @@ class FilterEntry:
 
     preset: Callable[..., Filter]
     words: str = ""
-    """What its name stands for, in a few words."""
+    """The filter in a few words: its name spelt out."""
     bank: bool = False
-    """It takes a ``Bank`` of motions instead of one."""
+    """Whether it takes a ``Bank`` of motions instead of one motion."""
     either: bool = False
-    """It takes a ``Bank`` where there is one, else one motion."""
+    """Whether it takes either a ``Bank`` of motions or one motion."""
     scans: bool = False
-    """It takes scans of several targets."""
+    """Whether it takes scans of several targets."""
     gated: bool = False
-    """It takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
+    """Whether it takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
     constant_gains: bool = False
-    """It takes positions with a standard deviation only, the ``period`` that its gains are meant for, and the
+    """Whether it takes positions with a standard deviation only, the ``period`` of its gains, and the
     ``longest`` gap that it bridges."""
     emphasised: bool = False
-    """Its lines in figures are bold."""
+    """Whether its lines in figures are bold."""
     listed: bool = True
-    """Commands name it in their help and run it unless told which; the others must be asked for."""
+    """Whether commands list it in their help and run it by default; other filters run only by name."""
 
 
 FILTERS: dict[str, FilterEntry] = {}
@@ -99,10 +99,10 @@ def scenario(name: str) -> Callable[[F], F]:
 
 
 def made(function: str, found: object, wanted: type, arguments: str) -> Any:
-    """What a user's function has made, if it is what it should be.
+    """The result of a user's function, checked for its type.
 
     Raises:
-        ValueError: it is not; names the function, what was expected and what came.
+        ValueError: another type; the message names the function, the expected type and the received one.
     """
     if not isinstance(found, wanted):
         expected = f"{arguments} to return a {wanted.__name__}"

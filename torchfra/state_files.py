@@ -27,7 +27,7 @@ _PLAIN = b"PK\x05\x06"
 
 
 def pack(state: Any) -> bytes:
-    """What ``torch.save`` writes of ``state``, and a digest."""
+    """The bytes of ``torch.save(state)``, followed by a digest."""
     buffer = io.BytesIO()
     torch.save(state, buffer)
     body = buffer.getvalue()[:-2] + struct.pack("<H", _LENGTH)
@@ -51,7 +51,7 @@ def read(path: str | Path, device: str = "cpu") -> Any:
 
 
 def load_values(module: nn.Module, values: object) -> None:
-    """Loads a state dictionary whose values must be possible ones.
+    """Loads a state dictionary and checks that its values are within their ranges.
 
     Args:
         module: it gets the values; where it has infinite ones, they may stay so.

@@ -1,4 +1,4 @@
-"""What somebody may have meant by a name that is none."""
+"""Suggestions for misspelt names in error messages."""
 
 from __future__ import annotations
 

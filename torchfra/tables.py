@@ -83,19 +83,19 @@ def duration(seconds: float) -> str:
 
 
 def _short(value: float, unit: str) -> str:
-    """With a decimal below 20."""
+    """A number with its unit, with one decimal if it is below 20."""
     return f"{value:,.{int(abs(value) < 19.95)}f} {unit}"
 
 
 # ---------------------------------------------------------------- for papers
 
 FORMS = ("text", "csv", "latex", "markdown")
-"""Of ``formed_table``."""
+"""Formats of ``formed_table``."""
 _LATEX = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"} | {c: f"\\{c}" for c in "_%&#${}"}
 
 
 def decimals_of(error: float, digits: int = 2) -> int:
-    """Decimals behind the point at which an error has so many significant digits; 0 for one of 10 or more, say."""
+    """Decimals that show an error with this number of significant digits."""
     if not (math.isfinite(error) and error > 0):
         return 0
     exponent = math.floor(math.log10(float(f"{error:.{digits - 1}e}")))
@@ -103,7 +103,7 @@ def decimals_of(error: float, digits: int = 2) -> int:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, without an exponent up to a million."""
+    """A number with this number of significant digits, without an exponent up to a million."""
     if not math.isfinite(value):
         return "-" if math.isnan(value) else "inf"
     return f"{value:.{decimals_of(abs(value), digits)}f}" if abs(value) < 1e6 else f"{value:.0e}"

@@ -1,4 +1,4 @@
-"""The battery: every check on a filter, eager and compiled, and what came of it."""
+"""The battery: every check on a filter, eager and compiled, and a report of the results."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from torchfra.types import Gaussian
 
 
 class Outcome(NamedTuple):
-    """What came of one check."""
+    """The result of one check."""
 
     check: str
     way: str
-    """``"eager"`` or ``"compiled"``; of a motion or a sensor by itself the method that was tried."""
+    """``"eager"`` or ``"compiled"``; for a motion or a sensor by itself, the method that was tried."""
     verdict: str
     """``"passed"``, ``"skipped"`` or ``"failed"``."""
     reason: str = ""
-    """Why it was skipped, or what was expected and what came, and the line of a user's that is to blame."""
+    """Why it was skipped, or what was expected and received, and the line of the user's code at fault."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What came of all checks; as text, a table."""
+    """The results of all checks; as text, a table."""
 
     filter: str
     outcomes: tuple[Outcome, ...]
 
     def of(self, verdict: str) -> tuple[Outcome, ...]:
-        """The outcomes ``"passed"``, ``"skipped"`` or ``"failed"``."""
+        """The outcomes with this verdict: ``"passed"``, ``"skipped"`` or ``"failed"``."""
         return tuple(outcome for outcome in self.outcomes if outcome.verdict == verdict)
 
     def __str__(self) -> str:
@@ -66,7 +66,7 @@ def check_filter(
             By default they are simulated by the filter's own motion and sensor.
         prior: the belief before them.
         dt: seconds between steps.
-        u: ``(T, k)`` or ``(B, T, k)`` what the models need to know at a step.
+        u: ``(T, k)`` or ``(B, T, k)`` inputs of the models at each step.
         only: names of checks; by default all of ``testing.CHECKS``.
         skip: names of checks to leave out: a hard decision has no gradient, say.
         compiled: whether to try the compiled filter, which takes some seconds to compile.
@@ -74,10 +74,10 @@ def check_filter(
         seed: of the simulated tracks.
 
     Returns:
-        What passed, and what was skipped and why.
+        The checks that passed, and those that were skipped, with the reasons.
 
     Raises:
-        AssertionError: names the filter and every check that fails, what it expected and what came.
+        AssertionError: names the filter and every check that fails, with expected and received values.
         ValueError: an unknown check or name, or tracks that do not suffice.
     """
     filter = registered(filter) if isinstance(filter, str) else filter
@@ -94,13 +94,13 @@ def check_filter(
 
 
 def tried(case: Case, names: Collection[str], *, compiled: bool) -> Report:
-    """What comes of the checks of these names."""
+    """Runs the checks of these names."""
     ways = [(name, way) for name in names for way in CHECKS[name].ways if compiled or way == "eager"]
     return Report(type(case.filter).__name__, tuple(_outcome(case, name, way) for name, way in ways))
 
 
 def _outcome(case: Case, name: str, way: str) -> Outcome:
-    """What comes of one check."""
+    """Runs one check."""
     try:
         CHECKS[name].function(case.as_compiled if way == "compiled" else case)
     except SkipCheck as reason:

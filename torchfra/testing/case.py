@@ -1,4 +1,4 @@
-"""A filter with tracks to try it on, and in how many ways they may be handed in."""
+"""A filter with tracks to try it on, and the registry of checks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Check(NamedTuple):
 
     function: Callable[[Case], None]
     ways: tuple[str, ...]
-    """Of ``"eager"`` and ``"compiled"``."""
+    """``"eager"``, ``"compiled"`` or both."""
 
 
 CHECKS: dict[str, Check] = {}
@@ -47,15 +47,15 @@ def check(*ways: str) -> Callable[[F], F]:
 
 
 class SkipCheck(Exception):  # noqa: N818  it is no error
-    """A check that does not go with a filter, and why."""
+    """Raised by a check that does not apply to a filter, with the reason."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What a check is given: a filter, and tracks, one of which misses an element, one a step; one has an outlier."""
+    """The argument of a check: a filter, and tracks: one misses an element, one a step, one has an outlier."""
 
     filter: Filter
-    """Every value learnable that can be."""
+    """All values that can be learnable are."""
     z: Tensor
     """``(3, 6, m)``, of scans ``(3, 6, J, m)``; float64, as are all tensors."""
     prior: Gaussian
@@ -64,13 +64,13 @@ class Case:
     u: Tensor | None = None
     """``(6, k)`` or ``(3, 6, k)``."""
     eager: Case | None = None
-    """Of a compiled filter, the same without kernels."""
+    """For a compiled filter, the case of the eager one."""
     thorough: bool = False
-    """Whether checks try all combinations that they know."""
+    """Whether checks try all combinations of options."""
     _kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def __call__(self, **given: Any) -> Estimate:
-        """The estimate of these tracks, or of what else is given: ``case(z=z, truncate=2)``."""
+        """The estimate of these tracks, with some arguments replaced: ``case(z=z, truncate=2)``."""
         ready: dict[str, Any] = {"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u}
         return self.filter(**ready | given)
 
@@ -85,7 +85,7 @@ class Case:
 
     @cached_property
     def as_compiled(self) -> Case:
-        """The same with a compiled copy of the filter.
+        """The case with a compiled copy of the filter.
 
         Raises:
             SkipCheck: there is no compiler.
@@ -106,7 +106,7 @@ class Case:
         return compiled
 
     def step(self, **given: Any) -> Any:
-        """The state and the innovation after the first measurement of each track, or what else is given."""
+        """State and innovation after the first measurement of each track, with some arguments replaced."""
         first: dict[str, Any] = {"z": self.z[:, 0], "dt": self.dt, "u": self.u_at(0)}
         if "state" not in given:
             first["state"] = self.filter.init(self.prior)
@@ -123,7 +123,7 @@ class Case:
 
     @property
     def std(self) -> Tensor:
-        """Some std of the measurement noise for each element, near the sensor's own, like ``z``."""
+        """``(3, 6, m)`` standard deviations of the measurement noise, 0.9 to 1.2 times those of the sensor."""
         noise = self.filter.sensor.measurement_noise(torch.zeros_like(self.z))
         return noise.std.detach().expand(self.z.shape) * torch.linspace(0.9, 1.2, self.z.shape[-1]).to(self.z)
 
@@ -195,7 +195,7 @@ def simulate(f: Filter, dt: float, seed: int) -> tuple[Tensor, Gaussian]:
 
 
 def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) -> dict[str, Tensor]:
-    """The gradients of all that an estimate says, with respect to the data and every value that learns."""
+    """Gradients of one number that depends on all of an estimate, by the data and every learnable value."""
     leaves: dict[str, Tensor] = {
         name: x.detach().to(dtype, copy=True).requires_grad_()
         for name, x in (("z", case.z), ("prior.mean", case.prior.mean), ("prior.scale_tril", case.prior.scale_tril))

@@ -25,7 +25,7 @@ def it_maps_over_tracks(case: Case) -> None:
 
 @check("eager")
 def a_state_dict_holds_every_value(case: Case) -> None:
-    """A copy whose values were changed gives the same again once it has loaded them."""
+    """A copy with other values gives the original's results after loading its ``state_dict``."""
     other = copy.deepcopy(case.filter)
     with torch.no_grad():
         for value in other.parameters():
@@ -37,7 +37,7 @@ def a_state_dict_holds_every_value(case: Case) -> None:
 
 @check("eager", "compiled")
 def copies_and_pickles_give_the_same(case: Case) -> None:
-    """``copy.deepcopy``, and ``pickle`` of that, keep everything; kernels are no part of it."""
+    """``copy.deepcopy``, and ``pickle`` of the copy, keep everything but kernels."""
     other = copy.deepcopy(case.filter)
     try:
         other = pickle.loads(pickle.dumps(other))

@@ -1,4 +1,4 @@
-"""Checks of gradients: finite, right, and the same compiled."""
+"""Checks of gradients: finite, equal to finite differences, and equal when compiled."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchfra.types import Gaussian
 
 @check("eager")
 def gradients_are_finite_and_none_comes_from_missing_data(case: Case) -> None:
-    """With respect to data, prior and every value; exactly 0 where nothing was measured."""
+    """Gradients by data, prior and every value are finite, and exactly 0 for missing measurements."""
     found = own_gradients(case)
     expect_finite(found, "gradient")
     missing = found["z"][case.z.isnan()]
@@ -23,7 +23,10 @@ def gradients_are_finite_and_none_comes_from_missing_data(case: Case) -> None:
 
 @check("eager")
 def gradients_are_those_of_small_differences(case: Case) -> None:
-    """For each value that learns, and along the gradient of the data; not where a decision flips within them."""
+    """Gradients by learnable values, and along the gradient by the data, agree with central differences.
+
+    Steps within which a decision flips are not compared.
+    """
     found = own_gradients(case)
     for name, value in case.filter.named_parameters():
         kept = value.detach().clone()

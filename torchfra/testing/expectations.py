@@ -1,4 +1,4 @@
-"""What checks expect, and how they say so."""
+"""Assertions of the checks, and their messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 TOLERANCE = {torch.float64: 1e-8, torch.float32: 2e-2}
-"""Of the largest entry; in float32 rounding is amplified by robust decisions and by short roots."""
+"""Relative to the largest entry; in float32 rounding is amplified by robust decisions and by short roots."""
 LARGE = 2e3
 """Measurements of more standard deviations than this leave more rounding in an estimate."""
 LOOSER: ContextVar[float] = ContextVar("looser", default=1.0)
@@ -21,7 +21,7 @@ LOOSER: ContextVar[float] = ContextVar("looser", default=1.0)
 
 @contextmanager
 def as_large_as(z: Tensor, std: Tensor) -> Iterator[None]:
-    """Tolerances go by the size of measurements in units of their noise, of pseudoranges say."""
+    """Scales the tolerances with measurements that are large in units of their noise, such as pseudoranges."""
     size = float((z.abs() / std).nan_to_num().max())
     token = LOOSER.set(max(1.0, size / LARGE))
     try:
@@ -31,7 +31,7 @@ def as_large_as(z: Tensor, std: Tensor) -> Iterator[None]:
 
 
 def expect(holds: bool, what: str, expected: object, received: object) -> None:
-    """Raises an ``AssertionError`` unless it holds."""
+    """Raises an ``AssertionError`` unless the condition holds."""
     if not holds:
         raise AssertionError(f"{what}: expected {expected}, received {received}")
 
@@ -54,7 +54,7 @@ def expect_same(found: Any, expected: Any, what: str, tolerance: float | None = 
 
 
 def difference(found: Tensor, expected: Tensor) -> float:
-    """The largest difference as a share of the largest entry; infinity where one is finite and the other is not."""
+    """The largest difference relative to the largest entry; infinity where only one of the two is finite."""
     if not expected.numel():
         return 0.0
     a, b = found.detach().double(), expected.detach().double()

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 _OTHERS = tuple(f"{path}{os.sep}" for path in (Path(__file__).parents[1], Path(torch.__file__).parent))
-"""Folders whose lines are not those of a user."""
+"""Folders of code that is not the user's."""
 
 
 def line_of_error(error: BaseException) -> str:

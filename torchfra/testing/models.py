@@ -1,4 +1,4 @@
-"""Try a motion and a sensor by themselves and on a short track, and say in words what is wrong."""
+"""Checks of a motion and a sensor by themselves and on a short track, with a report in words."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ TYPICAL = {
     "position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05),
     "opening": (0.02, 0.01), "inverse range": (0.01, 0.001), "steering": (0.05, 0.02),
 }  # fmt: skip
-"""Of a component by its name, or of its kind, a value and its std, in its unit; 1 and 1 of others."""
+"""Typical value and standard deviation of a component, by its name or kind, in its unit; 1 and 1 by default."""
 WORDS = {"passed": "right", "skipped": "skipped"}
 
 
 @dataclass(frozen=True)
 class ModelReport:
-    """What came of trying a motion and a sensor; as text, what is wrong and where, and what was found to be right."""
+    """The result of checking a motion and a sensor; as text, the problems with their places, and the checks passed."""
 
     models: str
     found: tuple[Outcome, ...]
 
     @property
     def ok(self) -> bool:
-        """Whether no check has failed."""
+        """True if no check has failed."""
         return not self.problems
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong, in words."""
+        """A sentence for each problem."""
         return tuple(self._grouped("failed"))
 
     def __str__(self) -> str:
@@ -61,7 +61,7 @@ class ModelReport:
         return "\n".join(lines)
 
     def _grouped(self, verdict: str) -> Iterator[str]:
-        """Where and what, for each reason of a verdict."""
+        """A line for each reason of a verdict: the method, the checks, the reason."""
         those = [x for x in self.found if x.verdict == verdict]
         for way, reason in dict.fromkeys((x.way, x.reason) for x in those):
             checks = ", ".join(x.check for x in those if (x.way, x.reason) == (way, reason))
@@ -78,7 +78,7 @@ def check_model(
     compiled: bool = False,
     seed: int = 0,
 ) -> ModelReport:
-    """Try a motion and a sensor of your own on all that filters ask of them, and say in words what is wrong.
+    """Checks a motion and a sensor of your own on everything that filters require, and reports problems in words.
 
     Each is tried by itself first: shapes, batches, a ``dt`` for each state, precision, gradients, ``vmap``, process
     noise, angles that are not declared; then both in a filter on short tracks: see ``check_filter``.  Copies of them
@@ -130,7 +130,7 @@ def _typical(motion: Motion, state: Tensor | None) -> Gaussian:
 
 
 def _by_itself(part: Part) -> Iterator[Outcome]:
-    """What comes of each check on one motion or sensor, up to the first that fails."""
+    """The outcome of each check on one motion or sensor, up to the first that fails."""
     for check, tried_on in checks_of(part):
         name = check.__name__.replace("_", " ")
         try:
@@ -149,7 +149,7 @@ def _by_itself(part: Part) -> Iterator[Outcome]:
 def _in_a_filter(
     motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, compiled: bool, seed: int
 ) -> tuple[Outcome, ...]:
-    """What comes of the checks of ``check_filter``, but for those of arguments, on the plain filter of both."""
+    """Outcomes of the checks of ``check_filter``, without those of arguments, on an ``SRCKF`` with both models."""
     try:
         z, prior = _simulated(motion, sensor, belief, dt, u, seed)
         known = None if u is None else u.double().expand(STEPS, -1)
@@ -172,7 +172,7 @@ def _in_a_filter(
 
 
 def _filter(motion: Motion, sensor: Sensor) -> Filter:
-    """The plain filter of both; of several motions, that which lets them interact."""
+    """An ``SRCKF`` with both models; for a bank of motions, an ``IMM`` of it."""
     inner = SRCKF(motion, sensor)
     if not isinstance(motion, Bank):
         return inner
@@ -183,7 +183,7 @@ def _filter(motion: Motion, sensor: Sensor) -> Filter:
 def _simulated(
     motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, seed: int
 ) -> tuple[Tensor, Gaussian]:
-    """Tracks that begin at a belief, measured."""
+    """Noisy measurements of motion from the mean of a belief without process noise, and the belief as prior."""
     one = motion[0] if isinstance(motion, Bank) else motion
     generator, seconds = torch.Generator().manual_seed(seed), torch.full((TRACKS,), dt, dtype=torch.float64)
     known = None if u is None else u.double().expand(TRACKS, -1)

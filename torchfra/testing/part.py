@@ -19,30 +19,30 @@ BATCH = 3
 
 @dataclass(frozen=True)
 class Part:
-    """A motion or a sensor, as a function of states, seconds and ``u``, with some of these."""
+    """A motion or a sensor as a function of states, seconds and ``u``, with arguments to try it on."""
 
     model: Motion | Sensor
     name: str
-    """``Drag.forward``, say."""
+    """The method under test, such as ``Drag.forward``."""
     line: str
-    """Where that is written."""
+    """File and line of its definition."""
     function: Callable[[Tensor, Tensor, Tensor | None], Tensor]
     size: int
-    """Components of what it gives."""
+    """Number of components of its result."""
     x: Tensor
-    """``(3, n)``."""
+    """``(3, n)`` states."""
     dt: Tensor
-    """``(3,)``."""
+    """``(3,)`` seconds."""
     u: Tensor | None
-    """``(3, k)``."""
+    """``(3, k)`` inputs."""
 
     def method(self, name: str) -> Part:
-        """The same with another method to blame."""
+        """The part with another method under test."""
         kind = type(self.model)
         return replace(self, name=f"{kind.__name__}.{name}", line=line_of_method(getattr(kind, name)))
 
     def together(self) -> Tensor:
-        """What it gives for all states at once."""
+        """The result of the function for all states at once."""
         return self.function(self.x, self.dt, self.u)
 
 

@@ -39,7 +39,7 @@ def shapes(part: Part) -> None:
 
 
 def what_it_reads(part: Part) -> None:
-    """Of a sensor: it does with the components that it says it reads."""
+    """A sensor needs only the components that it declares in ``reads``."""
     assert isinstance(part.model, Sensor)
     alone = replace(part, x=part.x[:, : part.model.reads])
     shapes(alone)
@@ -49,7 +49,7 @@ def what_it_reads(part: Part) -> None:
 
 
 def batches(part: Part) -> None:
-    """Each entry of a batch, with its own ``dt`` and ``u``, gives what it gives alone."""
+    """Each entry of a batch, with its own ``dt`` and ``u``, has the result that it has alone."""
     together = part.together()
     for i in range(BATCH):
         u = None if part.u is None else part.u[i]
@@ -81,7 +81,7 @@ def precision(part: Part) -> None:
 
 
 def gradients(part: Part) -> None:
-    """Of what it gives, with respect to the state: finite, and those of small differences."""
+    """Derivatives by the state are finite and agree with finite differences."""
     x = part.x.clone().requires_grad_()
     found = part.function(x, part.dt, part.u)
     detached = "gradients that flow back to the state"
@@ -108,7 +108,7 @@ def vmap(part: Part) -> None:
 
 
 def process_noise(part: Part) -> None:
-    """Of a motion: a root ``(..., n, r)`` for a ``dt`` without dimensions, for steps and for steps of tracks."""
+    """A motion's process noise is a root ``(..., n, r)`` for a scalar ``dt``, for steps and for steps of tracks."""
     motion, n = part.model, part.x.shape[-1]
     assert isinstance(motion, Motion)
     for seconds, shape in ((part.dt[0], ()), (part.dt[0], (5,)), (part.dt[0], (5, BATCH)), (0 * part.dt[0], ())):
@@ -123,7 +123,7 @@ def process_noise(part: Part) -> None:
 
 
 def process_noise_at(part: Part) -> None:
-    """The same at predicted means, of a motion that is not linear."""
+    """The process noise of a nonlinear motion at predicted means is such a root as well."""
     motion, n = part.model, part.x.shape[-1]
     assert isinstance(motion, Motion)
     if not motion.linear:
@@ -134,7 +134,7 @@ def process_noise_at(part: Part) -> None:
 
 
 def linearity(part: Part) -> None:
-    """What is declared linear is."""
+    """A model that is declared linear is linear."""
     if not part.model.linear:
         return
     still = 0 * part.x
@@ -149,7 +149,7 @@ def linearity(part: Part) -> None:
 
 
 def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
-    """Checks, in their order, and what each is tried on."""
+    """Checks in their order, each with the part on which it runs."""
     for check in (shapes, batches, no_time, precision, linearity, gradients, vmap):
         yield check, part
     if isinstance(part.model, Sensor):

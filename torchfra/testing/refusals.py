@@ -1,4 +1,4 @@
-"""Checks of what is refused: a ``ValueError`` before any work that names the argument, eager and compiled alike."""
+"""Checks of invalid arguments: a ``ValueError`` before any work that names the argument, eager and compiled."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from torchfra.types import Gaussian
 
 
 class _Own(NamedTuple):
-    """The state of a filter that nobody knows."""
+    """The state of an unknown filter."""
 
     belief: Gaussian
 
 
 @check("eager", "compiled")
 def shapes_that_do_not_fit_are_named(case: Case) -> None:
-    """One element, step or state too many or too few, in every argument."""
+    """An element, step or state too many or too few is refused, in every argument."""
     z, (mean, root), std = case.z, case.prior, case.std
     for x in (torch.cat([z, z], -1), z[:, :0], z[0, 0, ..., 0]):
         _refuse(case, "z", z=x)
@@ -40,9 +40,9 @@ def shapes_that_do_not_fit_are_named(case: Case) -> None:
 
 @check("eager", "compiled")
 def time_steps_must_be_seconds_above_zero(case: Case) -> None:
-    """Not negative, NaN, infinite, complex or nothing, as a number and at one step among others.
+    """A ``dt`` that is negative, NaN, infinite, complex or None is refused, as a number and at one of several steps.
 
-    Zero is for a second measurement at the same instant, of filters that have that.
+    Zero is allowed for filters with ``instants``: a second measurement at the same instant.
     """
     numbers = (-1.0, math.nan, math.inf) if case.filter.instants else (0.0, -1.0, math.nan, math.inf)
     for dt in (*numbers, 1j, None, "1"):
@@ -57,7 +57,10 @@ def time_steps_must_be_seconds_above_zero(case: Case) -> None:
 
 @check("eager", "compiled")
 def noise_must_be_positive_and_finite(case: Case) -> None:
-    """``std=`` and ``noise=`` that are zero, negative, NaN, infinite, singular or complex where something is seen."""
+    """``std=`` and ``noise=`` that are zero, negative, NaN, infinite, singular or complex are refused.
+
+    For missing elements, see ``noise_may_be_anything_where_nothing_is_seen``.
+    """
     std, root, z = case.std, torch.diag_embed(case.std), case.z
     for bad in (0.0, -1.0, math.nan, math.inf):
         x = std.clone()
@@ -85,7 +88,7 @@ def noise_may_be_anything_where_nothing_is_seen(case: Case) -> None:
 
 @check("eager", "compiled")
 def what_is_no_tensor_is_named_with_what_to_hand_in(case: Case) -> None:
-    """NumPy arrays, lists and nothing; whole numbers, complex ones and half precision."""
+    """NumPy arrays, lists, None and tensors of integers, complex numbers or half precision are refused."""
     z, prior = case.z, case.prior
     kinds: list[Any] = [z.numpy(), z.tolist(), None]
     for x in (*kinds, (1j * z).nan_to_num(), z.half(), z.bfloat16(), z.nan_to_num().long()):
@@ -103,7 +106,7 @@ def what_is_no_tensor_is_named_with_what_to_hand_in(case: Case) -> None:
 
 @check("eager", "compiled")
 def lengths_must_be_whole_numbers_of_steps(case: Case) -> None:
-    """``truncate=`` and ``checkpoint=`` of 0, negative, broken and of another kind."""
+    """``truncate=`` and ``checkpoint=`` that are 0, negative, fractional or of another type are refused."""
     for bad in (0, -1, 1.5, "2"):
         _refuse(case, "truncate", truncate=bad)
         _refuse(case, "checkpoint", checkpoint=bad)
@@ -111,7 +114,7 @@ def lengths_must_be_whole_numbers_of_steps(case: Case) -> None:
 
 @check("eager", "compiled")
 def a_state_must_be_of_this_filter_and_these_tracks(case: Case) -> None:
-    """No prior, no state of another filter or of other tracks; a second time too, when kernels are there."""
+    """A prior, or the state of another filter or of other tracks, is refused as state, also once kernels exist."""
     case.step()
     small = Gaussian(case.prior.mean[..., :-1], case.prior.scale_tril)
     for _ in range(2):
@@ -147,12 +150,12 @@ def _refuse(case: Case, argument: str, **given: Any) -> None:
 
 
 def _refuse_step(case: Case, argument: str, **given: Any) -> None:
-    """The same of a single step."""
+    """A single step with this is refused by a ``ValueError`` about the argument."""
     _refuse_call(case, argument, lambda case: case.step(**given))
 
 
 def _refuse_call(case: Case, argument: str, call: Callable[[Case], Any]) -> None:
-    """The same of any call; of a compiled filter in the words of the eager one."""
+    """A call is refused by a ``ValueError`` about the argument; a compiled filter gives the eager one's message."""
     message, eager = refusal(lambda: call(case), argument), case.eager
     if eager is not None:
         expected = refusal(lambda: call(eager), argument)

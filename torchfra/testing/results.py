@@ -1,4 +1,4 @@
-"""Checks of results: the same whichever way tracks are handed in."""
+"""Checks of results: independent of batching, streaming, memory layout, precision and compilation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.testing.expectations import TOLERANCE, difference, expect, expect_
 from torchfra.types import Cause, Estimate, Gaussian
 
 ROUNDINGS = 30.0
-"""By how many times as much as one of the data a whole filter in float32 may move an estimate."""
+"""Change of an estimate by a filter in float32, as a multiple of that by data rounded to float32, at most."""
 FIELDS = ("mean", "scale_tril", "nis", "log_likelihood")
 
 
@@ -42,7 +42,7 @@ def a_single_track_needs_no_batch_and_no_company(case: Case) -> None:
 
 @check("eager", "compiled")
 def steps_give_what_whole_tracks_give(case: Case) -> None:
-    """Streaming says what a whole sequence says of its steps."""
+    """Single steps give the estimates of the whole sequence."""
     estimate, state = case.estimate, case.filter.init(case.prior)
     now = getattr(estimate.info, "provisional", getattr(estimate.info, "filtered", estimate))
     for k in range(STEPS):
@@ -98,7 +98,7 @@ def one_step_is_enough(case: Case) -> None:
 
 @check("eager", "compiled")
 def memory_layout_does_not_matter(case: Case) -> None:
-    """Expanded and strided tensors are what they hold."""
+    """Expanded and strided tensors give the results of contiguous ones."""
     strided = case.z.transpose(0, 1).contiguous().transpose(0, 1)
     wide = torch.stack([case.z, -case.z], -1)[..., 0]
     for name, z in {"transposed": strided, "every second number": wide}.items():
@@ -116,7 +116,7 @@ def memory_layout_does_not_matter(case: Case) -> None:
 
 @check("eager", "compiled")
 def lazily_negated_tensors_are_negative(case: Case) -> None:
-    """What torch has only marked as negated, such as ``x.conj().imag``, is read as it is meant."""
+    """A tensor whose negation PyTorch has deferred, such as ``x.conj().imag``, is read with its sign."""
     z = torch.complex(torch.zeros_like(case.z), -case.z).conj().imag
     mean, root = (torch._neg_view(-x) for x in case.prior)
     expect_same(case(z=z), case.estimate, "estimate of a lazily negated z")
@@ -156,7 +156,7 @@ def single_precision_stays_single(case: Case) -> None:
 
 @check("eager", "compiled")
 def a_track_that_fails_leaves_the_others_alone(case: Case) -> None:
-    """One track with NaN in its prior, one with an infinite measurement: both are reported, the third is as before."""
+    """A track with a NaN prior and one with an infinite measurement are reported as failed; a third is unaffected."""
     mean, z = case.prior.mean.clone(), case.z.clone()
     mean[0].select(-1, 0)[...] = torch.nan
     z[1, 4] = torch.inf
@@ -200,7 +200,7 @@ def _dtypes(estimate: Estimate) -> Any:
 
 
 def _takes(case: Case, **options: Tensor) -> bool:
-    """Whether the filter takes these options; some refuse correlated noise, in words."""
+    """Whether the filter accepts these options; some raise an error for correlated noise."""
     try:
         case(**options)
     except ValueError:

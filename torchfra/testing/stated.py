@@ -16,18 +16,18 @@ from torchfra.testing.expectations import expect
 from torchfra.types import Estimate, Gaussian
 
 RUNS, LENGTH, FIRST = 100, 60, 20
-"""Tracks, their steps, and the first of these that counts."""
+"""Number of tracks, of their steps, and the first step that counts."""
 BEHIND = 0.02
-"""By how much the position error may be larger than that of ``srckf``."""
+"""Relative increase of the position error over that of ``srckf``, at most."""
 HONEST = 0.9, 1.1
-"""Normalised estimation error squared, per component of the state."""
+"""Bounds of the mean normalised estimation error squared, per component of the state."""
 
 
 @check("eager")
 def where_its_models_hold_it_is_no_worse_than_a_kalman_filter(case: Case) -> None:
-    """Position errors at most 2 % above those of ``srckf``, and covariances that say how large errors are.
+    """Position errors at most 2 % above those of ``srckf``, and consistent covariances.
 
-    Of robust filters that give up some of it on purpose, skip this check.
+    Skip this check for robust filters that trade some accuracy for robustness.
     """
     f, seconds = case.filter, torch.tensor(case.dt, dtype=torch.float64)
     motions = f.motion[:] if isinstance(f.motion, Bank) else [f.motion]
