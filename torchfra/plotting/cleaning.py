@@ -16,7 +16,7 @@ from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
 _MANY = 50
 """Rejected fixes whose marks are small, so that the path is seen."""
 _LETTERS = 76
-"""Of the name of a manoeuvre, that are as wide as a panel."""
+"""Letters of a manoeuvre's name that fit in the width of a panel."""
 
 
 def cleaned(of: Cleaned) -> Figure:
@@ -96,7 +96,7 @@ def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
 
 
 def _note_beyond(axes: Axes, values: Array, limits: tuple[float, float]) -> None:
-    """How many values are not on an axis, beside it."""
+    """Writes beside an axis how many values are outside its limits."""
     if count := int(((values < limits[0]) | (values > limits[1])).sum()):
         axes.set_title(f"{count:,} outside", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
 

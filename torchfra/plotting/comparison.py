@@ -1,4 +1,4 @@
-"""What a comparison of filters says, in one figure: a flight on a map, all runs of every filter, errors over time."""
+"""A comparison of filters in one figure: a flight on a map, all runs of every filter, errors over time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without
 _ROW = 0.27
 """Height of a filter's row, inches."""
 _BEYOND = 2.0
-"""How far the axes go beyond the error at which a run has diverged, at most, as a factor."""
+"""Largest limit of the axes, as a factor on the error at which a run has diverged."""
 
 
 def comparison(

@@ -18,7 +18,7 @@ from torchfra.plotting.labels import Array, beside, name_lines
 from torchfra.plotting.style import TITLE, finish, line_styles, without_box, words
 
 _ROOM = 30.0
-"""How far errors are followed beyond their median over all lines, as a factor; a name at the upper edge is beyond."""
+"""Upper limit of errors, as a factor on their median over all lines; a name at the upper edge is beyond."""
 _ROW = 0.18
 """Height of a name beside the values, inches."""
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))

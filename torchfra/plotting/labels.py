@@ -15,15 +15,15 @@ from torchfra.plotting.style import lay_out, words
 Array = NDArray[np.float64]
 
 SIZE = 9
-"""Of the letters, points."""
+"""Size of the letters, points."""
 _WIDE, _HIGH = 0.6 * SIZE, 1.3 * SIZE
-"""What a letter takes, points."""
+"""Width and height of a letter, points."""
 _ANCHORS = 30
 """Places along a line among which that is chosen that its label points to."""
 _DISTANCES = (9.0, 16.0, 26.0, 40.0, 60.0)
-"""How far a label may be from that place, points."""
+"""Distances of a label from its anchor that are tried, points."""
 _POINTS = 500
-"""Of a line or of marks that are looked at, evenly chosen."""
+"""Number of points of a line or of marks that labels avoid, evenly chosen."""
 _SEPARATE = 25.0
 """Points of distance to everything else beyond which a line is told apart no better."""
 
@@ -107,7 +107,7 @@ def beside(axes: Axes, colours: Mapping[str, str]) -> None:
 
 
 def _end(line: Line2D) -> float:
-    """Where a line ends along y: its last finite value."""
+    """The last finite y value of a line."""
     values = np.asarray(line.get_ydata(), dtype=float)
     known = values[np.isfinite(values)]
     return float(known[-1]) if len(known) else np.inf

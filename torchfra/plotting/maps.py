@@ -15,7 +15,7 @@ from torchfra.plotting.style import finish, words
 
 _OUTLIER = "#000000"
 _ROOM = 1.5
-"""How far fixes may widen the map of the true path, as a factor; those further away are left out."""
+"""Factor by which fixes may widen the map of the true path; those further away are left out."""
 
 _LONGEST = 30
 """Characters of a recording's name in the title; of longer ones it has the end."""
@@ -63,7 +63,7 @@ def _fixes(flight: Flight) -> dict[str, Array]:
 
 
 def _outside(flight: Flight) -> str:
-    """How many of the measurements are not on the map; outliers that imply no place among them."""
+    """A note of how many measurements are not on the map, outliers without a position among them."""
     low, high = _corners(flight)
     fixes, outlying = flight.fixes.flatten(0, 1).numpy(), flight.outlying.flatten().numpy()
     count = int((((fixes < low) | (fixes > high)).any(1) | (outlying & np.isnan(fixes).any(1))).sum())

@@ -1,4 +1,4 @@
-"""Where targets were and where filters saw them."""
+"""True paths of targets and their estimates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchfra.plotting.labels import SIZE, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, words
 
 _WIDE = {"color": BLACK, "linewidth": 4, "alpha": 0.25, "solid_capstyle": "round"}
-"""How a true path looks, on which estimates are seen."""
+"""Style of a true path, under the estimates."""
 
 
 def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Tensor | None = None) -> Figure:

@@ -1,4 +1,4 @@
-"""What all figures share: colours, lines, axes, and files."""
+"""Common parts of all figures: colours, lines, axes, and files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from torchfra.running.pictures import picture_form
 from torchfra.tables import printable
 
 _BROKEN = ("-", "--", ":", "-.")
-"""Of the lines that have no colour of their own."""
+"""Styles of lines that share a colour."""
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -78,7 +78,7 @@ def width(text: str) -> int:
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """How the line of each name looks, as keywords of ``Axes.plot``: a colour of its own for as many as ``APART`` has.
+    """Style of each name's line, as keywords of ``Axes.plot``: a colour of its own for as many as ``APART`` has.
 
     Lines after those have the same colours in the same order, but are broken.
     """

@@ -76,7 +76,7 @@ def adsb_models() -> Bank:
 
 
 def _moves(turns: str) -> list[Motion]:
-    """How each state follows from the one before, if it is known how and when the aircraft turns."""
+    """Motion of each step, if rates and times of the turns are known."""
     rates = [way * math.pi / 2 / seconds for seconds, way in _LEGS for _ in range(round(seconds / DT))]
     return [CoordinatedTurn(rate if turns == "arc" else 0.0, 0.0, orders=3) for rate in rates]
 

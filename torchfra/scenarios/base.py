@@ -1,4 +1,4 @@
-"""What a scenario is, and random numbers that do not depend on how many runs are asked for."""
+"""Scenarios, and random numbers of a run that do not depend on the number of runs."""
 
 from __future__ import annotations
 

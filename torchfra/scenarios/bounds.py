@@ -25,7 +25,7 @@ class Bound:
     """``"posterior"``: of all estimators, of truths that are drawn with process noise.  ``"parametric"``: of estimators
     without bias, of paths that are fixed, or taken as known but for their start."""
     known: tuple[str, ...]
-    """What is taken as known although no filter knows it: the bound may be far below."""
+    """Quantities taken as known although no filter knows them: the bound may be far below every filter."""
     covariance: Tensor
     """``(T, n, n)`` bound on the covariance of the errors, in the coordinates of the truth, mean over the runs."""
 

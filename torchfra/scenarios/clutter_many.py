@@ -17,13 +17,13 @@ from torchfra.scenarios.two_aircraft import DT, ROOT, STEPS, Conditions, Q, cart
 from torchfra.types import Gaussian
 
 _CORNERS = torch.tensor([[500.0, 500.0, 500.0], [3500.0, 3500.0, 1500.0]], dtype=torch.float64)
-"""Of the box in which aircraft begin, m."""
+"""Corners of the box in which aircraft begin, m."""
 _SPEEDS = 20.0, 60.0
-"""Of the aircraft over ground, m/s."""
+"""Least and largest ground speed of the aircraft, m/s."""
 _CLIMB = 5.0
 """Standard deviation of the vertical speed, m/s."""
 _LATEST, _EARLIEST = 0.3, 0.7
-"""Shares of the scans before which all have come, and after which they go."""
+"""Fractions of the scans at which the last aircraft appears at the latest, and the first disappears at the earliest."""
 
 
 def clutter_many(

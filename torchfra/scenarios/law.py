@@ -41,15 +41,15 @@ class Law:
     known: tuple[str, ...] = ()
 
     def knowing(self, *known: str) -> Law:
-        """The same, with more that is taken as known."""
+        """The law with further quantities taken as known."""
         return replace(self, known=(*self.known, *known))
 
 
 def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> Tensor:
-    """``(T,)`` what measurements tell where outliers come in bursts (``burst_factors``), if it is known when.
+    """``(T,)`` Fisher information of measurements with outliers in known bursts (``burst_factors``).
 
-    Bursts last, so that a measurement says of the next one whether it is good, and the information of a mixture that
-    is independent at each step would be too little.
+    Bursts persist: a measurement tells whether the next one is good, so the information of a mixture that is
+    independent at each step would be too small.
     """
     age = torch.arange(1, steps + 1, dtype=torch.float64).clamp(max=LENGTH)
     inside = 1 - (1 - share / LENGTH) ** age
@@ -57,7 +57,7 @@ def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> T
 
 
 def mixed_information(outliers: str, size: float | None, share: float, elements: int) -> float:
-    """What measurements with the outliers of ``outlier_factors`` tell: the arguments are its own.
+    """Fisher information of measurements with the outliers of ``outlier_factors``, whose arguments it takes.
 
     ``elements`` of a measurement are outliers together.
     """

@@ -87,7 +87,7 @@ def _truth(grid: RangeGrid, dt: float, steps: int, recording: RangeRecording) ->
 
 
 def _repairs(recording: RangeRecording, grid: RangeGrid) -> dict[str, int]:
-    """What had to be repaired, and what the grid dropped."""
+    """Numbers of repairs of the recording, and of ranges that the grid dropped."""
     crowded = {"ranges dropped for a later one in the same step": grid.dropped} if grid.dropped else {}
     path = {} if recording.reference is None else recording.reference.repairs
     return recording.repairs | {f"path: {what}": count for what, count in path.items()} | crowded
@@ -100,7 +100,7 @@ def _padded(values: Array, rows: int, columns: int) -> Tensor:
 
 
 def _places(recording: RangeRecording, grid: RangeGrid, height: float | None, count: int) -> Tensor:
-    """Where the anchors are, above the target's height, ``(3 count,)``; 0 where there is none."""
+    """Positions of the anchors, relative to the target's height, ``(3 count,)``; 0 where there is none."""
     places = np.zeros((count, 3))
     given = recording.anchors
     places[: len(given), : given.shape[1]] = given

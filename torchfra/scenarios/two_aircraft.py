@@ -1,4 +1,4 @@
-"""What the experiments of Chen, Zou & Wu have in common: two aircraft, an infrared sensor with a laser, and clutter."""
+"""Common parts of the experiments of Chen, Zou & Wu: two aircraft, an infrared sensor with a laser, and clutter."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROOT = torch.tensor([30.0, 30.0, 30.0, 5.0, 5.0, 5.0], dtype=torch.float64).diag
 
 @dataclass(frozen=True)
 class Conditions:
-    """What targets and sensor do; the arguments of ``scenarios.clutter_straight``, which explains them.
+    """Settings of targets and sensor: the arguments of ``scenarios.clutter_straight``, which explains them.
 
     Raises:
         ValueError: a value out of its range.
@@ -103,7 +103,7 @@ def scans(
 
 
 def law_of(motion: Motion, dt: float, conditions: Conditions) -> Law:
-    """How an aircraft moves in Cartesian coordinates, alone and without false measurements."""
+    """The law of one aircraft's motion in Cartesian coordinates, without false measurements."""
     sensor, noise = conditions.sensor(), motion.process_noise(torch.tensor(dt, dtype=torch.float64))
     scale = torch.where(_changed(conditions), conditions.noise_scale, 1.0).unsqueeze(-1)
     root = noise * math.sqrt(conditions.truth_noise / Q) if conditions.truth_noise else None

@@ -12,19 +12,19 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Alarm
 
 Alarms = tuple[Alarm, ...]
-"""Of each sensor, as of its last measurement; none of filters that do not say."""
+"""The alarm of each sensor at its last measurement; empty for filters without alarms."""
 
 
 class Known(NamedTuple):
-    """What is known after a measurement."""
+    """State of the filter and alarms after a measurement."""
 
     state: Any
-    """Of the filter."""
+    """State of the filter."""
     alarms: Alarms
 
 
 def silent(sensor: Sensor, mean: Tensor) -> Alarm:
-    """That of a sensor which has not measured yet, beside a mean ``(..., n)``."""
+    """The alarm of a sensor before its first measurement, batched like a mean ``(..., n)``."""
     blocks, elements = (mean.new_zeros(*mean.shape[:-1], count) for count in (len(sensor.blocks), sensor.size))
     return Alarm(blocks, blocks.clone(), elements)
 

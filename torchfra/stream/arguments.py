@@ -18,7 +18,7 @@ from torchfra.sensors.base import Sensor
 OWN = "sensor"
 """The name of the filter's own sensor, where there are no others."""
 _CODES = {torch.float32: "f", torch.float64: "d"}
-"""Of arrays, by dtype."""
+"""Type codes of arrays, by dtype."""
 
 
 def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str, Sensor]:

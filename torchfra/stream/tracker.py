@@ -50,7 +50,7 @@ class Report(NamedTuple):
     """``"used"`` in turn; ``"late"``, put in where it belongs; ``"duplicate"`` or ``"old"``, left out; or ``"jumped"``:
     used, after the clock had been set back."""
     innovation: Innovation | None
-    """Of the measurement; None for one that was left out."""
+    """Innovation of the measurement; None for one that was left out."""
     alarm: Alarm | None = None
     """Whether its sensor is faulty: ``Tracker.alarms``; None of filters that do not say."""
 
@@ -125,7 +125,7 @@ class Tracker:
 
     @property
     def _now(self) -> Known:
-        """What is known by all that has come in."""
+        """State and alarms after the latest measurement in the window."""
         known: Known = self._window.before(len(self._window.entries))[1]
         return known
 
@@ -145,7 +145,7 @@ class Tracker:
 
     @property
     def alarms(self) -> dict[str, Alarm]:
-        """Of each sensor whether it is faulty, since when, and by how much; empty of filters that do not say.
+        """For each sensor whether it is faulty, since when, and by how much; empty for filters without alarms.
 
         It is as of the sensor's last measurement; ``lasted`` goes on to now.
         """
@@ -153,7 +153,7 @@ class Tracker:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many measurements had each outcome: see ``Report``."""
+        """Number of measurements with each outcome: see ``Report``."""
         return dict(self._counts)
 
     @in_full_precision
@@ -197,7 +197,7 @@ class Tracker:
 
     @torch.no_grad()
     def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
-        """What is expected at a time: the state, and what a sensor would measure.
+        """The predicted state at a time, and the predicted measurement of a sensor.
 
         Args:
             time: seconds, not before the measurements that are kept; the estimate is that of the last one up to it.
@@ -219,7 +219,7 @@ class Tracker:
         return forecast if intake.origin is None else intake.origin.forecast(there, forecast, u)
 
     def protection_level(self, *, risk: float = 1e-3, fault: tuple[float, float] | None = None) -> Tensor:
-        """How far the position can be from the estimate now, ``(...)`` m: see ``filters.protection_level``.
+        """Protection level of the current position, ``(...)`` m: see ``filters.protection_level``.
 
         Args:
             risk: probability that it is farther.

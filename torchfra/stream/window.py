@@ -87,7 +87,7 @@ class Window:
         return time < self.time or (time == self.time and self.forgot)
 
     def place(self, entry: Entry) -> int:
-        """Where an entry belongs."""
+        """The index at which an entry belongs."""
         if entry.time > self.newest:
             return len(self.entries)
         return bisect_left(self.entries, entry.key, key=_key)
