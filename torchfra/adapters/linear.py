@@ -16,11 +16,11 @@ from torchfra.types import Gaussian
 
 Array = NDArray[np.float64]
 _ROUNDING = 1e-9
-"""How far below 0 an eigenvalue of a covariance may be, relative to the largest."""
+"""Largest negative eigenvalue of a covariance that counts as rounding, relative to the largest eigenvalue."""
 
 
 class Models(NamedTuple):
-    """What a filter needs of another library's."""
+    """Parts of another library's filter from which ours is made."""
 
     motion: Motion
     sensor: Sensor
@@ -34,7 +34,7 @@ class LinearMotion(Motion):
         matrices: the transition ``(n, n)`` and the covariance of the process noise ``(n, n)`` for a number of seconds.
         size: ``n``.
         dims: positions, the first components of the state; velocities follow.
-        control: ``(n, k)`` what ``u (..., k)`` adds to the state; None for none.
+        control: ``(n, k)`` matrix of the shift by ``u (..., k)``; None for none.
     """
 
     linear = True
@@ -56,7 +56,7 @@ class LinearMotion(Motion):
         return self._each(dt, lambda seconds: root_of(self.matrices(seconds)[1], "process noise"))
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
-        """What ``u (..., k)`` adds to the state."""
+        """The shift of the state by ``u (..., k)``."""
         return None if self.control is None or u is None else u @ self.control.to(u).mT
 
     def _each(self, dt: Tensor, of: Callable[[float], Array]) -> Tensor:

@@ -112,7 +112,7 @@ def _message_to_measurement(detected: Tensor, missed: Tensor, to_target: Tensor)
 
 
 def _bethe_correction(detected: Tensor, missed: Tensor, to_target: Tensor, gated: Tensor) -> Tensor:
-    """What the Bethe approximation of the log sum over events adds to the log sums of the targets: ``(R, N)``.
+    """Correction of the targets' log sums to the Bethe approximation of the log sum over events: ``(R, N)``.
 
     The term of each measurement is divided equally among the targets that gate it.
     """

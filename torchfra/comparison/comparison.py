@@ -37,7 +37,7 @@ class Test(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """What ``torchfra.compare`` returns; as text, a table.
+    """The result of ``torchfra.compare``; as text, a table.
 
     Where the truth of no step is known, filters are compared by the log likelihood of the measurements.
     """
@@ -48,13 +48,13 @@ class Comparison:
     results: dict[str, Result]
     """The figures of each filter, ``Result``."""
     metrics: Mapping[str, RunningMetrics]
-    """What they are of: a number for each run, among others."""
+    """The metrics summed up in ``results``, with a number for each run."""
     bound: Bound | None
-    """Of the errors; None where it is not known."""
+    """Lower bound of the errors; None where it is not known."""
 
     @property
     def by(self) -> str:
-        """What filters are compared by: ``"rmse_position"`` of a run, or its ``"log_likelihood"``."""
+        """The criterion of the comparison: ``"rmse_position"`` of a run, or its ``"log_likelihood"``."""
         known = any(bool((~self.metrics[name].errors().isnan()).any()) for name in self.results)
         return ERROR if known else LIKELIHOOD
 
@@ -176,7 +176,7 @@ class Comparison:
         return figure
 
     def caption(self) -> str:
-        """What the table holds, in sentences."""
+        """The contents of the table, in sentences."""
         what = "RMSE of the position in a run" if self.by == ERROR else "log likelihood of a measurement"
         said = [
             f"{self.scenario.name}: {self.runs} runs, seed {self.seed}",
@@ -192,7 +192,7 @@ class Comparison:
         return ". ".join(said) + "."
 
     def _honest(self) -> list[str]:
-        """What ANEES and ANIS are of an honest filter."""
+        """The intervals of ANEES and ANIS of a consistent filter, in sentences."""
         of, said = self.results[self.best], []
         for key, what in (("anees", "ANEES per component"), ("anis", "ANIS per element")):
             if key in of and not math.isnan(of[key][0]):

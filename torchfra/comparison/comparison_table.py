@@ -14,7 +14,7 @@ Row = dict[str, tuple[str, str]]
 
 
 def errors_row(of: Result, quantities: Iterable[str]) -> Row:
-    """What a filter's errors are, by its ``Result``."""
+    """Cells with the errors of a filter."""
     row: Row = {}
     for quantity in quantities:
         row[_title(quantity)] = _cell(of[f"mean_track_rmse_{quantity}"])
@@ -26,12 +26,12 @@ def errors_row(of: Result, quantities: Iterable[str]) -> Row:
 
 
 def likelihood_row(of: Result) -> Row:
-    """How likely a filter held the measurements to be."""
+    """Cells with the log likelihood of the measurements under a filter."""
     return {"log likelihood": _cell(of["mean_log_likelihood"])}
 
 
 def last_row(of: Result, efficiency: float, p: str) -> Row:
-    """What goes with either: ``efficiency`` is the bound as a share of the error."""
+    """Cells at the end of either row; ``efficiency`` is the bound as a share of the error."""
     innovations = {"ANIS": _cell(of["anis"])} if "anis" in of else {}
     share = significant(100 * efficiency, 3 if efficiency >= 0.1 else 2)
     return innovations | {"bound %": (share, ""), "p": (p, ""), "us/step": (significant(of["microseconds"], 2), "")}

@@ -13,7 +13,7 @@ _ITERATIONS = 40
 _SETTLED = 1e-6
 """Metres, and as much of a fix's distance from the truth, that the last iteration may move it."""
 _PARALLEL = 1e-6
-"""How much less the weakest direction may be measured than the strongest: lines of sight that do not cross are none."""
+"""Smallest ratio of the weakest measured direction to the strongest: parallel lines of sight give no fix."""
 
 
 def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
@@ -46,7 +46,7 @@ def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
 
 
 def deviations(scenario: Scenario, tracks: Tracks) -> Tensor:
-    """How far off measurements are, ``(B, T, J)``: the element that is furthest from the true one.
+    """Largest error among the elements of each measurement, ``(B, T, J)``.
 
     In standard deviations, as the sensor states them.  0 where nothing was measured or the truth is not known, and
     where filters have other coordinates than the truth.
@@ -68,7 +68,7 @@ def _gauss_newton(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None, places
 
 
 def _distance(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None) -> Tensor:
-    """How far states ``x`` are from what was measured, in standard deviations, ``(..., 1)``."""
+    """Distance of states ``x`` from the measurement, in standard deviations, ``(..., 1)``."""
     return _residual(sensor, z, x, u).square().sum(-1, keepdim=True).sqrt()
 
 

@@ -29,9 +29,9 @@ class Flight(NamedTuple):
     """A part of one run in the horizontal plane, m; ``N`` targets, ``T`` steps, ``J`` measurements of a step."""
 
     number: int
-    """Of the run."""
+    """Number of the run."""
     name: str
-    """Of the recording, or the number in words."""
+    """Name of the recording, or the number in words."""
     time: Tensor
     """``(T,)`` seconds since the first measurement of the run was due."""
     truth: Tensor

@@ -44,7 +44,7 @@ def divergence_limit(scenario: Scenario) -> float:
 
 
 def _off(scenario: Scenario, tracks: Tracks) -> Tensor:
-    """How far the position that a measurement implies is from the truth, of scans of every target the nearest one."""
+    """Distance of the position that a measurement implies from the truth; in scans, the nearest one to each target."""
     truth = tracks.truth[..., scenario.truth_position]
     targets = truth.unsqueeze(1) if truth.dim() == 3 else truth  # (B, N, T, d)
     off = (fixes(scenario, tracks).unsqueeze(1) - targets.unsqueeze(3)).norm(dim=-1)

@@ -35,7 +35,7 @@ def _metres(error: float) -> str:
 
 
 def _repairs(scenario: Scenario, number: int) -> str:
-    """What was repaired in a recording."""
+    """A sentence on the repairs of a recording."""
     repairs: Any = scenario.settings["repairs"]
     counts = in_words(repairs[number - 1])
     return f"; repairs: {counts}" if counts else ""

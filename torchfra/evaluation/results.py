@@ -47,7 +47,7 @@ _MEANS = ("mean_rmse_position", "mean_rmse_velocity", "worst_track")
 
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
-    """What a results file holds: what was evaluated, with which settings and versions, and the results.
+    """Contents of a results file: scenario, settings, versions, and the results.
 
     Args:
         scenario: what was tracked.
@@ -131,7 +131,7 @@ def not_finite(results: dict[str, Result]) -> list[str]:
 
 
 def _decimals(results: dict[str, Result], key: str, least: int) -> int:
-    """How many decimals a column gets: more than ``least`` where errors of positions are below 10 m."""
+    """Decimals of a column: more than ``least`` where errors of positions are below 10 m."""
     smallest = min(result[key] for result in results.values())
     return max(least, 2 if smallest >= 1 else 3) if key in _POSITION and smallest < 10 else least
 

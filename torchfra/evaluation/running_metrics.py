@@ -75,7 +75,7 @@ class RunningMetrics:
         self.squares: dict[str, Tensor] = {}
         """Sums of squared errors over the tracks, ``(T,)``."""
         self.counts: dict[str, Tensor] = {}
-        """How many there are."""
+        """Numbers of tracks in those sums, ``(T,)``."""
         self.sums: dict[str, Tensor] = {}
         """Sums over the tracks, by coordinate ``(T, d)`` or model ``(T, K)``."""
         self.consistency: dict[str, Tensor] = {}

@@ -82,7 +82,7 @@ def measure(
     progress: bool = False,
     reference: bool = True,
 ) -> dict[str, RunningMetrics]:
-    """What ``evaluate`` sums up: the metrics of the filters, and of the reference for run times, with an error per run.
+    """Metrics of the filters, and of the reference for run times, with an error per run; ``evaluate`` sums them up.
 
     Arguments and errors are those of ``evaluate``, and ``reference``: whether that one runs too.
     """

@@ -1,4 +1,4 @@
-"""How sure the figures of an evaluation are, and whether filters know how large their errors are."""
+"""Confidence intervals of an evaluation's results, and the consistency of filters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a sensor has been faulty."""
+"""The time for which a sensor has been faulty."""
 
 from __future__ import annotations
 

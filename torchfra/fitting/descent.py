@@ -91,7 +91,7 @@ class Descent:
         self.best, self.scores = starts.clone(), self.validation(starts)
         """``(R, P)`` the values of each start's best validation, and ``(R,)`` its loss."""
         self.rows: list[dict[str, float]] = []
-        """What the learning curve shows."""
+        """Rows of the learning curve."""
 
     @property
     def done(self) -> bool:
@@ -148,7 +148,7 @@ class Descent:
         return torch.randperm(count, generator=generator)[place * size : (place + 1) * size]
 
     def state(self, key: str) -> dict[str, Any]:
-        """What a checkpoint holds; ``key`` tells which tracks and settings it belongs to."""
+        """Contents of a checkpoint; ``key`` identifies its tracks and settings."""
         return {"key": key, "iteration": self.iteration, "raw": self.raw.detach(), "best": self.best,
                 "optimiser": self.optimiser.state_dict(), "scores": self.scores, "since": self.since,
                 "rows": copy.deepcopy(self.rows)}  # fmt: skip
@@ -179,7 +179,7 @@ def starting_points(raw: Tensor, directions: Tensor, settings: Settings) -> Tens
 
 
 def key_of(settings: Settings, names: list[str], digest: str, starts: Tensor) -> str:
-    """What tells one fit from another."""
+    """Identifies a fit by its settings, values, tracks and starts."""
     return f"{asdict(settings)} {names} {starts.tolist()} {digest}"
 
 

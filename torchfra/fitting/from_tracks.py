@@ -140,7 +140,7 @@ def _split(tracks: Batch, settings: Settings) -> tuple[Batch, Batch, Batch]:
 
 
 def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
-    """Where the descent is kept.
+    """The file of the checkpoint.
 
     Raises:
         ValueError: no file, or none to resume from; or it is there and ``resume`` is not asked for.

@@ -13,7 +13,7 @@ from torchfra.fitting.objective import Objective
 STEP = 1e-4
 """Difference of the unconstrained values, in float64: errors near 1e-8 of the curvature."""
 LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
-"""Of a step, tried at once."""
+"""Lengths of a step that are tried at once."""
 REACH = 2.0
 """Longest step, in unconstrained values: a factor of 7 for what is above 0."""
 MOST = 30

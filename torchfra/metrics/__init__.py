@@ -1,4 +1,4 @@
-"""How good estimates are, over time and over runs.  Steps whose truth is NaN do not count.
+"""Errors and consistency of estimates, over time and over runs.  Steps whose truth is NaN do not count.
 
 ``states`` are the components to compare, the same in estimate and truth.  Of a scenario, whatever coordinates its
 filters estimate in::

@@ -12,9 +12,9 @@ from torch import Tensor
 from torchfra.linalg.triangular import hstack, tria
 
 _ROUNDING = 1e-9
-"""Of a slope, relative to the largest: below it the slope of a step is the same for all truths."""
+"""Differences of slopes below this, relative to the largest slope, count as rounding: the slope is constant."""
 _NODES = 4000
-"""Of the quadrature over the length of a measurement error."""
+"""Number of nodes of the quadrature over the length of a measurement error."""
 
 
 def cramer_rao(start: Tensor, transition: Tensor, process_noise: Tensor | None, slope: Tensor) -> Tensor:

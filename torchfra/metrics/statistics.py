@@ -145,7 +145,7 @@ def student_quantile(share: float, degrees: int) -> float:
 
 
 def _root(rising: Callable[[float], float], value: float, low: float, high: float) -> float:
-    """Where a rising function has a value, by bisection."""
+    """The argument at which a rising function has a value, by bisection."""
     for _ in range(80):
         middle = (low + high) / 2
         low, high = (middle, high) if rising(middle) < value else (low, middle)

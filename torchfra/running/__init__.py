@@ -1,1 +1,1 @@
-"""What long runs share: files written whole, checkpoints, several processes, progress bars, memory."""
+"""Tools of long runs: atomic writing of files, checkpoints, several processes, progress bars, memory."""

@@ -90,7 +90,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _mode(path: Path) -> int | None:
-    """What is there, behind links; None for nothing."""
+    """Mode of the file at a path, links followed; None if there is none."""
     try:
         return path.stat().st_mode
     except FileNotFoundError:
@@ -108,7 +108,7 @@ def _check_special(path: Path, mode: int) -> None:
 
 
 def _stream(path: Path) -> IO[bytes] | None:
-    """What is written to as it is; None where there is a file, which is replaced, or nothing."""
+    """A stream to a device, a pipe or an output of this process; None for a regular file or a new path."""
     mode = _mode(path)
     if mode is None:
         return None

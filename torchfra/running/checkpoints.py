@@ -22,7 +22,7 @@ def found(newest: Path) -> list[Path]:
 
 
 def previous(newest: Path) -> Path:
-    """Where the checkpoint before the newest is."""
+    """Path of the checkpoint before the newest."""
     return newest.with_stem(f"{newest.stem}-previous")
 
 

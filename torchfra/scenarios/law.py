@@ -1,4 +1,4 @@
-"""How targets of a scenario truly move and are measured, as far as it is known: what bounds on errors need."""
+"""The true models of a scenario's targets and measurements, as far as they are known: for bounds on errors."""
 
 from __future__ import annotations
 

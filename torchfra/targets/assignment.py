@@ -1,4 +1,4 @@
-"""The assignment of one set to another, how far two beliefs are apart, and what scipy does for both."""
+"""Linear assignment of two sets, the distance of two beliefs, and chi-squared quantiles, by scipy."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def scipy(part: str) -> Any:
 
 
 def assigned(cost: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows and columns of pairs: as many as are ``allowed (K, L)``, and of all such choices the one of least ``cost``.
+    """Rows and columns of the assignment with the most ``allowed (K, L)`` pairs, and among those of least ``cost``.
 
     Args:
         cost: ``(K, L)`` of each pair, 0 or more.
-        allowed: bool.
+        allowed: bool, pairs that may be assigned.
 
     Raises:
         ImportError: scipy is not installed.
@@ -44,13 +44,13 @@ def assigned(cost: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def squared_distance(motion: Motion, one: Gaussian, other: Gaussian) -> Tensor:
-    """Square ``(...)`` of the difference of two beliefs ``(..., n)``, by the sum of their covariances."""
+    """Squared Mahalanobis distance ``(...)`` of two beliefs ``(..., n)``, by the sum of their covariances."""
     gap = motion.difference(one.mean, other.mean)
     return whiten(tria(hstack(one.scale_tril, other.scale_tril)), gap).square().sum(-1)
 
 
 def chi_square(probability: float, degrees: int) -> float:
-    """What chi square of so many degrees of freedom does not exceed with a probability.
+    """Quantile of the chi-squared distribution.
 
     Raises:
         ImportError: scipy is not installed.

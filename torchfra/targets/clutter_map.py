@@ -1,4 +1,4 @@
-"""A map of where measurements come from that are no target's: land, buoys, moored boats."""
+"""A map of the sources of false measurements, such as land, buoys and moored boats."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from torchfra.numbers import as_number
 from torchfra.targets.state import joined, rows
 
 _REACH = 9.0
-"""Of a kernel, in standard deviations: what lies beyond is less than rounding."""
+"""Radius of a kernel, in standard deviations: its values beyond are less than rounding."""
 
 
 class Mapped(NamedTuple):
-    """Measurements ``(K,)`` of the past that were no confirmed target's."""
+    """The state of a map: ``(K,)`` past measurements that belonged to no confirmed target."""
 
     position: Tensor
-    """``(K, dims)`` m."""
+    """``(K, dims)`` positions, m."""
     weight: Tensor
-    """``(K,)`` probability that each was no confirmed target's, times what is remembered of it."""
+    """``(K,)`` probability that each belonged to no confirmed target, times its exponential decay since."""
     scene: Tensor
-    """``(K,)``."""
+    """``(K,)`` number of the scene."""
     sensor: Tensor
     """``(K,)`` number of the sensor; 0 for the filter's own."""
     scans: Tensor
-    """``(R, S)`` scans of each scene and sensor, as far as they are remembered."""
+    """``(R, S)`` number of scans of each scene and sensor, each times its exponential decay since."""
 
 
 class ClutterMap(nn.Module):
-    """Learns on line where false measurements come again and again, in a frame that does not move.
+    """Learns on line, in a fixed frame, where false measurements recur.
 
     The density of false measurements is the uniform one of a sensor's ``clutter``, and a kernel at each measurement of
     that sensor that was no confirmed target's, over the number of its scans.  It enters the scores of targets, and so
@@ -42,7 +42,7 @@ class ClutterMap(nn.Module):
         size: standard deviation of a kernel in each direction, m: that of a measured position as it is stated.  Wider
             kernels confirm sooner what moves, and after some tens of scans what stays too.
         seconds: after which a measurement counts for ``1 / e``.
-        scans: with how many scans without any measurement the map begins: the more, the later it is believed.
+        scans: number of scans without any measurement with which the map begins: the more, the slower it learns.
 
     Raises:
         ValueError: a value that is not finite and above 0.
@@ -59,22 +59,22 @@ class ClutterMap(nn.Module):
         self.size, self.seconds, self.scans = float(size), float(seconds), float(scans)
 
     def begin(self, scenes: int, sensors: int, position: Tensor) -> Mapped:
-        """Nothing is known yet; ``position (0, dims)`` tells the dimensions and the dtype."""
+        """An empty map; ``position (0, dims)`` sets the dimensions and the dtype."""
         none = torch.zeros(0, dtype=torch.int64, device=position.device)
         return Mapped(position, position.new_zeros(0), none, none, position.new_zeros(scenes, sensors))
 
     def aged(self, mapped: Mapped, dt: Tensor) -> Mapped:
-        """The map ``dt (R,)`` seconds later, without what counts for less than 1 % by then."""
+        """The map ``dt (R,)`` seconds later, without measurements whose weight is less than 1 % by then."""
         left = torch.exp(-dt / self.seconds)
         mapped = mapped._replace(weight=mapped.weight * left[mapped.scene], scans=mapped.scans * left.unsqueeze(-1))
         position, weight, scene, sensor = rows(mapped[:4], mapped.weight > 0.01)
         return Mapped(position, weight, scene, sensor, mapped.scans)
 
     def log_excess(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, log_uniform: Tensor) -> Tensor:
-        """Log ``(L,)`` of the density at positions ``(L, dims)`` of a sensor over the uniform one.
+        """Log ``(L,)`` of a sensor's density of false measurements at positions ``(L, dims)`` over its uniform one.
 
         Args:
-            mapped: what is known.
+            mapped: the map.
             position: m.
             scene: ``(L,)``.
             sensor: number.
@@ -89,7 +89,7 @@ class ClutterMap(nn.Module):
         return torch.log1p(there / (self.scans + mapped.scans[scene, sensor]) * torch.exp(-log_uniform))
 
     def _near(self, at: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-        """Pairs of one coordinate ``at (L,)`` and one of ``places (K,)`` that a kernel reaches: number of each."""
+        """Indices of pairs of a coordinate ``at (L,)`` and one of ``places (K,)`` that are within a kernel's radius."""
         ordered, order = places.sort()
         low, high = (torch.searchsorted(ordered, at + side * _REACH * self.size) for side in (-1, 1))
         count = high - low
@@ -100,8 +100,8 @@ class ClutterMap(nn.Module):
         """The map after a scan of a sensor in every scene.
 
         Args:
-            mapped: before.
-            position: ``(L, dims)`` of its measurements, m.
+            mapped: the map before the scan.
+            position: ``(L, dims)`` positions of its measurements, m.
             scene: ``(L,)``.
             sensor: number.
             free: ``(L,)`` probability that each was no confirmed target's.

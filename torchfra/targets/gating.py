@@ -1,4 +1,4 @@
-"""Which measurements may be a target's: gates before any filter runs."""
+"""Coarse gates that find, before a filter runs, which measurements may be a target's."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from torchfra.targets.assignment import chi_square
 from torchfra.types import Gaussian
 
 _WIDER = 1.25
-"""How many times wider than the filter's own gates those are that clusters are made by: these look at the covariance to
+"""Factor by which these gates are wider than the filter's own: they use the covariance of the predicted measurement to
 first order only."""
 
 
 def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, scene: Tensor, heat: float) -> Tensor:
-    """Which measurements of its scene may be in the gate of each target: ``(N, J)`` bool; none that is missing.
+    """Measurements of its scene that may be in the gate of each target: ``(N, J)`` bool, False for missing ones.
 
     Args:
-        gate: the filter's.
-        sensor: it measured.
+        gate: the gate of the filter.
+        sensor: the sensor of the scan.
         predicted: measurements ``(N,)``, see ``filters.scans.managed.outlook``.
         scans: ``(R, J, m)``; NaN is missing.
-        scene: ``(N,)`` of each target.
+        scene: ``(N,)`` number of each target's scene.
         heat: temperature of the gate.
     """
     z = scans.expand(len(scene), -1, -1) if len(scans) == 1 else scans[scene]
@@ -52,6 +52,6 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
 
 
 def _quantiles(gate: ChiSquare, like: Tensor) -> Tensor:
-    """``(m + 1,)`` largest normalised innovation squared in the gate, by the number of elements; none for 0."""
+    """``(m + 1,)`` largest normalised innovation squared in the gate, by the number of measured elements."""
     probability = gate.probability(like).item()
     return like.new_tensor([-1.0, *(chi_square(probability, k) for k in range(1, like.shape[-1] + 1))])

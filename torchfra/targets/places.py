@@ -1,4 +1,4 @@
-"""Where measurements lie in space, and beliefs in the coordinates of space."""
+"""Positions of measurements, and beliefs in Cartesian coordinates."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 _PROBES = (300.0, -700.0, 500.0), (-600.0, 200.0, 900.0)
-"""Two places, m, that tell where a sensor stands."""
+"""Two positions of a trial target, m, from which the sensor's position is found."""
 
 
 def place(
     motion: Motion, sensor: Sensor, z: Tensor, u: Tensor | None, std: Tensor | None = None, noise: Tensor | None = None
 ) -> Gaussian:
-    """Positions ``(K, dims)`` that measurements ``(K, m)`` tell, m, by points of third degree of the noise.
+    """Positions ``(K, dims)`` of measurements ``(K, m)`` and their covariances, m, by third-degree points of the noise.
 
     Args:
         motion: of the targets.
         sensor: one that ``locates``.
         z: the measurements, without missing elements.
-        u: ``(K, k)`` what the sensor needs to know, or None.
-        std: ``(K, m)`` of the noise, instead of the sensor's.
+        u: ``(K, k)`` inputs of the sensor, or None.
+        std: ``(K, m)`` standard deviations of the noise, instead of the sensor's.
         noise: ``(K, m, m)`` roots of its covariance, instead of the sensor's.
 
     Raises:
@@ -43,7 +43,7 @@ def place(
 
 
 def _stands(motion: Motion, sensor: Sensor, u: Tensor) -> Tensor:
-    """Where sensors ``(K, dims)`` stand, m: how far from a target they locate it, which is the same for all targets."""
+    """Positions ``(K, dims)`` of sensors, m: a target's position minus its position relative to the sensor."""
     position = u.new_tensor(_PROBES)[:, : motion.dims]
     mean = u.new_zeros(2, motion.size).index_copy(-1, known_components(motion)[: motion.dims].to(u.device), position)
     root = torch.eye(motion.size, dtype=u.dtype, device=u.device).expand(2, -1, -1)
@@ -58,7 +58,7 @@ def _stands(motion: Motion, sensor: Sensor, u: Tensor) -> Tensor:
 
 
 def known_components(motion: Motion) -> Tensor:
-    """Numbers ``(2 dims,)`` of the components of a state that are its position and velocity, in space."""
+    """Indices ``(2 dims,)`` of the components of a state that are position and velocity."""
     if isinstance(motion, Spherical):
         return torch.arange(2 * motion.dims)
     components = torch.arange(motion.size)
@@ -66,10 +66,10 @@ def known_components(motion: Motion) -> Tensor:
 
 
 def from_cartesian(motion: Motion, belief: Gaussian) -> Gaussian:
-    """Beliefs of ``[position, velocity, ...]`` in the coordinates of a motion."""
+    """Beliefs of Cartesian ``[position, velocity, ...]``, in the coordinates of a motion."""
     return belief_from_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
 
 
 def to_cartesian(motion: Motion, belief: Gaussian) -> Gaussian:
-    """The reverse of ``from_cartesian``."""
+    """Beliefs in the coordinates of a motion, as those of Cartesian ``[position, velocity, ...]``."""
     return belief_to_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief

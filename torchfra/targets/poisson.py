@@ -35,7 +35,7 @@ class PoissonBirths(nn.Module):
         self.skip = skip
 
     def forward(self, estimate: TargetsEstimate) -> Tensor:
-        """``(..., T)`` log probability of how many are confirmed for the first time; 0 in scans that do not count."""
+        """``(..., T)`` log probability of the number of targets confirmed for the first time; 0 in skipped scans."""
         there = estimate.confirmed
         earlier = there.cumsum(-1) - there.to(torch.int64) > 0
         begun = (there & ~earlier).sum(-2).to(estimate.mean)
@@ -45,5 +45,5 @@ class PoissonBirths(nn.Module):
         return torch.where(counts, log_probability, 0.0)
 
     def extra_repr(self) -> str:
-        """How many scans do not count."""
+        """The number of skipped scans."""
         return f"skip={self.skip}"

@@ -12,17 +12,17 @@ from torchfra.targets.state import Track
 
 
 class Confirmation(nn.Module):
-    """Abstract: a subclass defines ``forward``."""
+    """A rule that confirms targets.  Abstract: a subclass defines ``forward``."""
 
     window = 1
-    """How many scans back it looks."""
+    """Number of the latest scans that it uses."""
     scored = False
-    """Whether it looks at the score."""
+    """Whether it uses the score."""
     deletes = False
-    """Whether it deletes confirmed targets too."""
+    """Whether it deletes confirmed targets as well as tentative ones."""
 
     def first(self, new: Tensor) -> Tensor:
-        """Score ``(K,)`` of targets that begin, whose measurements nothing else explains with probability ``new``."""
+        """Initial scores ``(K,)``; ``new`` is the probability that nothing else explains a target's measurements."""
         return torch.zeros_like(new)
 
     def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
@@ -30,11 +30,11 @@ class Confirmation(nn.Module):
         return score
 
     def exists(self, score: Tensor) -> Tensor | None:
-        """Probability that targets of these scores ``(N,)`` exist; None if all claim measurements as if they did."""
+        """Probability that targets of these scores ``(N,)`` exist; None if association takes it as 1."""
         return None
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """Which targets ``(N,)`` are confirmed, those that were among them, and which are deleted."""
+        """Two ``(N,)`` bool: which targets are confirmed, now or before, and which are deleted."""
         raise TypeError(f"{type(self).__name__} must define forward")
 
 
@@ -42,8 +42,8 @@ class MOfN(Confirmation):
     """M of N: confirmed once measured in M of the last N scans, deleted once that is impossible in the first N.
 
     Args:
-        m: scans in which a target must be measured, those of its birth counted.
-        n: of so many.
+        m: scans in which a target must be measured, including those of its birth.
+        n: number of scans in the window.
 
     Raises:
         ValueError: not ``1 <= m <= n``.
@@ -58,13 +58,13 @@ class MOfN(Confirmation):
         self.m, self.window = m, n
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """By the number of scans in which each was measured, and missed, among the last N."""
+        """Confirms and deletes by the numbers of detections and misses in the last N scans."""
         measured = track.hits[:, : self.window].sum(-1)
         missed = track.age.clamp_max(self.window) - measured
         return track.confirmed | (measured >= self.m), ~track.confirmed & (missed > self.window - self.m)
 
     def extra_repr(self) -> str:
-        """M of N."""
+        """M and N."""
         return f"{self.m} of {self.window}"
 
 
@@ -72,9 +72,9 @@ class SPRT(Confirmation):
     """Sequential probability ratio test of the score: whether the target exists, or its measurements are false ones.
 
     The score of a scan is ``log(1 - P_D P_G) - log P(missed | scan)``: the density of the scan with the target over
-    that without it, given that the others exist, where the number of false measurements is Poisson.  Tentative targets
-    are associated as if they certainly existed: where many begin, a true target is deleted more often than ``missed``
-    says.  ``Existence`` is for that.
+    that without it, given the existence of all other targets; false measurements are Poisson.  Tentative targets
+    are associated as if they certainly existed: where many begin, a true target is deleted more often than with
+    probability ``missed``; use ``Existence`` there.
 
     Args:
         false: probability that a track of false measurements is confirmed.
@@ -107,7 +107,7 @@ class SPRT(Confirmation):
 
 
 class Existence(Confirmation):
-    """The probability that each target exists: tentative targets begin with one, scans change it, lives end.
+    """Confirmation by the probability of existence, which a scan updates and a finite lifetime lowers.
 
     A target claims measurements only as probably as it exists, so that tentative ones in dense clutter take little from
     those that exist.  A new one exists with the probability ``birth``, times that nothing else explains its
@@ -144,24 +144,24 @@ class Existence(Confirmation):
         self.upper, self.lower = (math.log(x / (1 - x)) for x in (confirmed, deleted))
 
     def first(self, new: Tensor) -> Tensor:
-        """By the probability of a birth where nothing else explains the measurements."""
+        """Log odds of existence of a new target."""
         return torch.logit(self.birth * new)
 
     def predicted(self, score: Tensor, dt: Tensor) -> Tensor:
-        """Some have ended since."""
+        """Log odds after ``dt`` seconds, in which a target may have ceased to exist."""
         past = dt / self.lifetime
         return -past - torch.logaddexp(-score, torch.log(-torch.expm1(-past)))
 
     def exists(self, score: Tensor) -> Tensor:
-        """That of which the score is the log odds."""
+        """The probability of existence, whose log odds are the score."""
         return score.sigmoid()
 
     def forward(self, track: Track) -> tuple[Tensor, Tensor]:
-        """By the bounds that the score has passed; who is confirmed stays so until it is deleted."""
+        """Compares the score with both bounds; a confirmed target stays confirmed until it is deleted."""
         return track.confirmed | (track.score >= self.upper), track.score <= self.lower
 
     def extra_repr(self) -> str:
-        """What is assumed of lives, and both bounds of the score."""
+        """Lifetime, probability of a birth, and both bounds of the score."""
         bounds = f"lower={self.lower:.4g}, upper={self.upper:.4g}"
         return f"lifetime={self.lifetime:g}, birth={self.birth:g}, {bounds}"
 
@@ -210,5 +210,5 @@ class Deletion(nn.Module):
         return deleted
 
     def extra_repr(self) -> str:
-        """The criteria."""
+        """Values of the three criteria."""
         return f"misses={self.misses}, drop={self.drop}, spread={self.spread}"

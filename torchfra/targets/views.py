@@ -1,4 +1,4 @@
-"""How far sensors see."""
+"""Fields of view of sensors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class FieldOfView:
             raise ValueError(f"place: expected (dims,) finite metres, received {place!r}")
 
     def __call__(self, position: Tensor, u: Tensor | None) -> Tensor:
-        """Which targets at positions ``(N, dims)`` are inside, ``(N,)`` bool; ``u (N, k)`` is of each one's scan."""
+        """Whether targets at positions ``(N, dims)`` are inside, ``(N,)`` bool; ``u (N, k)`` is that of their scans."""
         dims = position.shape[-1]
         if self.place is None:
             assert u is not None  # as checked before
@@ -52,7 +52,7 @@ class FieldOfView:
 def check_views(
     views: Mapping[str | None, FieldOfView] | None, names: Sequence[str], dims: int
 ) -> dict[str | None, FieldOfView]:
-    """Fields of view by the name of the sensor, None for the filter's own.
+    """Fields of view by the name of the sensor, None for the filter's own, checked.
 
     Raises:
         ValueError: one of no sensor, what is no field of view, or a place in other dimensions.
@@ -68,7 +68,7 @@ def check_views(
 
 
 def check_place(view: FieldOfView | None, u: Tensor | None, dims: int) -> None:
-    """Whether it is known where a sensor with a field of view is.
+    """Checks that the position of a sensor with a field of view is known.
 
     Raises:
         ValueError: it is not.
