@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -27,7 +27,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Moves, Regimes, in_front
-from torchfra.filters.gpb.slopes import by_points_or_slope, exactly
+from torchfra.filters.gpb.slopes import by_points_or_slope, exactly, of_elements
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
@@ -215,8 +215,10 @@ class GPB(Filter[GPBState]):
 
     def update(self, predicted: Hypotheses, frame: Frame, before: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
         """Hypotheses after the measurement: see ``Outliers.update``."""
-        d = self.sensor.reads
-        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.measured, before)
+        missing = 1 - frame.measured
+        return self.outliers.update(
+            predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, missing, before
+        )
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """What the sensor reads of all predictions together, ``(..., d)``."""
@@ -271,16 +273,17 @@ class GPB(Filter[GPBState]):
         d = self.sensor.reads
         return Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])
 
-    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """The measurement against a predicted belief; by the slope at its mean where its points show none.
+    def compare(self, belief: Gaussian, frame: Frame, elements: Sequence[int] | None = None) -> Whitened:
+        """The measurement, or some elements of it, against a predicted belief; by the slope where points show none.
 
         From points on all sides of an anchor ranges do not tell where the target is: a belief that wide would learn
         nothing, and widen on.
         """
+        elements = range(self.sensor.size) if elements is None else elements
         if self.sensor.linear:
-            return exactly(self.sensor, belief, frame)
+            return of_elements(exactly(self.sensor, belief, frame), elements)
         compare = super().compare
-        return by_points_or_slope(lambda x: compare(x, frame), belief)
+        return by_points_or_slope(lambda x: of_elements(compare(x, frame), elements), belief)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of all that was handed in, checked."""

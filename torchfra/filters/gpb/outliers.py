@@ -177,7 +177,7 @@ class Outliers(nn.Module):
     def update(
         self,
         predicted: Hypotheses,
-        compare: Callable[[Gaussian], Whitened],
+        compare: Callable[[Gaussian, Sequence[int]], Whitened],
         reads: int,
         missing: Tensor,
         before: tuple[Tensor, Tensor],
@@ -192,7 +192,7 @@ class Outliers(nn.Module):
 
         Args:
             predicted: ``(1, R, 2, ...)``.
-            compare: the measurement against a belief ``(..., d)`` of what the sensor reads.
+            compare: some elements of the measurement against a belief ``(..., d)`` of what the sensor reads.
             reads: ``d``, the leading components of a state that the sensor reads.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             before: from ``ahead``.
@@ -219,7 +219,7 @@ class Outliers(nn.Module):
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
-            whitened = _of_block(compare(so_far), block)
+            whitened = compare(so_far, block)
             if b and whitened.rest.shape[-1]:
                 whitened = whitened._replace(spread=hstack(first_one * tria(whitened.rest), whitened.slope))
             first_one = first_one * gone.amin(-1)[..., None, None]
@@ -293,15 +293,6 @@ def sequential(
     for i in range(0, m, 2):
         log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
     return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
-
-
-def _of_block(whitened: Whitened, block: Sequence[int]) -> Whitened:
-    """What some elements measure."""
-    residual, spread = whitened.residual, whitened.spread
-    if len(block) < residual.shape[-1]:
-        residual = torch.stack([residual[..., i] for i in block], -1)
-        spread = torch.stack([spread[..., i, :] for i in block], -2)
-    return whitened._replace(residual=residual, spread=spread)
 
 
 def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
