@@ -30,7 +30,7 @@ from torchfra.filters.scans.hypotheses import (
     combined,
     target_repairs,
 )
-from torchfra.filters.scans.lost_tracks import log_miss, missed_scans, search, wider
+from torchfra.filters.scans.lost_tracks import log_miss, log_unseen, missed_scans, search, wider
 from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
@@ -151,7 +151,7 @@ class JPDA(Soft, Filter[JPDAState]):
 
     def advance(
         self, state: JPDAState, frame: Frame, mix: Mix | None = None, *, exists: Tensor | None = None,
-        count_empty: bool = False,
+        visible: Tensor | None = None, count_empty: bool = False,
     ) -> tuple[JPDAState, Record]:  # fmt: skip
         """One scan; ``mix`` is not used.
 
@@ -161,13 +161,14 @@ class JPDA(Soft, Filter[JPDAState]):
             mix: not used.
             exists: ``(..., N)`` probability of each target, before the scan; None if all do.  The next state and the
                 association of each are those given that it exists.
+            visible: ``(..., N)`` probability that the sensor sees each target, if it exists; None if it sees all.
             count_empty: whether all targets are missed in a scan without any measurement.
         """
         miss, times, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
             times, searched = search(state.missed, state.searched, miss, self.lost)
         follow = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
-        associate = partial(self.associate, miss=miss, exists=exists)
+        associate = partial(self.associate, miss=miss, exists=exists, visible=visible)
         inner, scan, association, info = follow(state.inner, times, associate, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
@@ -238,16 +239,21 @@ class JPDA(Soft, Filter[JPDAState]):
         temperature = self.heat if self.soft else 0.0
         return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
-    def associate(self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None) -> Association:
+    def associate(
+        self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None, visible: Tensor | None
+    ) -> Association:
         """Which measurement is whose: eqs. (25)-(27).
 
         Args:
             scan: the measurements.
             inside: log membership ``(..., N, J)`` of gates.
-            miss: log of the probability that a target has no measurement in its gate.
+            miss: log of the probability that a visible target has no measurement in its gate.
             exists: see ``advance``.
+            visible: see ``advance``.
         """
         candidates, fit = scan.candidates, scan.log_density
+        if visible is not None:
+            fit, miss = fit + visible.log().unsqueeze(-1), log_unseen(miss, visible)
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
         solve = associate if exists is None else partial(associate_uncertain, exists)

@@ -30,6 +30,8 @@ class Uncertain(NamedTuple):
     """If they do."""
     exists: Tensor
     """``(..., N)`` probability that they do."""
+    visible: Tensor
+    """``(..., N)`` probability that the sensor sees them then: none that it does not is measured."""
 
     @property
     def belief(self) -> Gaussian:
@@ -55,19 +57,19 @@ def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Ten
 
     In a scan without any measurement all targets were missed.
     """
-    return _advanced(f, state, frame, None)
+    return _advanced(f, state, frame, None, None)
 
 
 def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertain, tuple[Tensor, Tensor]]:
     """The same of targets that may not exist: state and association of each are those given that it exists."""
-    state, said = _advanced(f, targets.state, frame, targets.exists)
+    state, said = _advanced(f, targets.state, frame, targets.exists, targets.visible)
     return targets._replace(state=state), said
 
 
 def _advanced(
-    f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None
+    f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None, visible: Tensor | None
 ) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
-    state, record = f.advance(state, frame, exists=exists, count_empty=True)
+    state, record = f.advance(state, frame, exists=exists, visible=visible, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
 
