@@ -194,8 +194,8 @@ class Outliers(nn.Module):
 
         Args:
             predicted: ``(1, R, 2, ...)``.
-            compare: compares some elements of the measurement with a belief ``(..., d)`` of the components that the sensor
-                reads.
+            compare: compares some elements of the measurement with a belief ``(..., d)`` of the components that
+                the sensor reads.
             reads: ``d``, the number of leading components of a state that the sensor reads.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             modes: from ``predict``.
