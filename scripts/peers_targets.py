@@ -5,10 +5,12 @@
     python scripts/peers_targets.py --trackers srckf --birth one --confirmation existence --seed 6 --runs 3
     python scripts/peers_targets.py --trackers srckf --hull 60 --link 50 --seed 6 --runs 3
     python scripts/peers_targets.py --trackers srckf --hidden 12 --stitch 20 100 --seed 6 --runs 10
+    python scripts/peers_targets.py --trackers srckf --hidden 12 --confirmation existence --misses 0 --visible 60 10
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
-torchfra's also when its score has fallen by the log of 1e-4; none is told how many there are.  Prints for each tracker
+torchfra's also when its score has fallen by the log of 1e-4, or with ``--misses 0`` by its confirmation alone; none is
+told how many there are.  Prints for each tracker
 GOSPA (cutoff 100 m, mean over scans and runs) with the parts of its square, how often a target's track became another
 one and how often a target was lost and found again per run, and milliseconds of the processor per scan, which others
 on the machine disturb least.  Each tracker of
@@ -42,7 +44,7 @@ from torchfra.running.atomic_write import write_json
 from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
-from torchfra.targets import SPRT, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint
+from torchfra.targets import SPRT, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint, Visibility
 
 WORKER = Path(__file__).parent / "benchmarks" / "stone_soup.py"
 Q, STD, SPEED, DETECTION, GATE, SIDE = 0.5, 10.0, 15.0, 0.95, 0.999, 2000.0
@@ -77,6 +79,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--hidden", type=int, default=0, metavar="SCANS", help="nobody measures a target for so long, once "
                    "in its life (default: 0)")  # fmt: skip
     p.add_argument("--stitch", type=float, nargs=2, metavar=("SECONDS", "METRES"), help="stitch torchfra's tracks")
+    p.add_argument("--visible", type=float, nargs=2, metavar=("SEEN", "HIDDEN"), help="seconds that torchfra takes "
+                   "targets to be visible and hidden on end (default: always visible)")  # fmt: skip
+    p.add_argument("--misses", type=int, default=5, metavar="SCANS", help="torchfra deletes a target after so many "
+                   "without a measurement; 0 for by existence alone (default: 5)")  # fmt: skip
     p.add_argument("--hull", type=float, default=0.0, metavar="METRES", help="a target that is measured has four "
                    "detections, anywhere along a hull of that length (default: one, at its place)")  # fmt: skip
     p.add_argument("--link", type=float, metavar="METRES", help="link detections of torchfra's scans up to so far")
@@ -100,8 +106,11 @@ def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse
         p.error(f"--hull: expected finite metres of 0 or more, received {options.hull}")
     if options.link is not None and not 0 < options.link < math.inf:
         p.error(f"--link: expected finite metres above 0, received {options.link}")
-    if options.stitch is not None and min(options.stitch) <= 0:
-        p.error(f"--stitch: expected numbers above 0, received {options.stitch}")
+    for name in ("stitch", "visible"):
+        if getattr(options, name) is not None and min(getattr(options, name)) <= 0:
+            p.error(f"--{name}: expected numbers above 0, received {getattr(options, name)}")
+    if options.misses < 0 or (options.misses == 0 and options.confirmation != "existence"):
+        p.error(f"--misses: expected 1 or more, or 0 with --confirmation existence, received {options.misses}")
     return options
 
 
@@ -163,7 +172,9 @@ def tracker(name: str, options: argparse.Namespace) -> Targets:
     joint = presets.jpda(motion, sensor, inner=inner, clutter=false, detection=DETECTION, gate=ChiSquare(GATE))
     birth, confirmation = BIRTHS[options.birth], CONFIRMATIONS[options.confirmation]
     return Targets(
-        joint, birth=birth, confirmation=confirmation, deletion=Deletion(5, drop=1e-4),
+        joint, birth=birth, confirmation=confirmation,
+        deletion=Deletion(options.misses, drop=1e-4) if options.misses else None,
+        visibility=None if options.visible is None else {None: Visibility(*options.visible)},
         stitching=None if options.stitch is None else Stitching(*options.stitch),
         linkage=None if options.link is None else {None: options.link},
     )  # fmt: skip

@@ -52,6 +52,12 @@ def test_targets_are_hidden_for_as_long_and_have_hulls_as_wide_as_is_asked_for()
     assert along**2 == pytest.approx(peers_targets.STD**2 + 60**2 / 12, rel=0.05)
 
 
+def test_hidden_targets_are_kept_where_they_may_be_hidden(tmp_path):
+    options = "--trackers", "srckf", "--hidden", "8", "--confirmation", "existence", "--misses", "0"
+    without, hidden = (compared(tmp_path, *options, *more)["srckf"] for more in ((), ("--visible", "60", "10")))
+    assert hidden["missed_m2"] < 0.8 * without["missed_m2"]
+
+
 def test_a_peer_that_is_not_installed_is_named_and_runs_without_torch(tmp_path, monkeypatch, capsys):
     fake = "import sys\nassert 'torch' not in sys.modules\nraise ImportError('no stonesoup here')"
     (tmp_path / "stonesoup.py").write_text(fake)
@@ -72,6 +78,7 @@ def test_stone_soup_follows_the_same_targets(tmp_path):
 @pytest.mark.parametrize("argument", [
     ["--targets", "0"], ["--clutter", "0"], ["--runs", "0"], ["--scans", "5"], ["--points", "0"],
     ["--trackers", "kalman"], ["--hidden", "-1"], ["--stitch", "0", "50"], ["--hull", "-1"], ["--link", "0"],
+    ["--visible", "0", "1"], ["--misses", "0"],
 ])  # fmt: skip
 def test_what_makes_no_sense_is_named(argument, capsys):
     with pytest.raises(SystemExit):

@@ -173,8 +173,8 @@ def test_broken_tracks_are_stitched_as_in_plain_loops(confirmation, misses):
 
 
 def follow(targets, z, expected, options):
-    """The manager beside the oracle."""
-    state, most, confirmed = targets.init(), 0, set()
+    """The manager beside the oracle: its states."""
+    state, most, confirmed, states = targets.init(), 0, set(), []
     for scan, there, option in zip(z, expected, options, strict=True):
         state = targets.step(state, torch.from_numpy(scan), **option)
         assert state.track.identity.tolist() == [t.identity for t in there]
@@ -184,5 +184,7 @@ def follow(targets, z, expected, options):
             np.testing.assert_allclose(state.belief.mean, [t.mean for t in there], rtol=1e-8, atol=1e-8)
             np.testing.assert_allclose(state.belief.covariance, [t.P for t in there], rtol=1e-7, atol=1e-7)
         most, confirmed = max(most, len(there)), confirmed | set(state.identity.tolist())
+        states.append(state)
     assert most >= 3  # there was something to decide
     assert len(confirmed) >= 2
+    return states

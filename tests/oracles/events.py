@@ -50,29 +50,45 @@ def clusters(L: Array) -> list[tuple[list[int], list[int]]]:
 
 
 def joint_existence(L: Array, PD: float, c: Array, PG: float, exists: list[float]) -> tuple[Array, Array, Array]:
-    """JIPDA, Musicki & Evans (2004), by going through everything that may be true of every cluster.
+    """JIPDA, Musicki & Evans (2004): as below, of targets that are always visible."""
+    beta, missed, _, absent = joint_visibility(L, PD, c, PG, exists, [1.0] * len(exists))
+    return beta, missed, absent
 
-    Arguments as above, and the probability that each target exists.  Probabilities (J,N) that a target exists and has a
-    measurement, (N,) that it exists and was missed, and (N,) that it does not exist.
+
+def joint_visibility(
+    L: Array, PD: float, c: Array, PG: float, exists: list[float], visible: list[float]
+) -> tuple[Array, Array, Array, Array]:
+    """Brekke, Hem & Tokle (2021), of one model, by going through everything that may be true of every cluster.
+
+    Arguments as above, the probability that each target exists, and that it is visible then.  Probabilities (J,N) that
+    a target exists and has a measurement, (N,) that it is visible and was missed, (N,) that it exists and is hidden,
+    and (N,) that it does not exist.
     """
-    beta, missed, absent = np.zeros(L.shape), np.zeros(L.shape[1]), np.zeros(L.shape[1])
+    beta, (missed, hidden, absent) = np.zeros(L.shape), np.zeros((3, L.shape[1]))
     for targets, gated in clusters(L):
         total = 0.0
-        for there in itertools.product([False, True], repeat=len(targets)):
-            some = [t for t, is_there in zip(targets, there, strict=True) if is_there]
-            prior = math.prod(exists[t] if t in some else 1 - exists[t] for t in targets)
-            for weight, chosen in every_event(some, gated, L, PD, c, PG):
+        for how in itertools.product(["absent", "hidden", "visible"], repeat=len(targets)):
+            is_now = dict(zip(targets, how, strict=True))
+            prior = math.prod(
+                {"absent": 1 - r, "hidden": r * (1 - v), "visible": r * v}[is_now[t]]
+                for t, r, v in ((t, exists[t], visible[t]) for t in targets)
+            )
+            seen = [t for t in targets if is_now[t] == "visible"]
+            for weight, chosen in every_event(seen, gated, L, PD, c, PG):
                 total += prior * weight
                 for t in targets:
-                    if t not in some:
+                    if is_now[t] == "absent":
                         absent[t] += prior * weight
+                    elif is_now[t] == "hidden":
+                        hidden[t] += prior * weight
                     elif chosen[t] is None:
                         missed[t] += prior * weight
                     else:
                         beta[chosen[t], t] += prior * weight
         for t in targets:
-            beta[:, t], missed[t], absent[t] = beta[:, t] / total, missed[t] / total, absent[t] / total
-    return beta, missed, absent
+            for chances in (beta.T, missed, hidden, absent):
+                chances[t] /= total
+    return beta, missed, hidden, absent
 
 
 def every_event(

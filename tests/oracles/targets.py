@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from oracles.basics import Array
-from oracles.events import joint_events, joint_existence
+from oracles.events import joint_events, joint_visibility
 
 
 @dataclass(eq=False)
@@ -28,20 +28,21 @@ class Target:
     since: float = 0.0
     lived: float = 0.0
     gone: float = 0.0
+    visible: list[float] = field(default_factory=lambda: [1.0, 1.0])
 
 
 def manage(
     scans: list[Array], *, std: float, q: float, dt: float, PD: float, PG: float, limit: float, density: float,
     birth: dict[str, float], confirm: dict[str, Any], misses: int | None, drop: float | None = None,
     looks: list[dict[str, Any]] | None = None, clutter_map: dict[str, float] | None = None,
-    stitch: dict[str, float] | None = None,
+    stitch: dict[str, float] | None = None, hide: dict[int, dict[str, float]] | None = None,
 ) -> list[list[Target]]:  # fmt: skip
     """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter.
 
     ``looks`` has what a scan has of its own: its std, dt, PD or density, the number of its sensor, where that is and
-    how far it sees.
+    how far it sees.  ``hide`` has for the number of a sensor how long targets are seen and hidden on end.
     """
-    one, none, H = np.eye(2), np.zeros((2, 2)), np.eye(2, 4)
+    one, none, H, hide = np.eye(2), np.zeros((2, 2)), np.eye(2, 4), hide or {}
     targets: list[Target] = []
     number, shown = 0, []
     waiting: dict[int, list[Free]] = {0: [], 1: []}  # of each sensor, measurements from which targets may begin
@@ -62,15 +63,27 @@ def manage(
                 nis = e @ np.linalg.solve(S, e)
                 if nis <= limit:
                     likelihood[j, t] = math.exp(-nis / 2) / (2 * math.pi * math.sqrt(np.linalg.det(S)))
+        excess, sensor, false = np.zeros(len(z)), look.get("sensor", 0), np.full(len(z), density)
+        for s, chain in hide.items():
+            for target in targets:
+                target.visible[s] = reached(target.visible[s], dt, **chain)
+        visible = [t.visible[sensor] for t in targets]
         if "lifetime" in confirm:
             exists = [math.exp(-dt / confirm["lifetime"]) / (1 + math.exp(-t.score)) for t in targets]
-            beta, missed, absent = joint_existence(likelihood, PD, np.full(len(z), density), PG, exists)
-            beta, missed = beta / (1 - absent), missed / (1 - absent)  # given that it exists
+            beta, missed, hidden, absent = joint_visibility(likelihood, PD, false, PG, exists, visible)
+            beta, missed, hidden = (x / (1 - absent) for x in (beta, missed, hidden))  # given that it exists
             scores = [(math.log(r / (1 - r)), math.log((1 - a) / a)) for r, a in zip(exists, absent, strict=True)]
         else:
-            beta, missed = joint_events(likelihood, PD, np.full(len(z), density), False, PG)
-            scores = [(t.score, t.score + math.log((1 - PD * PG) / m)) for t, m in zip(targets, missed, strict=True)]
-        excess, sensor = np.zeros(len(z)), look.get("sensor", 0)
+            if not hide:
+                beta, missed = joint_events(likelihood, PD, false, False, PG)
+                hidden = np.zeros(len(targets))
+            else:
+                beta, missed, hidden, _ = joint_visibility(likelihood, PD, false, PG, [1.0] * len(targets), visible)
+            scores = [
+                (t.score, t.score + math.log((1 - v * PD * PG) / m))
+                for t, v, m in zip(targets, visible, missed + hidden, strict=True)
+            ]
+        missed = missed + hidden
         if clutter_map is not None:
             left = math.exp(-dt / clutter_map["seconds"])
             seen, counted = [(x, w * left, s) for x, w, s in seen if w * left > 0.01], [n * left for n in counted]
@@ -89,7 +102,7 @@ def manage(
             target.since, target.lived = 0.0 if hit else target.since + dt, target.lived + dt
             if "farthest" in look and not hit and np.linalg.norm(target.mean[:2] - look["place"]) > look["farthest"]:
                 continue
-            target.score = score - beta[:, t] @ excess
+            target.score, target.visible[sensor] = score - beta[:, t] @ excess, 1 - hidden[t]
             target.best = max(target.best, target.score)
             target.hits.append(hit)
         claimed = beta
@@ -104,7 +117,8 @@ def manage(
         waiting = {s: [(x, S, since + dt, w) for x, S, since, w in old] for s, old in waiting.items()}
         begun, waiting[sensor] = begin(birth, free, waiting[sensor])
         for mean, P, hits, weight in begun:
-            targets.append(Target(number, mean, P, [True] * hits, lived=dt * (hits - 1)))
+            first = [1.0 if s == sensor else reached(0.5, math.inf, **hide[s]) if s in hide else 1.0 for s in (0, 1)]
+            targets.append(Target(number, mean, P, [True] * hits, lived=dt * (hits - 1), visible=first))
             if "lifetime" in confirm:
                 r = weight * confirm["birth"]
                 targets[-1].score = targets[-1].best = math.log(r / (1 - r))
@@ -115,8 +129,17 @@ def manage(
         if stitch is not None:
             found = [t for t in targets if t.confirmed and t not in before]
             targets, over = stitched(targets, over, found, q, stitch)
-        shown.append([Target(t.identity, t.mean, t.P, list(t.hits), t.score, t.best, t.confirmed) for t in targets])
+        shown.append([replace(t, hits=list(t.hits), visible=list(t.visible)) for t in targets])
     return shown
+
+
+def reached(visible: float, dt: float, seen: float, hidden: float) -> float:
+    """Probability to be visible after ``dt`` seconds: the master equation of the two states, by its exponential."""
+    if dt == math.inf:
+        return seen / (seen + hidden)
+    rates = np.array([[-1 / seen, 1 / hidden], [1 / seen, -1 / hidden]])
+    values, vectors = np.linalg.eig(rates)
+    return float((vectors @ np.diag(np.exp(values * dt)) @ np.linalg.inv(vectors) @ [visible, 1 - visible])[0])
 
 
 def stitched(

@@ -122,11 +122,10 @@ def _placed(places: dict[int, int], size: int, steps: Sequence[Piece], last: Map
 
 
 def crossing(
-    book: Expressions, parts: Sequence[Piece], all_pieces: Iterable[Piece], merged: Iterable[int]
+    book: Expressions, parts: Sequence[Piece], others: Iterable[Sequence[int]], merged: Iterable[int]
 ) -> tuple[list[int], list[int]]:
-    """What a region of some pieces takes from the others, and what it gives to them."""
+    """What a region of some pieces takes from the others, which need ``others``, and what it gives to them."""
     own = {number for piece in parts for number in piece.numbers}
-    others = [piece for piece in all_pieces if piece not in parts]
     taken = [i for piece in parts for i in needs(book, Piece(piece.numbers, None)) if i not in own]
-    given = [i for piece in others for i in needs(book, piece) if i in own]
+    given = [i for needed in others for i in needed if i in own]
     return list(dict.fromkeys(taken)), list(dict.fromkeys([*given, *(i for i in merged if i in own)]))

@@ -8,7 +8,7 @@ from itertools import groupby
 from torchfra.compiler.access import Access, Step
 from torchfra.compiler.elementary_functions import applied
 from torchfra.compiler.expressions import Expressions, Routine
-from torchfra.compiler.frame import crossing
+from torchfra.compiler.frame import crossing, needs
 from torchfra.compiler.gathering import gathered
 from torchfra.compiler.instructions import Code, Lanes
 from torchfra.compiler.plan import Plan
@@ -72,6 +72,7 @@ class Native:
         stored = {*plan.next}
         calls: list[tuple[list[str], str | None]] = []
         start, first = 0, list[str]()
+        needed = [needs(self._book, piece) for piece in plan.steps]
         for guard, group in groupby(plan.steps, key=lambda piece: piece.guard):
             parts = list(group)
             names = [f"piece{k}" for k in range(start, start + len(parts))]
@@ -80,7 +81,8 @@ class Native:
                 body.piece(piece, stored)
                 self._done(body.code)
             if guard:
-                calls.append((first, self._region(guard, parts, names, start)))
+                others = [*needed[:start], *needed[start + len(parts) :]]
+                calls.append((first, self._region(guard, parts, names, start, others)))
             start, first = start + len(parts), [] if guard else names
         calls.append(([*first, "turn"], None))
         self._turn(stored)
@@ -142,9 +144,16 @@ class Native:
                 body.write(access, body.code.constant(0.0))
         self._done(body.code)
 
-    def _region(self, guard: Condition, parts: Sequence[Piece], names: Sequence[str], start: int) -> str:
+    def _region(
+        self,
+        guard: Condition,
+        parts: Sequence[Piece],
+        names: Sequence[str],
+        start: int,
+        others: Sequence[Sequence[int]],
+    ) -> str:
         """The function that computes pieces for the tracks that need them; returns its name."""
-        numbers, own = crossing(self._book, parts, self.plan.steps, self.plan.merged), self._frame.own
+        numbers, own = crossing(self._book, parts, others, self.plan.merged), self._frame.own
         taken, given = ([self._frame.places[i] for i in group] for group in numbers)
         region = self._function(f"region{start}", ("%s",))
         for name in names:

@@ -109,17 +109,22 @@ def regions(
     """The condition under which each expression is computed: of those it has, the one that saves most."""
     least = max(_WORTH, _SHARE * cost(book, live))
     guards: dict[int, Condition | None] = dict.fromkeys(live)
-    rest = [i for i in live if where[i] and book.nodes[i][0] not in ("constant", "input")]
-    while rest:
-        saved: dict[Condition, int] = defaultdict(int)
-        for number in rest:
+    saved: dict[Condition, int] = defaultdict(int)
+    under: dict[Condition, list[int]] = defaultdict(list)
+    for number in live:
+        if book.nodes[number][0] not in ("constant", "input"):
             for condition in where[number]:
                 saved[condition] += cost(book, [number])
+                under[condition].append(number)
+    while saved:
         best = max(saved, key=lambda condition: (saved[condition], condition))
         if saved[best] < least:
             break
-        guards.update((i, best) for i in rest if best in where[i])
-        rest = [i for i in rest if best not in where[i]]
+        for number in under[best]:
+            if guards[number] is None:
+                guards[number] = best
+                for condition in where[number]:
+                    saved[condition] -= cost(book, [number])
     return guards
 
 

@@ -13,6 +13,7 @@ from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track
 from torchfra.targets.stitching import Stitching
 from torchfra.targets.views import FieldOfView
+from torchfra.targets.visibility import Visibility
 
 __all__ = [
     "SPRT",
@@ -32,5 +33,6 @@ __all__ = [
     "TargetsState",
     "Track",
     "TwoPoint",
+    "Visibility",
     "collect",
 ]

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchfra import tree
 from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.scans.lost_tracks import log_miss
+from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.numbers import as_number, is_integer
@@ -31,6 +31,7 @@ from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
 from torchfra.targets.stitching import Parts, Stitching, lost
 from torchfra.targets.views import FieldOfView, check_place, check_views
+from torchfra.targets.visibility import Visibility, check_visibility
 from torchfra.types import Gaussian
 
 FORMAT = 2
@@ -66,6 +67,8 @@ class Targets(nn.Module):
             distance in metres up to which detections are linked, directly or through others, to one measurement, their
             mean, whose noise grows by how far they are spread.
         stitching: when a target has the identity of one that was lost before; None for never.
+        visibility: of sensors from which targets are hidden for a while, by others or by the shore, by name, None for
+            the filter's own; the others see all targets at all times.
         clutter_map: learns where false measurements come again and again, each sensor's on its own that measures every
             direction of space; None for density that stays uniform.  It needs clutter of a Poisson rate.
 
@@ -83,6 +86,7 @@ class Targets(nn.Module):
         sensors: Mapping[str, JPDA] | None = None,
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
         lag: float = 0.0, stitching: Stitching | None = None, linkage: Mapping[str | None, float] | None = None,
+        visibility: Mapping[str | None, Visibility] | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter)
@@ -102,6 +106,7 @@ class Targets(nn.Module):
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
         self.linkage = check_linkage(linkage, self.filter, more)
+        self.visibility = check_visibility(visibility, list(more))
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
         if (self.confirmation.scored or getattr(self.deletion, "drop", None) is not None) and None in rates:
             expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
@@ -133,6 +138,8 @@ class Targets(nn.Module):
         none = torch.zeros(0, dtype=torch.int64, device=device)
         hits = none.bool().reshape(0, self.confirmation.window)
         track = Track(none, none, none.bool(), hits, none, none, *[nothing] * 5)
+        if self.visibility is not None:
+            track = track._replace(visible=self.visibility.first(nothing, 0))
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
@@ -202,7 +209,8 @@ class Targets(nn.Module):
         """
         filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
         scan = check_scan(filter, state, measurements, self.confirmation.window, self.lag)
-        parts = ("a map of clutter", state.clutter, self.clutter_map), ("stitching", state.ended, self.stitching)
+        parts = (("a map of clutter", state.clutter, self.clutter_map), ("stitching", state.ended, self.stitching),
+                 ("visibility", state.track.visible, self.visibility))  # fmt: skip
         for name, has, part in parts:
             if (has is None) != (part is None):
                 expected, received = ("none", "one") if part is None else ("one", "none")
@@ -247,15 +255,18 @@ class Targets(nn.Module):
         filter = self._of(sensor)
         if sensor in self.linkage:
             scan = linked(filter.sensor, scan, self.linkage[sensor])
-        score = self.confirmation.predicted(state.track.score, scan.dt[scene])
-        state, exists = state._replace(track=state.track._replace(score=score)), self.confirmation.exists(score)
-        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists)
-        gained = log_miss(filter.detection, filter.gate, log_missed) - log_missed
+        state, seen = self._predicted(state, scan.dt[scene], number)
+        exists = self.confirmation.exists(state.track.score)
+        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists, seen)
+        miss = log_miss(filter.detection, filter.gate, log_missed)
+        gained = (miss if seen is None else log_unseen(miss, seen)) - log_missed
         located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
             excess, mapped = self._mapped(state, scan, filter, number, located, association)
             gained = gained - (association * excess[scene]).sum(-1)
         track = _aged(state.track, log_missed, density, gained, scan.dt[scene])
+        if self.visibility is not None and track.visible is not None:
+            track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
         if sensor in self.views:
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
         gone, merged = self._deleted(after.belief, track, groups)
@@ -265,6 +276,8 @@ class Targets(nn.Module):
         free = 1 - torch.zeros_like(excess).index_add(0, scene, claims)
         newborn, unassociated = self._births(state.unassociated, free, excess, scan, located, number)
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
+        if self.visibility is not None:
+            begun = begun._replace(visible=self.visibility.first(begun.score, number))
         was, track = track, joined(rows(track, stays), begun)
         everyone = rows(after, stays)
         if len(newborn.scene):
@@ -278,6 +291,14 @@ class Targets(nn.Module):
         if ended is not None and bool(found.any()):
             everyone, track, ended = self._stitched(everyone, track, found, ended, filter.inner, scan.u)
         return TargetsState(everyone, track, unassociated, next_identity, mapped, ended)
+
+    def _predicted(self, state: TargetsState, dt: Tensor, sensor: int) -> tuple[TargetsState, Tensor | None]:
+        """The state with chances after ``dt (N,)`` seconds, and those ``(N,)`` that the sensor sees each target."""
+        track = state.track._replace(score=self.confirmation.predicted(state.track.score, dt))
+        if self.visibility is None or track.visible is None:
+            return state._replace(track=track), None
+        visible = self.visibility.predicted(track.visible, dt)
+        return state._replace(track=track._replace(visible=visible)), visible[:, sensor]
 
     def _stitched(
         self, everyone: Any, track: Track, found: Tensor, ended: Ended, inner: Any, u: Tensor | None

@@ -33,7 +33,12 @@ class SceneScan(NamedTuple):
 
 
 def filter_scan(
-    filter: JPDA, state: Any, scene: Tensor, scan: SceneScan, exists: Tensor | None = None
+    filter: JPDA,
+    state: Any,
+    scene: Tensor,
+    scan: SceneScan,
+    exists: Tensor | None = None,
+    visible: Tensor | None = None,
 ) -> tuple[Any, Tensor, Tensor, Tensor, list[Group]]:
     """One step of all targets.
 
@@ -43,6 +48,7 @@ def filter_scan(
         scene: ``(N,)`` of each target.
         scan: the scan.
         exists: ``(N,)`` probability of each target, before the scan; None if all do.
+        visible: ``(N,)`` probability that the sensor sees each if it exists, before the scan; None if it sees all.
 
     Returns:
         The next state; the log probability ``(N,)`` that each target was missed; each one's share ``(N,)`` of the log
@@ -57,7 +63,10 @@ def filter_scan(
     with torch.no_grad():
         groups = clusters(_reach(filter, state, scene, scan), scene)
     tables = _tables(scan)
-    function, everyone = (among, state) if exists is None else (among_uncertain, Uncertain(state, exists))
+    certain = exists is None and visible is None
+    sure = scan.z.new_ones(len(scene))
+    chances = (sure if x is None else x for x in (exists, visible))
+    function, everyone = (among, state) if certain else (among_uncertain, Uncertain(state, *chances))
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         measured = _measured(scene[targets[:, 0]], scan, *rows(tables, measurements))
@@ -71,7 +80,7 @@ def filter_scan(
         density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
     everyone = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
-    state = everyone if exists is None else everyone.state
+    state = everyone if certain else everyone.state
     return state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
 
 

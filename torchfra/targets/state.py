@@ -37,6 +37,9 @@ class Track(NamedTuple):
     """Seconds since each was measured last."""
     lived: Tensor
     """Seconds since each was measured first."""
+    visible: Tensor | None = None
+    """``(N, S)`` probability that each sensor, the filter's own first, sees a target, if it exists; None without
+    ``Visibility``."""
 
 
 class Ended(NamedTuple):

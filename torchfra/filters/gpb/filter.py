@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -27,7 +27,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Regimes, Switching, in_front
-from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear
+from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
@@ -219,8 +219,10 @@ class GPB(Filter[GPBState]):
 
     def update(self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
         """Hypotheses after the measurement: see ``Outliers.update``."""
-        d = self.sensor.reads
-        return self.outliers.update(predicted, lambda x: self.compare(x, frame), d, 1 - frame.measured, modes)
+        missing = 1 - frame.measured
+        return self.outliers.update(
+            predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, missing, modes
+        )
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """The Gaussian ``(..., d)`` with the moments of all predictions, of the components that the sensor reads."""
@@ -275,16 +277,19 @@ class GPB(Filter[GPBState]):
         d = self.sensor.reads
         return Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])
 
-    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """Compares the measurement with a predicted belief, by the sensor's slope at the mean where points show none.
+    def compare(self, belief: Gaussian, frame: Frame, elements: Sequence[int] | None = None) -> Whitened:
+        """Compares the measurement, or some elements of it, with a predicted belief.
+
+        Where the points of the rule show no slope, the sensor's slope at the mean stands for them.
 
         If the points of a wide belief lie on all sides of an anchor, their ranges do not depend on the state to first
         order: the belief would learn nothing from a range, and grow on.
         """
+        elements = range(self.sensor.size) if elements is None else elements
         if self.sensor.linear:
-            return compare_linear(self.sensor, belief, frame)
+            return elements_of(compare_linear(self.sensor, belief, frame), elements)
         compare = super().compare
-        return by_points_or_slope(lambda x: compare(x, frame), belief)
+        return by_points_or_slope(lambda x: elements_of(compare(x, frame), elements), belief)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """The batch of the arguments, checked; noise that is correlated between blocks is refused."""

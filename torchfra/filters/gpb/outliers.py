@@ -179,7 +179,7 @@ class Outliers(nn.Module):
     def update(
         self,
         predicted: Hypotheses,
-        compare: Callable[[Gaussian], Whitened],
+        compare: Callable[[Gaussian, Sequence[int]], Whitened],
         reads: int,
         missing: Tensor,
         modes: tuple[Tensor, Tensor],
@@ -194,7 +194,8 @@ class Outliers(nn.Module):
 
         Args:
             predicted: ``(1, R, 2, ...)``.
-            compare: compares the measurement with a belief ``(..., d)`` of the components that the sensor reads.
+            compare: compares some elements of the measurement with a belief ``(..., d)`` of the components that
+                the sensor reads.
             reads: ``d``, the number of leading components of a state that the sensor reads.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             modes: from ``predict``.
@@ -221,7 +222,7 @@ class Outliers(nn.Module):
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
-            whitened = _of_block(compare(so_far), block)
+            whitened = compare(so_far, block)
             if b and whitened.rest.shape[-1]:
                 whitened = whitened._replace(spread=hstack(first_one * tria(whitened.rest), whitened.slope))
             first_one = first_one * gone.amin(-1)[..., None, None]
@@ -297,15 +298,6 @@ def sequential(
     for i in range(0, m, 2):
         log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
     return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
-
-
-def _of_block(whitened: Whitened, block: Sequence[int]) -> Whitened:
-    """The measurement of some elements."""
-    residual, spread = whitened.residual, whitened.spread
-    if len(block) < residual.shape[-1]:
-        residual = torch.stack([residual[..., i] for i in block], -1)
-        spread = torch.stack([spread[..., i, :] for i in block], -2)
-    return whitened._replace(residual=residual, spread=spread)
 
 
 def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:

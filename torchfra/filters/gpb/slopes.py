@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 
 import torch
@@ -42,3 +42,13 @@ def compare_linear(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
     mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
     residual = noise.whiten(sensor.difference(frame.z, sensor(mean)).unsqueeze(-1)).squeeze(-1)
     return Whitened(residual, noise.whiten(sensor(root.mT).mT), d)
+
+
+def elements_of(whitened: Whitened, elements: Sequence[int]) -> Whitened:
+    """The comparison of some elements of the measurement."""
+    residual, spread = whitened.residual, whitened.spread
+    if len(elements) == residual.shape[-1]:
+        return whitened
+    residual = torch.stack([residual[..., i] for i in elements], -1)
+    spread = torch.stack([spread[..., i, :] for i in elements], -2)
+    return whitened._replace(residual=residual, spread=spread)

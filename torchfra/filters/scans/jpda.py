@@ -21,7 +21,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Past, Record, Smoothed
 from torchfra.filters.scans.combined import combined, fade, learned, update
-from torchfra.filters.scans.lost_tracks import inflated, log_miss, missed_scans, search
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, log_unseen, missed_scans, search
 from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.scans.scan import (
     JPDAInfo,
@@ -150,8 +150,9 @@ class JPDA(Soft, Filter[JPDAState]):
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
-        self, state: JPDAState, frame: Frame, *, exists: Tensor | None = None, count_empty: bool = False
-    ) -> tuple[JPDAState, Record]:
+        self, state: JPDAState, frame: Frame, *, exists: Tensor | None = None, visible: Tensor | None = None,
+        count_empty: bool = False,
+    ) -> tuple[JPDAState, Record]:  # fmt: skip
         """One scan.
 
         Args:
@@ -159,13 +160,14 @@ class JPDA(Soft, Filter[JPDAState]):
             frame: of the scan.
             exists: ``(..., N)`` probability that each target exists, before the scan; None if all do.  The next state
                 and the association of each are conditional on its existence.
+            visible: ``(..., N)`` probability that each target is visible to the sensor, if it exists; None if all are.
             count_empty: whether a scan without any measurement counts as missing all targets.
         """
         miss, factor, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
         if self.lost:
             factor, searched = search(state.missed, state.searched, miss, self.lost)
         update_all = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
-        associate = partial(self.associate, miss=miss, exists=exists)
+        associate = partial(self.associate, miss=miss, exists=exists, visible=visible)
         inner, scan, association, info = update_all(state.inner, factor, associate, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
         record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
@@ -250,16 +252,21 @@ class JPDA(Soft, Filter[JPDAState]):
         temperature = self.temperature if self.soft else 0.0
         return torch.where(measured, self.gate(candidates, self.sensor, temperature), -torch.inf)
 
-    def associate(self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None) -> Association:
+    def associate(
+        self, scan: Scan, inside: Tensor, miss: Tensor, exists: Tensor | None, visible: Tensor | None
+    ) -> Association:
         """The association of targets and measurements: eqs. (25)-(27).
 
         Args:
             scan: the measurements.
             inside: log membership ``(..., N, J)`` of gates.
-            miss: log of the probability that a target has no measurement in its gate.
+            miss: log of the probability that a visible target has no measurement in its gate.
             exists: see ``advance``.
+            visible: see ``advance``.
         """
         candidates, fit = scan.candidates, scan.log_density
+        if visible is not None:
+            fit, miss = fit + visible.log().unsqueeze(-1), log_unseen(miss, visible)
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
         solve = associate if exists is None else partial(associate_uncertain, exists)

@@ -25,6 +25,11 @@ def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
     return miss.squeeze(-1) if miss.dim() else miss
 
 
+def log_unseen(log_miss: Tensor, visible: Tensor) -> Tensor:
+    """Log probability of a miss ``(..., N)`` of targets that are visible to the sensor with probability ``visible``."""
+    return torch.log1p(visible * torch.expm1(log_miss))
+
+
 def missed_scans(before: Tensor, association: Association, measured: Tensor, count_empty: bool) -> Tensor:
     """Expected number ``(..., N)`` of scans since the last measurement.
 

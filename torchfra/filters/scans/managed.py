@@ -30,6 +30,8 @@ class Uncertain(NamedTuple):
     """The state of targets that exist."""
     exists: Tensor
     """``(..., N)`` probability that each exists."""
+    visible: Tensor
+    """``(..., N)`` probability that each is visible to the sensor, if it exists."""
 
     @property
     def belief(self) -> Gaussian:
@@ -55,19 +57,19 @@ def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Ten
 
     A scan without any measurement misses all targets.
     """
-    return _advanced(f, state, frame, None)
+    return _advanced(f, state, frame, None, None)
 
 
 def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertain, tuple[Tensor, Tensor]]:
     """``among`` for targets that may not exist: state and association of each are conditional on its existence."""
-    state, result = _advanced(f, targets.state, frame, targets.exists)
+    state, result = _advanced(f, targets.state, frame, targets.exists, targets.visible)
     return targets._replace(state=state), result
 
 
 def _advanced(
-    f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None
+    f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None, visible: Tensor | None
 ) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
-    state, record = f.advance(state, frame, exists=exists, count_empty=True)
+    state, record = f.advance(state, frame, exists=exists, visible=visible, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
 

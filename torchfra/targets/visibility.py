@@ -1,0 +1,99 @@
+"""Whether sensors see a target, which others or the shore may hide: a Markov chain for each target and sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.numbers import as_number
+
+
+class Visibility:
+    """A sensor sees a target for some time and then not for some time, in turn; a hidden target is never measured.
+
+    How probably it is visible, given that it exists, is predicted to each scan and updated by it.  The ``detection`` of
+    the sensor is that of visible targets.  So misses in a row tell that a target is hidden rather than that it has
+    ended, and a target that is missed once is as probably measured again as the chain says.
+
+    Args:
+        seen: mean of the time that a target is visible on end, s; infinite for one that stays so.
+        hidden: mean of the time that it is hidden on end, s.
+
+    Raises:
+        ValueError: seconds that are not above 0, or a hidden time that is not finite.
+
+    Source: Brekke, Hem & Tokle (2021), "Multitarget Tracking With Multiple Models and Visibility: Derivation and
+    Verification on Maritime Radar Data".  Differs: the chain is one of continuous time, and each sensor has its own.
+    """
+
+    def __init__(self, seen: float, hidden: float) -> None:
+        if not as_number(seen) > 0:
+            raise ValueError(f"seen: expected seconds above 0, received {seen}")
+        if not 0 < as_number(hidden) < math.inf:
+            raise ValueError(f"hidden: expected finite seconds above 0, received {hidden}")
+        self.seen, self.hidden = float(seen), float(hidden)
+
+    @property
+    def share(self) -> float:
+        """Of the time in which a target is visible."""
+        return 1 / (1 + self.hidden / self.seen)
+
+    def predicted(self, visible: Tensor, dt: Tensor) -> Tensor:
+        """Probabilities ``(N,)`` after ``dt (N,)`` seconds, before the scan."""
+        rate = 1 / self.seen + 1 / self.hidden
+        return self.share + (visible - self.share) * torch.exp(-rate * dt)
+
+    def __repr__(self) -> str:
+        return f"Visibility(seen={self.seen:g}, hidden={self.hidden:g})"
+
+
+class Chains(NamedTuple):
+    """The chains of every sensor, the filter's own first."""
+
+    sensors: tuple[Visibility, ...]
+
+    def predicted(self, visible: Tensor, dt: Tensor) -> Tensor:
+        """Probabilities ``(N, S)`` for each sensor after ``dt (N,)`` seconds."""
+        return torch.stack([of.predicted(x, dt) for of, x in zip(self.sensors, visible.unbind(-1), strict=True)], -1)
+
+    def first(self, like: Tensor, sensor: int) -> Tensor:
+        """Probabilities ``(K, S)`` of targets, as many as ``like (K,)``, that the sensor of this number has found."""
+        shares = [1.0 if i == sensor else of.share for i, of in enumerate(self.sensors)]
+        return like.new_tensor(shares).expand(len(like), -1)
+
+    def updated(self, visible: Tensor, sensor: int, log_missed: Tensor, log_miss: Tensor) -> Tensor:
+        """Probabilities ``(N, S)`` given a scan of one sensor: it sees what it has measured.
+
+        Args:
+            visible: before the scan.
+            sensor: number.
+            log_missed: ``(N,)`` log probability that each was missed, given the scan.
+            log_miss: log probability that a visible target is missed: a number or ``(N,)``.
+        """
+        before = visible[:, sensor]
+        hidden = (1 - before) / (1 + before * torch.expm1(log_miss))  # of one that was missed
+        now = 1 - log_missed.exp() * hidden
+        return torch.cat([visible[:, :sensor], now.unsqueeze(-1), visible[:, sensor + 1 :]], -1)
+
+
+def check_visibility(visibility: Mapping[str | None, Visibility] | None, names: Sequence[str]) -> Chains | None:
+    """The chains of the filter's own sensor, None, and of those with ``names``; others are always visible.
+
+    Raises:
+        ValueError: one of no sensor, or what is no visibility.
+    """
+    if not isinstance(visibility, Mapping | None):
+        raise ValueError(f"visibility: expected a dict by the name of a sensor, received {visibility!r}")
+    if not visibility:
+        return None
+    for name, chain in visibility.items():
+        if name is not None and name not in names:
+            raise ValueError(f"visibility: expected sensors out of {', '.join(['None', *names])}, received {name!r}")
+        if not isinstance(chain, Visibility):
+            raise ValueError(f"visibility: expected a Visibility of {name!r}, received {type(chain).__name__}")
+    always = Visibility(math.inf, 1.0)
+    return Chains(tuple(visibility.get(name, always) for name in (None, *names)))
