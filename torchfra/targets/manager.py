@@ -35,7 +35,7 @@ from torchfra.targets.visibility import Visibility, check_visibility
 from torchfra.types import Gaussian
 
 FORMAT = 2
-"""Of saved states."""
+"""Version of saved states."""
 
 
 class Targets(nn.Module):
@@ -159,7 +159,7 @@ class Targets(nn.Module):
         return {"format": FORMAT, "state": tree.flatten(state._replace(past=())), "past": past}
 
     def restored(self, values: Mapping[str, Any]) -> TargetsState:
-        """The state that was saved; a manager like the one that left it goes on to the same bits.
+        """The state of a dictionary from ``saved``; an equal manager continues from it to the same bits.
 
         Args:
             values: from ``saved``.
@@ -222,7 +222,7 @@ class Targets(nn.Module):
         return kept(self._step(now, scan, sensor), (*state.past, Passed(now, scan, sensor)), self.lag)
 
     def forward(self, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None) -> TargetsEstimate:
-        """Whole sequences of scans, from no target on.
+        """Tracks whole sequences of scans, beginning without targets.
 
         Args:
             z: ``(..., T, J, m)``; NaN is missing.
@@ -293,7 +293,7 @@ class Targets(nn.Module):
         return TargetsState(everyone, track, unassociated, next_identity, mapped, ended)
 
     def _predicted(self, state: TargetsState, dt: Tensor, sensor: int) -> tuple[TargetsState, Tensor | None]:
-        """The state with chances after ``dt (N,)`` seconds, and those ``(N,)`` that the sensor sees each target."""
+        """The state predicted by ``dt (N,)`` seconds, and each target's probability ``(N,)`` of being visible."""
         track = state.track._replace(score=self.confirmation.predicted(state.track.score, dt))
         if self.visibility is None or track.visible is None:
             return state._replace(track=track), None
@@ -303,7 +303,7 @@ class Targets(nn.Module):
     def _stitched(
         self, everyone: Any, track: Track, found: Tensor, ended: Ended, inner: Any, u: Tensor | None
     ) -> tuple[Any, Track, Ended]:
-        """Targets, of which those that are ``found (N,)`` have the identities of lost ones, and who is still lost."""
+        """Targets, of which those ``found (N,)`` have the identities of lost ones, and the remaining lost targets."""
         assert self.stitching is not None
         count, new = len(ended.scene), found.nonzero()[:, 0]
         there = (track.confirmed & ~found).nonzero()[:, 0]  # one of them that is not measured may be lost as well
@@ -323,7 +323,7 @@ class Targets(nn.Module):
     def _not_missed(
         self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan
     ) -> tuple[Track, Any]:
-        """Targets that the sensor does not see are as old, and as often missed, as they were."""
+        """Restores age and misses of targets outside the sensor's field of view."""
         motion, scene = self.filter.motion, state.track.scene
         position = to_cartesian(motion, after.belief).mean[:, known_components(motion)[: motion.dims]]
         counts = view(position, None if scan.u is None else scan.u[scene]) | (track.misses == 0)
@@ -335,7 +335,7 @@ class Targets(nn.Module):
     def _mapped(
         self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: int, located: Located, association: Tensor
     ) -> tuple[Tensor, Mapped]:
-        """Log ``(R, J)`` of the density of false measurements over the uniform one, and what the map knows then."""
+        """Log ``(R, J)`` of the density of false measurements over the uniform one, and the next state of the map."""
         clutter_map, (position, scene, j) = self.clutter_map, located
         assert clutter_map is not None
         mapped = clutter_map.aged(state.clutter, scan.dt)
@@ -348,7 +348,7 @@ class Targets(nn.Module):
         return excess, clutter_map.learned(mapped, position.mean, scene, sensor, 1 - claimed[scene, j])
 
     def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> tuple[Tensor, Tensor]:
-        """Which targets ``(N,)`` are deleted: missed too often, and merged with others."""
+        """Two ``(N,)`` bool: targets that the rule of deletion ends, and those that are merged with another."""
         motion = self.filter.motion
         position = to_cartesian(motion, belief).scale_tril[:, known_components(motion)[: motion.dims]]
         none = torch.zeros_like(track.confirmed)
@@ -373,14 +373,14 @@ class Located(NamedTuple):
     """The complete measurements ``(L,)`` of a scan."""
 
     position: Gaussian
-    """``(L, dims)`` where each lies in space, m."""
+    """``(L, dims)`` positions, m."""
     scene: Tensor
     number: Tensor
-    """Of each in its scene."""
+    """Number of each measurement in its scene."""
 
 
 def _located(filter: JPDA, scan: SceneScan) -> Located:
-    """Where its measurements are; of a sensor that does not locate, of bearings say, none of them."""
+    """The complete measurements of a scan, with positions; none for a sensor that does not locate (bearings, say)."""
     complete = ~scan.z.isnan().any(-1)
     if not filter.sensor.locates:
         nothing, dims = scan.z.new_zeros(0), filter.motion.dims
@@ -393,7 +393,7 @@ def _located(filter: JPDA, scan: SceneScan) -> Located:
 
 
 def _of_sensors(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, JPDA]:
-    """By name, filters with the gates, clutter and detection of other sensors, whose targets are those of ``filter``.
+    """Filters for further sensors, by name, with their own gates, clutter and detection.
 
     They run interpreted.
 
@@ -438,7 +438,7 @@ def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor, dt:
 
 
 def _where(condition: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """Rows of one tensor or the other."""
+    """Rows of the first or the second tensor, by a mask."""
     return torch.where(condition.reshape(-1, *[1] * (a.dim() - 1)), a, b)
 
 

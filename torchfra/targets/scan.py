@@ -25,9 +25,9 @@ class SceneScan(NamedTuple):
     dt: Tensor
     """``(R,)`` seconds since the last one."""
     u: Tensor | None
-    """``(R, k)``."""
+    """``(R, k)`` inputs."""
     std: Tensor | None = None
-    """``(R, J, m)`` of each measurement's noise, instead of the sensor's."""
+    """``(R, J, m)`` standard deviations of each measurement's noise, instead of the sensor's."""
     noise: Tensor | None = None
     """``(R, J, m, m)`` roots of its covariance, instead of the sensor's."""
 
@@ -85,7 +85,7 @@ def filter_scan(
 
 
 def _reach(filter: JPDA, state: Any, scene: Tensor, scan: SceneScan) -> Tensor:
-    """Which measurements ``(N, J)`` of its scene may be in the gate of each target."""
+    """Measurements ``(N, J)`` of its scene that may be in the gate of each target, bool."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own
     anything = scan.z.new_zeros(len(scene), 1, filter.sensor.size)
     _, predicted = stepped(filter, outlook, alone, _measured(scene, scan, anything, _widest(scene, scan)))
@@ -101,7 +101,7 @@ def _measured(
 
 
 def _tables(scan: SceneScan) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    """Measurements ``(R J + 1, m)`` of all scenes, the last of which is none, and what is known of their noise."""
+    """Measurements ``(R J + 1, m)`` of all scenes, with a missing one at the end, and their noise."""
     (z, _, _, std, noise), size = scan, scan.z.shape[-1]
     std = None if std is None else torch.cat([std.flatten(0, 1), z.new_ones(1, size)])
     noise = None if noise is None else torch.cat([noise.flatten(0, 1), torch.eye(size).to(z).unsqueeze(0)])
@@ -109,7 +109,7 @@ def _tables(scan: SceneScan) -> tuple[Tensor, Tensor | None, Tensor | None]:
 
 
 def _widest(scene: Tensor, scan: SceneScan) -> Tensor | None:
-    """Deviations ``(N, 1, m)`` of a noise that is wider than that of any measurement of each target's scene."""
+    """Standard deviations ``(N, 1, m)``, each the largest among the measurements of a target's scene or above."""
     std, size = scan.std, scan.z.shape[-1]
     if scan.noise is not None:
         std = (size * scan.noise.square().sum(-1)).sqrt()  # no covariance exceeds m times its diagonal

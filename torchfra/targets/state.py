@@ -12,23 +12,23 @@ from torchfra.types import Gaussian
 
 
 class Track(NamedTuple):
-    """By what targets ``(N,)`` are confirmed and deleted."""
+    """Quantities of targets ``(N,)`` from which rules confirm and delete them."""
 
     identity: Tensor
-    """Whole numbers from 0 in each scene; none is used twice."""
+    """Identity: whole numbers from 0 in each scene; none is used twice."""
     scene: Tensor
-    """The scene of each target, out of those that run side by side."""
+    """Number of each target's scene, among those that run in parallel."""
     confirmed: Tensor
-    """Bool; False for tentative targets."""
+    """``(N,)`` bool; False for tentative targets."""
     hits: Tensor
     """``(N, W)`` bool: in which of the last W scans, the newest first, each was measured rather than missed."""
     age: Tensor
-    """Scans since the birth, those of the birth counted."""
+    """Scans since the birth, including those of the birth."""
     misses: Tensor
     """Scans in a row in which each was missed."""
     score: Tensor
-    """Log of the probability that the target exists over that it does not; of rules that know no such probability at
-    the birth, that of the scans since then."""
+    """Log odds of the target's existence; for rules without a probability at the birth, the log likelihood ratio of the
+    scans since then."""
     best: Tensor
     """The highest score so far."""
     density: Tensor
@@ -43,7 +43,7 @@ class Track(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Confirmed targets ``(E,)`` that were deleted of late, and may be found again."""
+    """Confirmed targets ``(E,)`` that were deleted recently, and may be found again."""
 
     filter: Any
     """State of the filter at the deletion."""
@@ -59,19 +59,19 @@ class Unassociated(NamedTuple):
     """Unassociated measurements ``(K,)``, from which targets may begin."""
 
     position: Gaussian
-    """``(K, dims)`` where each lies in space, m."""
+    """``(K, dims)`` positions, m."""
     scene: Tensor
     """``(K,)``."""
     since: Tensor
     """``(K,)`` seconds since the measurement."""
     new: Tensor
-    """``(K,)`` probability that neither a target that is there nor the map of clutter explains the measurement."""
+    """``(K,)`` probability that neither an existing target nor the clutter map explains the measurement."""
     sensor: Tensor
     """``(K,)`` number of the sensor that measured; 0 for the filter's own."""
 
 
 class TargetsState(NamedTuple):
-    """The targets that are there after a scan, N of them in all scenes together."""
+    """The existing targets after a scan, N of them in all scenes together."""
 
     filter: Any
     """State of the filter, rows of ``(N, ...)``."""
@@ -80,11 +80,11 @@ class TargetsState(NamedTuple):
     next_identity: Tensor
     """``(R,)`` of each scene."""
     clutter: Any = None
-    """What the map of clutter has learned; None without one."""
+    """State of the clutter map; None without one."""
     ended: Ended | None = None
     """Lost targets that may be found again; None without ``Stitching``."""
     past: tuple[Any, ...] = ()
-    """The last scans with the states before them, for those that come late; empty without a ``lag``."""
+    """The latest scans with the states before them, for delayed scans; empty without a ``lag``."""
 
     @property
     def belief(self) -> Gaussian:
@@ -105,7 +105,7 @@ class TargetsState(NamedTuple):
 
 
 class TargetsEstimate(NamedTuple):
-    """The K targets that were ever confirmed, of whole sequences of scans."""
+    """All K targets that were confirmed in a sequence of scans."""
 
     mean: Tensor
     """``(..., K, T, n)``; NaN where the target is not there, or not confirmed yet."""

@@ -1,4 +1,4 @@
-"""Whether sensors see a target, which others or the shore may hide: a Markov chain for each target and sensor."""
+"""Visibility of targets that are occluded at times, as a Markov chain for each target and sensor."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from torchfra.numbers import as_number
 
 
 class Visibility:
-    """A sensor sees a target for some time and then not for some time, in turn; a hidden target is never measured.
+    """A Markov chain with two states: visible to a sensor, and hidden; a hidden target is never measured.
 
-    How probably it is visible, given that it exists, is predicted to each scan and updated by it.  The ``detection`` of
-    the sensor is that of visible targets.  So misses in a row tell that a target is hidden rather than that it has
-    ended, and a target that is missed once is as probably measured again as the chain says.
+    The probability that a target is visible, given that it exists, is predicted to each scan and updated by it.  The
+    ``detection`` of the sensor is that of visible targets.  Successive misses thus indicate that a target is hidden
+    rather than that it has ceased to exist.
 
     Args:
-        seen: mean of the time that a target is visible on end, s; infinite for one that stays so.
-        hidden: mean of the time that it is hidden on end, s.
+        seen: mean sojourn time of the visible state, s; infinite if a target stays visible.
+        hidden: mean sojourn time of the hidden state, s.
 
     Raises:
         ValueError: seconds that are not above 0, or a hidden time that is not finite.
@@ -39,11 +39,11 @@ class Visibility:
 
     @property
     def share(self) -> float:
-        """Of the time in which a target is visible."""
+        """Stationary probability of the visible state."""
         return 1 / (1 + self.hidden / self.seen)
 
     def predicted(self, visible: Tensor, dt: Tensor) -> Tensor:
-        """Probabilities ``(N,)`` after ``dt (N,)`` seconds, before the scan."""
+        """Probabilities ``(N,)`` of the visible state, predicted by ``dt (N,)`` seconds."""
         rate = 1 / self.seen + 1 / self.hidden
         return self.share + (visible - self.share) * torch.exp(-rate * dt)
 
@@ -57,20 +57,20 @@ class Chains(NamedTuple):
     sensors: tuple[Visibility, ...]
 
     def predicted(self, visible: Tensor, dt: Tensor) -> Tensor:
-        """Probabilities ``(N, S)`` for each sensor after ``dt (N,)`` seconds."""
+        """Probabilities ``(N, S)`` for each sensor, predicted by ``dt (N,)`` seconds."""
         return torch.stack([of.predicted(x, dt) for of, x in zip(self.sensors, visible.unbind(-1), strict=True)], -1)
 
     def first(self, like: Tensor, sensor: int) -> Tensor:
-        """Probabilities ``(K, S)`` of targets, as many as ``like (K,)``, that the sensor of this number has found."""
+        """Initial probabilities ``(K, S)`` of targets, as many as ``like (K,)``, that this sensor has just measured."""
         shares = [1.0 if i == sensor else of.share for i, of in enumerate(self.sensors)]
         return like.new_tensor(shares).expand(len(like), -1)
 
     def updated(self, visible: Tensor, sensor: int, log_missed: Tensor, log_miss: Tensor) -> Tensor:
-        """Probabilities ``(N, S)`` given a scan of one sensor: it sees what it has measured.
+        """Probabilities ``(N, S)`` updated by a scan of one sensor: a measured target is visible.
 
         Args:
-            visible: before the scan.
-            sensor: number.
+            visible: ``(N, S)`` probabilities before the scan.
+            sensor: number of the sensor.
             log_missed: ``(N,)`` log probability that each was missed, given the scan.
             log_miss: log probability that a visible target is missed: a number or ``(N,)``.
         """
