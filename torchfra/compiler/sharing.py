@@ -108,10 +108,10 @@ done:
 
 
 def module(texts: Iterable[str], declared: Iterable[str]) -> str:
-    """A module of these functions; parts of it, with ``PART`` between, if it is long: threads compile them."""
+    """A module of these functions and tables; if it is long, its parts, ``PART`` between them: threads compile them."""
     tail = '!0 = !{!"branch_weights", i32 2000, i32 1}\n!1 = !{!"branch_weights", i32 1, i32 2000}\n!2 = !{i32 1}\n'
     texts = [*texts]
-    heads = {head.split("@", 1)[1].split("(", 1)[0]: head for text in texts for head in _heads(text)}
+    heads = {head.split("@", 1)[1].split("(", 1)[0]: head for head in map(_head, texts)}
     needed = sorted(line for line in declared if line.split("@")[1].split("(")[0] not in heads)
     parts, lines = [list[str]()], 0
     for text in texts:
@@ -124,16 +124,16 @@ def module(texts: Iterable[str], declared: Iterable[str]) -> str:
         return "\n".join([*needed, *texts, tail])
     made = []
     for part in parts:
-        own = {head for text in part for head in _heads(text)}
+        own = {*map(_head, part)}
         others = [_declared(head) for head in heads.values() if head not in own and "internal" in head]
-        shared = [text.replace("define internal", "define hidden").replace("= internal", "= hidden") for text in part]
+        shared = [text.replace("internal", "hidden", 1) for text in part]
         made.append("\n".join([*needed, *others, *shared, tail]))
     return PART.join(made)
 
 
-def _heads(text: str) -> list[str]:
-    """The first lines of its functions and tables."""
-    return [line for line in text.splitlines() if line.startswith(("define", "@"))]
+def _head(text: str) -> str:
+    """The first line of a function or a table."""
+    return text.split("\n", 1)[0]
 
 
 def _declared(head: str) -> str:
