@@ -10,7 +10,7 @@ from ctypes import addressof, c_int64
 
 import pytest
 
-from torchfra.compiler import cache, jit
+from torchfra.compiler import cache, jit, sharing
 
 SOURCE = """
 define void @run(i64 %n, i64 %steps, i32 %threads, ptr %in, ptr %out) {
@@ -283,3 +283,36 @@ def test_folders_are_named_as_in_a_shell(place, where, folder, tmp_path, monkeyp
     assert answer() == 42
     assert only(tmp_path / where).suffix == ".o"
     assert compilations(answer) == 0
+
+
+def in_parts(count, monkeypatch):
+    """A module of so many functions, each of which calls the next one and adds 1, in as many parts."""
+    monkeypatch.setattr(sharing, "_LINES", 0)
+    head = "define internal i64 @f{}(ptr noalias %in, i64 %n) noinline nounwind {{\nentry:\n"
+    texts = [
+        f"{head.format(k)}%more = call i64 @f{k + 1}(ptr %in, i64 %n)\n%sum = add i64 %more, 1\nret i64 %sum\n}}\n"
+        for k in range(count)
+    ]
+    texts += ["@table = internal constant [2 x i16] [i16 3, i16 4]\n", f"{head.format(count)}ret i64 %n\n}}\n"]
+    run = "define void @run(i64 %n, i64 %steps, i32 %threads, ptr %in, ptr %out) {\n%four = load i16, ptr %last\n"
+    run = run.replace("%four", "%last = getelementptr i16, ptr @table, i64 1\n%four")
+    run += "%wide = zext i16 %four to i64\n%all = call i64 @f0(ptr %in, i64 %wide)\n"
+    run += "store i64 %all, ptr %out\nret void\n}\n"
+    return sharing.module([*texts, run], [])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_long_module_is_compiled_in_parts_by_threads(folder, monkeypatch, threads):
+    monkeypatch.setattr("torch.get_num_threads", lambda: threads)
+    source, out = in_parts(5, monkeypatch), c_int64()
+    assert source.count(sharing.PART) == 7
+    for _ in range(2):  # compiled, and as it was kept
+        jit._loaded.clear()
+        jit.load(source)(0, 0, 0, None, addressof(out))
+        assert out.value == 9
+        assert only(folder).exists()
+
+
+def test_a_short_module_has_one_part(monkeypatch):
+    monkeypatch.setattr(sharing, "_LINES", 8000)
+    assert sharing.PART not in sharing.module(["define internal void @f() {\nret void\n}\n"] * 3, [])

@@ -63,7 +63,7 @@ def test_estimates_smoothed_ones_and_their_gradients_are_the_same(written):
     close(*(x[1] for x in said), tolerance=1e-9)
     assert len(written) == 4
     for source in written:
-        defined = re.findall(r"^define internal void @(\w+_r\d+)\(", source, re.MULTILINE)
+        defined = re.findall(r"^define (?:internal|hidden) void @(\w+_r\d+)\(", source, re.MULTILINE)
         calls = [len(re.findall(rf"^call void @{name}\(", source, re.MULTILINE)) for name in defined]
         assert len(set(defined)) == len(defined) > 0
         assert min(calls) >= 1

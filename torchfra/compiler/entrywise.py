@@ -50,7 +50,12 @@ def integer(book: Expressions, a: int) -> int:
 
 
 def _arithmetic(name: str) -> Function:
-    return lambda book, *args: book.apply(name, *[number(book, a) if a in book.truths else a for a in args])
+    def function(book: Expressions, *args: int) -> int:
+        if book.truths.isdisjoint(args):
+            return book.apply(name, *args)
+        return book.apply(name, *(number(book, a) for a in args))
+
+    return function
 
 
 def _logic(name: str) -> Function:
@@ -63,9 +68,10 @@ def _swapped(function: Function) -> Function:
 
 def _with_multiple(name: str) -> Function:
     """Addition or subtraction of ``alpha`` times the second argument."""
+    plain = _arithmetic(name)
 
     def function(book: Expressions, a: int, b: int, alpha: float = 1) -> int:
-        return _arithmetic(name)(book, a, book.apply("mul", number(book, b), book.constant(alpha)))
+        return plain(book, a, b if alpha == 1 else book.apply("mul", number(book, b), book.constant(alpha)))
 
     return function
 

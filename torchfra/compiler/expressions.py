@@ -22,6 +22,11 @@ _FOLD: dict[str, Callable[..., float]] = {
     "and": lambda a, b: float(bool(a and b)), "or": lambda a, b: float(bool(a or b)), "not": lambda a: float(not a),
 }  # fmt: skip
 
+_FUNCTIONS = {"sqrt", "exp", "log", "sin", "cos"}
+"""Of numbers above 0, which are folded there."""
+_EITHER_WAY = {"add", "mul", "and", "or", "eq", "max", "min"}
+"""Whose two arguments may change places."""
+
 
 class TooManyError(Exception):
     """More expressions than the limit of the book."""
@@ -70,15 +75,16 @@ class Expressions:
         self.constant(0.0)
 
     def _new(self, op: str, args: tuple[int, ...], *more: object) -> int:
-        number = self._known.setdefault((op, args, *more), len(self.nodes))
-        if number == len(self.nodes):
+        new = len(self.nodes)
+        number = self._known.setdefault((op, args, *more), new)
+        if number == new:
             self._append(op, args)
         return number
 
     def constant(self, value: float) -> int:
         """A known number; True is 1 and False is 0."""
         value = float(value)
-        number = self._new("constant", (), repr(value))
+        number = self._new("constant", (), repr(value))  # which tells -0 from 0
         self.values[number] = value
         return number
 
@@ -124,16 +130,17 @@ class Expressions:
     def apply(self, op: str, *args: int) -> int:
         """An operation on expressions."""
         known = [*map(self.values.get, args)]
-        if op in _FOLD and None not in known:
-            return self.constant(_FOLD[op](*known))
-        if op in ("sqrt", "exp", "log", "sin", "cos") and known[0] is not None and known[0] > 0:
-            return self.constant(getattr(math, op)(known[0]))
+        if None not in known:
+            if op in _FOLD:
+                return self.constant(_FOLD[op](*known))
+            if op in _FUNCTIONS and known[0] > 0:  # type: ignore[operator]  # it is not None
+                return self.constant(getattr(math, op)(known[0]))
         simple = _SIMPLE.get(op)
         simplified = None if simple is None else simple(self, args, known)
         if simplified is not None:
             return simplified
-        if op in ("add", "mul", "and", "or", "eq", "max", "min"):
-            args = tuple(sorted(args))
+        if op in _EITHER_WAY and args[0] > args[1]:
+            args = args[::-1]
         return self._new(op, args)
 
     def needed(self, ends: Iterable[int]) -> list[int]:
@@ -168,12 +175,13 @@ class Expressions:
         return args[0] if other == op else None
 
     def _add(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
-        for (a, b), value in zip((args, args[::-1]), known, strict=True):
+        nodes, (first, second) = self.nodes, args
+        for a, b, value in ((first, second, known[0]), (second, first, known[1])):
             if value == 0:
                 return b
-            inner = self._argument("neg", a)
-            if inner is not None:
-                return self.apply("sub", b, inner)
+            op, parts = nodes[a]
+            if op == "neg":
+                return self.apply("sub", b, parts[0])
         return None
 
     def _sub(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
@@ -186,12 +194,13 @@ class Expressions:
         return None if inner is None else self.apply("add", a, inner)
 
     def _mul(self, args: tuple[int, ...], known: list[float | None]) -> int | None:
-        for (a, b), value in zip((args, args[::-1]), known, strict=True):
-            if value in (0, 1, -1):
+        nodes, (first, second) = self.nodes, args
+        for a, b, value in ((first, second, known[0]), (second, first, known[1])):
+            if value is not None and value in (0, 1, -1):
                 return ZERO if value == 0 else b if value == 1 else self.apply("neg", b)
-            inner = self._argument("neg", a)
-            if inner is not None:
-                return self.apply("neg", self.apply("mul", inner, b))
+            op, parts = nodes[a]
+            if op == "neg":
+                return self.apply("neg", self.apply("mul", parts[0], b))
         return None
 
     def _div(self, args: tuple[int, ...], known: list[float | None]) -> int | None:

@@ -1,4 +1,4 @@
-"""From instructions of LLVM to a function: compiled in this process by llvmlite, and kept on disk."""
+"""From instructions of LLVM to a function: compiled in this process by llvmlite, part by part, and kept on disk."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import ctypes
 import hashlib
 import platform
 import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -14,6 +17,7 @@ from torchfra.compiler import cache
 from torchfra.compiler.elementary_functions import address
 from torchfra.compiler.llvm import binding
 from torchfra.compiler.processor import features
+from torchfra.compiler.sharing import PART
 from torchfra.types import CompileError as CompileError
 
 compiled = 0
@@ -56,10 +60,10 @@ def _function(source: str, name: str, result: Any, arguments: list[Any]) -> Any:
     if engine is None:
         made = cache.read(f"{key}.o")
         if made is None:
-            made = _compiled(source)
+            made = _packed(_compiled(source))
             cache.write(f"{key}.o", made)
         with _LOADING:
-            engine = _loaded.setdefault(key, _loaded.get(key) or _engine(source, made))
+            engine = _loaded.setdefault(key, _loaded.get(key) or _engine(source, _unpacked(made)))
     return ctypes.CFUNCTYPE(result, *arguments)(engine.get_function_address(name))
 
 
@@ -99,27 +103,69 @@ def _machine() -> Any:
     )
 
 
-def _compiled(source: str) -> bytes:
-    """The object of a module."""
+def _compiled(source: str) -> list[bytes]:
+    """The objects of the parts of a module."""
     global compiled
-    try:
-        made: bytes = _machine().emit_object(binding().parse_assembly(source))
-    except RuntimeError as error:
-        raise CompileError(f"compile: no kernel from LLVM: {error}") from None
+    parts = source.split(PART)
+    with ThreadPoolExecutor(min(len(parts), torch.get_num_threads())) as threads:
+        made = [*threads.map(_object, parts)]
     compiled += 1
     return made
 
 
-def _engine(source: str, made: bytes) -> Any:
-    """What holds the code of an object, with the functions that it calls."""
+def _object(part: str) -> bytes:
+    llvm = binding()
+    try:
+        module, machine = llvm.parse_assembly(part, llvm.create_context()), _machine()
+        with llvm.ffi.OutputString() as error:
+            # llvmlite lets one thread at a time into LLVM.  This function needs no such lock: context and machine are
+            # its own.
+            memory = _emit()(machine, module, 1, error)
+            if not memory:
+                raise RuntimeError(str(error))
+        lib = llvm.ffi.lib
+        try:
+            return ctypes.string_at(lib.LLVMPY_GetBufferStart(memory), lib.LLVMPY_GetBufferSize(memory))
+        finally:
+            lib.LLVMPY_DisposeMemoryBuffer(memory)
+    except RuntimeError as error:
+        raise CompileError(f"compile: no kernel from LLVM: {error}") from None
+
+
+@lru_cache(maxsize=1)
+def _emit() -> Any:
+    """What makes an object of a module, without llvmlite's lock."""
+    locked = binding().ffi.lib.LLVMPY_TargetMachineEmitToMemory
+    emit = ctypes.CDLL(binding().ffi.lib._name).LLVMPY_TargetMachineEmitToMemory
+    emit.argtypes, emit.restype = locked.argtypes, locked.restype
+    return emit
+
+
+def _packed(objects: Sequence[bytes]) -> bytes:
+    """Objects in one file, each behind its length."""
+    return b"".join(len(x).to_bytes(8, "little") + x for x in objects)
+
+
+def _unpacked(content: bytes) -> list[bytes]:
+    objects = []
+    while content:
+        end = 8 + int.from_bytes(content[:8], "little")
+        objects.append(content[8:end])
+        content = content[end:]
+    return objects
+
+
+def _engine(source: str, objects: Sequence[bytes]) -> Any:
+    """What holds the code of objects, with the functions that they call."""
     llvm = binding()
     for line in source.splitlines():
-        if line.startswith("declare ") and "@llvm." not in line:
+        if line.startswith("declare ") and not line.startswith("declare hidden") and "@llvm." not in line:
             name = line.split("@")[1].split("(")[0]
             llvm.add_symbol(name, address(name) or _instead(name))
     try:
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
-        engine.add_object_file(llvm.ObjectFileRef.from_data(made))
+        for made in objects:
+            engine.add_object_file(llvm.ObjectFileRef.from_data(made))
         engine.finalize_object()
     except RuntimeError as error:
         raise CompileError(f"compile: no kernel from LLVM: {error}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -155,11 +156,12 @@ def _groups(
     for number in live:
         when[number] = max((when[i] + (guards[i] != guards[number]) for i in before[number]), default=0)
         stages[guards[number]].add(when[number])
+    order = {guard: sorted(of) for guard, of in stages.items()}
     limits: dict[int, int] = {}
     for number in reversed(live):  # what can wait for a later group does: fewer groups, and fewer values to keep
         if guards[number] is not None or number in inputs:
-            limit = limits.get(number, when[number])
-            when[number] = max(s for s in stages[guards[number]] if when[number] <= s <= limit)
+            of = order[guards[number]]
+            when[number] = of[bisect_right(of, limits.get(number, when[number])) - 1]
         for i in before[number]:
             limits[i] = min(limits.get(i, when[number]), when[number] - (guards[i] != guards[number]))
     groups = defaultdict(list)

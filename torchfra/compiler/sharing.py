@@ -9,6 +9,11 @@ from torchfra.compiler.instructions import Code, Lanes
 CALL = "{ i64, i64, i64, ptr, ptr, i64 }"
 """Tracks, steps, threads, two pointers (to ports that are read and written, say), and how many shares are taken."""
 
+PART = "; another part\n"
+"""Between the parts of a module."""
+_LINES = 8000
+"""Of a part, about."""
+
 
 def called(code: Code, values: Sequence[tuple[str, str]]) -> str:
     """A ``CALL`` of these types and values, in memory of the function."""
@@ -103,9 +108,38 @@ done:
 
 
 def module(texts: Iterable[str], declared: Iterable[str]) -> str:
-    """A module of these functions."""
+    """A module of these functions and tables; if it is long, its parts, ``PART`` between them: threads compile them."""
     tail = '!0 = !{!"branch_weights", i32 2000, i32 1}\n!1 = !{!"branch_weights", i32 1, i32 2000}\n!2 = !{i32 1}\n'
-    made = "\n".join(texts)
-    defined = {line.split("@", 1)[1].split("(", 1)[0] for line in made.splitlines() if line.startswith("define")}
-    needed = sorted(line for line in declared if line.split("@")[1].split("(")[0] not in defined)
-    return "\n".join([*needed, made, tail])
+    texts = [*texts]
+    heads = {head.split("@", 1)[1].split("(", 1)[0]: head for head in map(_head, texts)}
+    needed = sorted(line for line in declared if line.split("@")[1].split("(")[0] not in heads)
+    parts, lines = [list[str]()], 0
+    for text in texts:
+        if lines > _LINES:
+            parts.append([])
+            lines = 0
+        parts[-1].append(text)
+        lines += text.count("\n")
+    if len(parts) == 1:
+        return "\n".join([*needed, *texts, tail])
+    made = []
+    for part in parts:
+        own = {*map(_head, part)}
+        others = [_declared(head) for head in heads.values() if head not in own and "internal" in head]
+        shared = [text.replace("internal", "hidden", 1) for text in part]
+        made.append("\n".join([*needed, *others, *shared, tail]))
+    return PART.join(made)
+
+
+def _head(text: str) -> str:
+    """The first line of a function or a table."""
+    return text.split("\n", 1)[0]
+
+
+def _declared(head: str) -> str:
+    """What another part needs to know of a function or a table."""
+    if head.startswith("@"):
+        return head.replace("= internal", "= external hidden").split("] [")[0] + "]"
+    kind, rest = head.replace("define internal", "declare hidden").split("(", 1)
+    types = ", ".join(arg.rsplit(" ", 1)[0] for arg in rest.split(")")[0].split(", ") if arg)
+    return f"{kind}({types}) nounwind"
