@@ -126,6 +126,21 @@ def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
     assert (np.abs(rows.position - one.position) < one.std).all()
 
 
+@pytest.mark.parametrize("burst", [slice(0, 4), slice(-4, None)])
+def test_a_burst_of_one_offset_at_either_end_throws_no_good_fix_away(burst):
+    rng, turning = np.random.default_rng(0), np.arange(200) % 60 == 30
+    course = np.pi / 2 * np.cumsum(turning)
+    truth = 7.0 * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)  # a walk of 5 s from fix to fix
+    z = truth + 3.0 * rng.standard_normal(truth.shape)
+    z[burst] += (700.0, -1400.0)
+    wrong = np.zeros(200, bool)
+    wrong[burst] = True
+    (one,) = clean_tracks([Recording("walk", 5.0 * np.arange(200), z, None, {})])
+    np.testing.assert_array_equal(one.flag == "outlier", wrong)
+    assert np.abs(one.position - truth).max() < 5 * 3.0
+    assert one.found.nis < 1.3
+
+
 @pytest.mark.slow
 def test_estimates_between_fixes_come_where_they_are_asked():
     recording, truth, _ = recorded(9, steps=80, period=4.0, outliers=0.0, irregular=True)

@@ -20,6 +20,9 @@ from torchfra.cleaning.ladder import (
     switched,
 )
 
+_BEGUN = 3
+"""Fixes after which a filter is sure of where a target is and where it goes."""
+
 
 class Smoothed(NamedTuple):
     """What all fixes say of every step."""
@@ -31,7 +34,7 @@ class Smoothed(NamedTuple):
     outlier: Tensor
     """``(T, B)`` probability that the fix is one; 0 where there is none."""
     predictions: Predictions
-    """What the filter said."""
+    """What the filter said; where it was lost, what the one that ran backward said."""
     evidence: Tensor
     """``(T, B)`` log of how much likelier this fix is as an outlier."""
 
@@ -40,7 +43,8 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     """Smoothed estimates: the filter runs forward and, on the same fixes in reverse, backward, in one batch.
 
     A motion at constant velocity that white noise disturbs is the same in either direction, and so is the chain of
-    levels.  So the filter that runs backward gives the likelihood of all later fixes for each level.
+    levels.  So the filter that runs backward gives the likelihood of all later fixes for each level.  Where the two
+    contradict each other, one is lost, and the other is believed alone: see ``_lost``.
 
     Source: Fraser & Potter (1969) for two filters; Helmick, Blair & Hoffman (1995) for those of interacting models.
     """
@@ -51,14 +55,15 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
         model.of_rows(lambda x: torch.cat([x, x])),
     )
     count = fixes.z.shape[-1]
-    predictions = Predictions(Belief(*(x[..., :count] for x in every.belief)), *(x[..., :count] for x in every[1:]))
-    later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
-    later = later._replace(velocity=-later.velocity, pv=-later.pv)
-    log_later = every.log_weights[..., count:].flip(0)
-    later, log_later = switched(later, log_later, levels.duration, levels.log_restart, fixes.elapsed)
-    belief, log_fit = _product(predictions.belief, later)
-    log_weights = predictions.log_weights + log_later - levels.log_share + log_fit
-    return updated(belief, log_weights, fixes, model, predictions)
+    predictions, later = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
+    behind = switched(later.belief, later.log_weights, levels.duration, levels.log_restart, fixes.elapsed)
+    later = Predictions(*behind, *later[2:])
+    belief, log_fit = _product(predictions.belief, later.belief)
+    log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
+    both = Predictions(belief, log_weights, *predictions[2:])
+    lost, lost_later = _lost(predictions, later, log_weights, fixes, model)
+    both = _where(lost, later, _where(lost_later, predictions, both))
+    return updated(both.belief, both.log_weights, fixes, model, _where(lost, later, predictions))
 
 
 def filtered(predictions: Predictions, fixes: Fixes, model: OutlierModel = DEFAULT) -> Smoothed:
@@ -92,11 +97,71 @@ def updated(
     return Smoothed(whole, joint.exp().sum(1), outlier, predictions, fit[1] - fit[0])
 
 
+def _lost(
+    predictions: Predictions, later: Predictions, log_weights: Tensor, fixes: Fixes, model: OutlierModel
+) -> tuple[Tensor, Tensor]:
+    """Where one of two filters follows something else than the target, as the burst of outliers that it began with.
+
+    There what one says is as far from what the other says as an outlier is from a clean fix, whichever the level.  Of
+    each such stretch that filter is lost by which the fixes are less likely.  A filter that begins is sure of nothing,
+    so that it contradicts the other as it does thereafter.  To be lost is as rare as two outliers apart.
+
+    Args:
+        predictions: of every step from the fixes before it.
+        later: the same from those after it.
+        log_weights: ``(T, J, B)`` of the levels by both; their sum is how well both agree.
+        fixes: all of them.
+        model: how likely outliers are, and how large.
+
+    Returns:
+        ``(T, B)`` where the first is lost, and where the second is.
+    """
+    ep, ev, pp, _, vv = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
+    squares = [x.square().mean(0) for x in (ep, ev)]
+    wide = [(model.least_size * v).maximum(square) for v, square in zip((pp, vv), squares, strict=True)]
+    rare = 2 * (torch.zeros_like(pp[0]) + model.begins).log()
+    log_lost = rare - 0.5 * len(ep) * sum(x / v + v.log() for x, v in zip(squares, wide, strict=True))
+    seen = (~fixes.missing).long()
+    before = seen.cumsum(0) - seen
+    fewer = before.minimum(seen.sum(0) - seen - before)
+    told = fewer >= _BEGUN
+    first, last = told.long().argmax(0), len(told) - 1 - told.flip(0).long().argmax(0)
+    nearest = torch.arange(len(told)).unsqueeze(1).clamp(first, last)
+    contrary = ((log_weights.logsumexp(1) < log_lost) & told).gather(0, nearest)
+    stretch = (contrary & ~torch.cat([torch.zeros_like(contrary[:1]), contrary[:-1]])).long().cumsum(0)
+    likelier = (predictions.log_likelihood - later.log_likelihood) * contrary
+    likelier = torch.zeros_like(likelier).scatter_add(0, stretch, likelier).gather(0, stretch)
+    return contrary & (likelier < 0), contrary & (likelier >= 0)
+
+
+def _rows(x: Predictions, rows: slice) -> Predictions:
+    """Of some tracks."""
+    return Predictions(Belief(*(part[..., rows] for part in x.belief)), *(part[..., rows] for part in x[1:]))
+
+
+def _in_order_of_time(x: Predictions) -> Predictions:
+    """Of a filter that ran backward."""
+    position, velocity, pp, pv, vv = (part.flip(-3) for part in x.belief)
+    return Predictions(Belief(position, -velocity, pp, -pv, vv), *(part.flip(0) for part in x[1:]))
+
+
+def _where(chosen: Tensor, one: Predictions, other: Predictions) -> Predictions:
+    """Those of one filter at some steps ``(T, B)``, and of the other elsewhere."""
+    level = chosen.unsqueeze(1)
+    belief = Belief(*(torch.where(level, x, y) for x, y in zip(one.belief, other.belief, strict=True)))
+    rest = (torch.where(chosen, x, y) for x, y in zip(one[2:], other[2:], strict=True))
+    return Predictions(belief, torch.where(level, one.log_weights, other.log_weights), *rest)
+
+
+def _apart(a: Belief, b: Belief) -> Belief:
+    """The difference of two beliefs from different data."""
+    return Belief(b.position - a.position, b.velocity - a.velocity, a.pp + b.pp, a.pv + b.pv, a.vv + b.vv)
+
+
 def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:
     """Two beliefs of the same state from different data as one, and the log of how well they agree."""
-    pp, pv, vv = a.pp + b.pp, a.pv + b.pv, a.vv + b.vv
-    det = pp * vv - pv.square()
-    ep, ev, d = b.position - a.position, b.velocity - a.velocity, len(a.position)
+    ep, ev, pp, pv, vv = _apart(a, b)
+    det, d = pp * vv - pv.square(), len(ep)
     far = (vv * ep.square() - 2 * pv * ep * ev + pp * ev.square()).sum(0) / det
     gpp, gpv = (a.pp * vv - a.pv * pv) / det, (a.pv * pp - a.pp * pv) / det
     gvp, gvv = (a.pv * vv - a.vv * pv) / det, (a.vv * pp - a.pv * pv) / det
