@@ -1,7 +1,8 @@
 """Times filters on one job: two bearings, six states, 100 steps, float64, as one tensor program.
 
     python scripts/benchmark.py                                    filters, eager and compiled
-    python scripts/benchmark.py --peers --filters srckf,fra        and JAX, dynamax, FilterPy, C++ in the same passes
+    python scripts/benchmark.py --peers --filters srckf,fra        and seven other libraries in the same passes
+    python scripts/benchmark.py --what linear,long --peers         positions: Kalman filters; one track of 10,000 steps
     python scripts/benchmark.py --what step,training               one measurement at a time; forward and backward
     python scripts/benchmark.py --what layer --peers               a network in front learns; the same in JAX
     python scripts/benchmark.py --what scaling --figure scaling.png
@@ -27,6 +28,7 @@ from pathlib import Path
 import torch
 from benchmarks.cores import cores
 from benchmarks.layer import layer
+from benchmarks.linear import linear, long
 from benchmarks.positions import positions
 from benchmarks.roof import FILTERS, PRECISIONS, roof
 from benchmarks.scaling import draw, scaling
@@ -44,6 +46,8 @@ from torchfra.running.versions import versions
 BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]
 KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "tracks": tracks,
+    "linear": linear,
+    "long": long,
     "step": step,
     "training": training,
     "layer": layer,
@@ -88,7 +92,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--initial", default="truth", choices=["truth", "paper"], help="initial state (default: truth)")
     p.add_argument("--precision", default="double", choices=PRECISIONS, help="for roof (default: double)")
     p.add_argument("--passes", type=int, default=7, help="timed passes (default: 7)")
-    p.add_argument("--peers", action="store_true", help="also JAX, dynamax and FilterPy, where installed, and C++; "
+    p.add_argument("--peers", action="store_true", help="also other libraries, where installed, and C++; "
                    "the environment variable TORCHFRA_PEERS_PYTHON may name the Python that has them")  # fmt: skip
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG of the results of 'scaling'")
     add_json_option(p)

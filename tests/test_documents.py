@@ -86,6 +86,7 @@ HELP_ONLY = {
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
     "scripts/benchmark.py --what layer": "compiles a filter with gradients: run by test_scripts.py",
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
+    "scripts/benchmark.py --what long": "filters 10,000 steps in turn: the jobs are tested by test_peers.py",
     "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
     "scripts/recordings.py": "reads recordings that are not part of the project: run by test_recordings_script.py",
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",

@@ -24,8 +24,21 @@ from torchfra.scenarios import Scenario, Tracks
 
 WORKER = Path(__file__).parent.parent / "peers.py"
 LIMIT = Path(__file__).parent.parent / "limit.cpp"
-PEERS = {"jax": "JAX, hand-written SRCKF", "dynamax": "dynamax UKF", "filterpy": "FilterPy UKF"}
-"""Names of ``peers.py``, and what rows call them."""
+PEERS = {
+    "jax": "JAX, hand-written SRCKF", "dynamax": "dynamax UKF", "cuthbert": "cuthbertlib CKF",
+    "kalman-py": "kalman-py UKF", "filterpy": "FilterPy UKF", "pykalman": "pykalman UKF", "stonesoup": "Stone Soup CKF",
+}  # fmt: skip
+"""Names of ``peers.py`` on bearings, and what rows call them."""
+LINEAR = {
+    "dynamax": "dynamax", "dynamax-one": "dynamax, one covariance for all", "cuthbert": "cuthbert",
+    "kalman-py": "kalman-py", "kalman-py-vmap": "kalman-py, inside, vmap", "simdkalman": "simdkalman",
+    "torch-kf": "torch-kf", "filterpy": "FilterPy", "pykalman": "pykalman", "stonesoup": "Stone Soup",
+}  # fmt: skip
+"""Those of linear sensors: Kalman filters."""
+IN_TURN = ("kalman-py", "filterpy", "pykalman", "stonesoup")
+"""Those that filter one track after the other: the time of a track stays the same."""
+AT_ONCE = ("dynamax-one", "kalman-py-vmap")
+"""Those that differ from the others of their package where tracks are several."""
 LEARNERS = ("jax", "dynamax")
 """Those that learn."""
 SIMD = "hand-written SIMD C++ SRCKF"
@@ -93,12 +106,12 @@ def start_peers(scenario: Scenario, tracks: Tracks) -> Iterator[dict[str, Peer]]
         job = Path(folder) / "job.npz"
         np.savez(job, **job_arrays(scenario, tracks))
         peers: dict[str, Peer] = {}
-        for name in PEERS:
-            if name == "filterpy" and batch > 1:  # one track after the other: the time per track stays the same
-                continue
-            means = Path(folder) / f"{name}.npy"
-            start(peers, stack, name, [str(job), "--means", str(means)], means)
-        program = build_limit(Path(folder)) if batch >= LANES else None
+        linear = scenario.sensor.linear
+        for name, label in (LINEAR if linear else PEERS).items():
+            if name not in (IN_TURN if batch > 1 else AT_ONCE):
+                means = Path(folder) / f"{name}.npy"
+                start(peers, stack, name, label, [str(job), "--means", str(means)], means)
+        program = build_limit(Path(folder)) if batch >= LANES and not linear else None
         if program is not None:
             peers[SIMD] = Peer([str(program), str(batch)])
             stack.callback(peers[SIMD].close)
@@ -117,13 +130,15 @@ def start_learners(
         arrays = {"features": features.numpy(), "truth": tracks.truth.numpy(), "rate": np.array(rate), **given}
         np.savez(job, **job_arrays(scenario, tracks), **arrays)
         for name in LEARNERS:
-            start(peers, stack, name, [str(job)])
+            start(peers, stack, name, PEERS[name], [str(job)])
         yield peers
 
 
-def start(peers: dict[str, Peer], stack: ExitStack, name: str, arguments: list[str], saved: Path | None = None) -> None:
+def start(
+    peers: dict[str, Peer], stack: ExitStack, name: str, label: str, arguments: list[str], saved: Path | None = None
+) -> None:
     """Adds a peer, which ends with the stack; says if it is not installed."""
-    python, label = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable), PEERS[name]
+    python = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable)
     try:
         peers[label] = Peer([python, str(WORKER), name, *arguments], saved)
     except ImportError as missing:
@@ -134,12 +149,16 @@ def start(peers: dict[str, Peer], stack: ExitStack, name: str, arguments: list[s
 
 def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:
     """What a peer needs to know of the job."""
-    dt = torch.tensor(scenario.dt, dtype=torch.float64)
+    dt, sensor = torch.tensor(scenario.dt, dtype=torch.float64), scenario.sensor
     arrays = {
         "matrix": scenario.motion.transition(dt), "noise": scenario.motion.process_noise(dt),
-        "std": scenario.sensor.std(), "means": tracks.prior.mean, "root": tracks.prior.scale_tril, "z": tracks.z,
-        "u": tracks.u, "dt": dt,
+        "means": tracks.prior.mean, "root": tracks.prior.scale_tril, "z": tracks.z, "dt": dt,
     }  # fmt: skip
+    if tracks.u is not None:
+        arrays |= {"std": sensor.std(), "u": tracks.u}
+    else:
+        unit = torch.eye(scenario.motion.size, dtype=torch.float64)
+        arrays |= {"std": sensor.measurement_noise(tracks.z[0, 0]).std, "sensor": sensor(unit).mT}
     return {key: x.detach().numpy() for key, x in arrays.items()}
 
 

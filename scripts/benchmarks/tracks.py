@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import copy
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import torch
 
 from benchmarks.elsewhere import Peer, start_peers
-from benchmarks.timing import Row, System, calls, timed
+from benchmarks.timing import Row, calls, timed
 from torchfra import presets
 from torchfra.catalogue import FILTERS, make_scenario, scenario_filter
 from torchfra.evaluation import run
@@ -20,18 +21,18 @@ from torchfra.scenarios import Scenario, Tracks
 
 def tracks(options: argparse.Namespace) -> list[Row]:
     """Of each batch size: the filters, and with ``--peers`` the others in the same passes."""
-    scenario = make_scenario(options.scenario, initial=options.initial)
-    rows: list[Row] = []
+    scenario, rows = make_scenario(options.scenario, initial=options.initial), list[Row]()
     for batch in map(int, (options.batch or "1,1000,10000").split(",")):
-        data = on_device(scenario.simulate(batch, 0), options.device)
-        systems = calls(filter_calls(scenario, data, options), options.device)
-        if not options.peers:
-            rows += timed(systems, options.passes, batch * scenario.steps, batch=batch)
-            continue
-        with start_peers(scenario, data) as peers:
-            every: dict[str, System] = {**systems, **peers}
-            rows += timed(every, options.passes, batch * scenario.steps, batch=batch)
-            report_differences(scenario, data, peers)
+        rows += beside_peers(scenario, on_device(scenario.simulate(batch, 0), options.device), options, batch=batch)
+    return rows
+
+
+def beside_peers(scenario: Scenario, data: Tracks, options: argparse.Namespace, **labels: Any) -> list[Row]:
+    """The filters on these tracks, and with ``--peers`` the others in the same passes; ratios are to the first."""
+    systems, count = calls(filter_calls(scenario, data, options), options.device), data.z.shape[:2].numel()
+    with start_peers(scenario, data) if options.peers else nullcontext({}) as peers:
+        rows = timed({**systems, **peers}, options.passes, count, next(iter(systems)), **labels)
+        report_differences(scenario, data, peers)
     return rows
 
 
