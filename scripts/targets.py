@@ -110,9 +110,9 @@ def streamed(world: World, compiled: bool = False) -> tuple[dict[str, float], Te
         world.targets.filter.compile()
     states, times = [world.targets.init()], []
     for scan in world.scans:
-        start = time.perf_counter()
+        start = time.process_time()
         states.append(world.targets.step(states[-1], scan, dt=world.dt))
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     estimate = collect(states[1:])
     found = summary(numbers(estimate.mean[None], world.truth[None], slice(0, 2), world.cutoff))
     took = 1e3 * torch.tensor(times[5:] or times)  # the first ones import what they need

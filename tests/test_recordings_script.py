@@ -342,7 +342,17 @@ def test_the_boat_is_followed_and_the_buoy_is_not(tmp_path):
         assert found.mean.shape == (1, 40, 2)
         assert found.figures["gospa"] < 6.0
         assert found.figures["followed"] > 0.7
+        assert found.figures["followed_seen"] == found.figures["followed"]
         assert found.figures["switches"] == found.figures["false_per_minute"] == 0
+
+
+def test_scans_of_a_boat_that_nobody_measures_count_as_not_seen(tmp_path):
+    def unseen(detections, boats):
+        for of in detections[50:]:
+            of["measurement"] = [[], []]
+
+    found = autoferry.follow("radar", autoferry.read(harbour(tmp_path, change=unseen)))
+    assert found.figures["followed"] + 0.1 < found.figures["followed_seen"]
 
 
 def test_what_is_no_recording_of_a_harbour_is_said(tmp_path):
