@@ -235,6 +235,16 @@ def test_a_signal_that_comes_late_is_believed_by_filters_that_do_not_expect_it_a
     assert worst(track, "gpb") < 5.0
 
 
+def test_a_weak_signal_of_a_drive_is_missing(tmp_path):
+    path = drive(tmp_path)
+    all_there = smartloc.read(path).z
+    words = [line.split() for line in path.read_text().splitlines()]
+    first = next(line for line in words if line[0] == "pseudorange3")
+    first[-1] = "29.9"
+    path.write_text("\n".join(map(" ".join, words)))
+    assert (smartloc.read(path).z.isnan() & ~all_there.isnan()).sum() == 1
+
+
 @pytest.mark.parametrize(("change", "said"), [
     (lambda path: path.rename(path.with_name("drive.txt")), r"drive.txt: expected the file of a drive, NAME_Input.txt"),
     (lambda path: path.write_text("odom3 0 1") and path, r"_Input.txt: expected lines of pseudorange3 .* received 0"),

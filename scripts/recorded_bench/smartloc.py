@@ -3,7 +3,8 @@
 A recording is two text files, ``<name>_Input.txt`` and ``<name>_GT.txt`` beside it.  Of their lines these are read,
 places in coordinates that are fixed to the Earth (ECEF), m:
 
-- ``pseudorange3 time range variance x y z satellite system elevation density``: of a satellite at x, y, z;
+- ``pseudorange3 time range variance x y z satellite system elevation density``: of a satellite at x, y, z, with the
+  carrier-to-noise density of its signal, dBHz; one whose signal is weak counts as missing;
 - ``odom3 time speed ...``: the speed along the car in m/s, and in the eighth column how fast it turns, rad/s;
 - ``point3 time x y z ...``: where it was.
 
@@ -51,6 +52,8 @@ STD = 2.0
 """Standard deviation of a pseudorange in line of sight, m."""
 UNNOTICED = (0.05, 4 * STD)
 """Of protection levels, as of a robot on a campus."""
+WEAKEST = 30.0
+"""Carrier-to-noise density below which a pseudorange counts as missing, dBHz."""
 LATE = (7.0, 14.0, 25.0, 45.0, 75.0, 120.0)
 """By how many metres reflections come late: each is as likely, and stands for what is within 30 % of it, or 4 m."""
 LASTS = 100.0
@@ -97,7 +100,7 @@ def read(path: Path) -> Track:
     order = np.argsort(-elevation)
     which = np.argsort(order)[which]
     z, places = np.full((len(time), len(order)), np.nan), np.full((len(time), len(order), 3), np.nan)
-    z[at, which] = ranges[:, 1]
+    z[at, which] = np.where(ranges[:, 9] < WEAKEST, np.nan, ranges[:, 1])
     places[at, which] = (_turned(ranges[:, 3:6], ranges[:, 1]) - start) @ axes.T
     driven = odometry[np.searchsorted(odometry[:, 0], time, side="right").clip(1) - 1]
     truth = (points[np.abs(points[:, 0] - time[:, None]).argmin(1), 1:4] - start) @ axes.T
