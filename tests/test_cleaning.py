@@ -233,6 +233,12 @@ def test_the_kind_of_a_target_follows_from_its_speed_unless_the_file_says(speed,
 
 
 @pytest.mark.slow
+def test_a_target_of_a_few_fixes_among_missing_ones_has_a_speed():
+    position = np.full((90, 2), np.nan)
+    position[[2, 40, 80]] = [[0.0, 0.0], [76.0, 0.0], [156.0, 0.0]]
+    assert kind_of(Recording("few", np.arange(90.0), position, None, {})) == ("person", "by its speed of 2.0 m/s")
+
+
 def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers():
     rng, time = np.random.default_rng(3), np.arange(0.0, 300.0)
     climb = np.interp(time, [0, 60, 180, 300], [900, 900, 1900, 1900])

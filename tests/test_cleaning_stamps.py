@@ -7,7 +7,7 @@ import pytest
 from cleaning.simulated import ship
 
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning.stamps import in_place, stamps_are_cut, stamps_are_off
+from torchfra.cleaning.stamps import earlier, in_place, stamps_are_cut, stamps_are_off
 from torchfra.readers.recording import Recording, Source
 
 TIME = np.arange(0.0, 600.0, 5.0)
@@ -177,6 +177,11 @@ def test_path_and_fixes_are_half_a_second_apart_where_times_are_cut():
     assert abs(((one.position - truth) * course).sum(1).mean()) < 0.1 * speed
     assert ((plain.position - truth) * course).sum(1).mean() == pytest.approx(0.5 * speed, rel=0.2)
     np.testing.assert_array_equal(one.raw, recording.position)
+
+
+def test_distances_are_from_where_the_target_was_when_each_fix_was_made():
+    (plain,) = clean_tracks([reported(1.0)[0]], repair=False)
+    np.testing.assert_allclose(earlier(plain).off, plain.off, rtol=1e-9)
 
 
 def test_cut_times_are_seen_of_any_target():

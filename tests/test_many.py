@@ -249,6 +249,20 @@ def test_a_target_that_fails_is_said_and_all_others_are_there(tmp_path, capsys):
     assert capsys.readouterr().err == error
 
 
+def test_a_target_of_one_fix_is_dropped_whatever_is_wrong_with_another(tmp_path, capsys):
+    wrong = flight(1)
+    wrong["lat"][7] = 95.0
+    one = {name: column[:1] for name, column in flight(2).items()}
+    parquet.write_table(table_of([flight(0), wrong, one]), tmp_path / "three.parquet")
+    assert clean(tmp_path / "three.parquet", tmp_path / "out", "--json", str(tmp_path / "s.json"), rows="999") == 1
+    said = json.loads((tmp_path / "s.json").read_text())
+    assert list(said["failed"]) == ["a00001"]
+    assert said["repairs"] == {"aircraft of one fix or none dropped": 1}
+    parquet.write_table(table_of([one]), tmp_path / "one.parquet")
+    assert clean(tmp_path / "one.parquet", tmp_path / "none", rows="999") == 0
+    capsys.readouterr()
+
+
 @pytest.mark.slow
 def test_a_target_too_fast_for_its_bank_fails_alone(tmp_path, capsys):
     slow = flight(1) | {"lat": 10 + np.arange(FIXES) / 1e5, "lon": np.arange(FIXES) / 1e5}

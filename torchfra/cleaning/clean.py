@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +28,25 @@ _PLACES = {"x", "y", "z", "lat", "lon"}
 _LATITUDE, _LONGITUDE = "latitude", "longitude"
 _LEFT_OUT = ("row", "id", "time", "seconds")
 """Columns of an output that a table of one's own has already."""
+_OPTION = re.compile(r"--([a-z]+(?:-[a-z]+)*)( '[^']*'| (?!(?:and|if|name|or|takes|that|with)\b)[^\s,;)]+)?")
+"""An option of the command in a message, and its value if it has one; other words go on with the sentence."""
 
 
+@contextmanager
+def _words_for_options() -> Iterator[None]:
+    """Messages of readers name options of the command, ``--lat breite``; in Python they are arguments, lat='breite'."""
+
+    def argument(option: re.Match[str]) -> str:
+        name, value = option.groups(default="")
+        return name.replace("-", "_") + "=" + (repr(value.strip(" '")) if value else "")
+
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(_OPTION.sub(argument, str(error))) from error
+
+
+@_words_for_options()
 def clean(
     data: Any,
     *,

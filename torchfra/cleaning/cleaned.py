@@ -83,6 +83,8 @@ class Cleaned:
     """Names of the regimes."""
     regime: Array = field(default_factory=lambda: np.empty((0, 0)))
     """``(T, R)`` their probabilities."""
+    behind: float = 0.0
+    """Seconds by which the path is behind the fixes, as times were cut."""
 
     def __repr__(self) -> str:
         """What was found, in a line."""
@@ -109,8 +111,11 @@ class Cleaned:
 
     @property
     def off(self) -> Array:
-        """``(T,)`` m from the fix to the cleaned position; NaN between fixes.  An altitude may be missing."""
-        apart = self.raw - self.position
+        """``(T,)`` m from the fix to the cleaned position; NaN between fixes.  An altitude may be missing.
+
+        Where times were cut, it is the position when the fix was made, which the path reaches later.
+        """
+        apart = self.raw - (self.position + self.behind * self.velocity)
         distance: Array = np.linalg.norm(np.column_stack([apart[:, :2], np.nan_to_num(apart[:, 2:])]), axis=1)
         return distance
 

@@ -112,7 +112,8 @@ def clean_part(work: Work, part: int) -> dict[str, Any]:
     def fill(file: Any) -> None:
         with closing(Growing(file, _like(work))) as growing:
             for rows, recordings, wrong in work.data.recordings(part, work.parts, _TOGETHER):
-                failed.update(wrong)
+                failed.update(wrong.failed)
+                repairs.update(wrong.repairs)
                 results = _cleaned(recordings, work.settings, failed)
                 growing.add(results)
                 counts["rows"] += rows

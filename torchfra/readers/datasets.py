@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from torchfra.readers.arrow_files import damaged, is_flat, table_sheet
 from torchfra.readers.columns import grouped, text
 from torchfra.readers.reading import SheetReader
 from torchfra.readers.recording import Recording
+from torchfra.readers.repairs import TooFewError, dropped
 from torchfra.readers.sheets import listed, needs
 from torchfra.readers.tables import naming
 
@@ -36,6 +38,15 @@ class File(NamedTuple):
     """A checksum of what the file says of its columns, their least and greatest values included."""
 
 
+class Wrong(NamedTuple):
+    """What is wrong with targets that have no recording."""
+
+    failed: dict[str, str]
+    """By their names why they cannot be read."""
+    repairs: Counter[str]
+    """How many have too few fixes."""
+
+
 @dataclass(frozen=True)
 class DataSet:
     """The files of a data set, and what their columns hold."""
@@ -54,7 +65,7 @@ class DataSet:
         """Of all files."""
         return sum(file.rows for file in self.files)
 
-    def recordings(self, part: int, parts: int, together: int) -> Iterator[tuple[int, list[Recording], dict[str, str]]]:
+    def recordings(self, part: int, parts: int, together: int) -> Iterator[tuple[int, list[Recording], Wrong]]:
         """Reads a part of the targets: those whose hash is ``part``, modulo ``parts``, wherever their rows are.
 
         Args:
@@ -63,8 +74,8 @@ class DataSet:
             together: rows that are given back at a time, about.
 
         Yields:
-            How many rows; their recordings, whose ``row`` counts through all files; and by their names why other
-            targets cannot be read.  Rows without an id belong to no part.
+            How many rows; their recordings, whose ``row`` counts through all files; and what is wrong with other
+            targets.  Rows without an id belong to no part.
 
         Raises:
             ValueError: a file is damaged.
@@ -75,7 +86,8 @@ class DataSet:
         order = np.argsort(group, kind="stable")
         for chosen in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
             if len(chosen):
-                yield len(chosen), *self._read(table.take(chosen), rows[chosen])
+                wrong = Wrong({}, Counter())
+                yield len(chosen), self._read(table.take(chosen), rows[chosen], wrong), wrong
 
     def _chosen(self, part: int, parts: int) -> tuple[Any, NDArray[np.int64]]:
         """The rows of a part, and their numbers."""
@@ -99,21 +111,21 @@ class DataSet:
                 raise ValueError(f"{path}: {damaged(error)}") from error
         return pyarrow.concat_tables(pieces).combine_chunks(), np.concatenate(rows)
 
-    def _read(self, table: Any, rows: NDArray[np.int64]) -> tuple[list[Recording], dict[str, str]]:
+    def _read(self, table: Any, rows: NDArray[np.int64], wrong: Wrong) -> list[Recording]:
         """All targets of a table; each for itself, whose rows are then counted, where one of them cannot be read."""
         try:
-            return [replace(one, row=rows[one.row]) for one in self.reader.read(table_sheet(table))], {}
+            return [replace(one, row=rows[one.row]) for one in self.reader.read(table_sheet(table))]
         except ValueError as error:
             labels = text(table.column(self.id).to_pylist(), self.id, {})
             targets = grouped(labels)
+            if isinstance(error, TooFewError):
+                wrong.repairs[dropped(self.reader.layout)] += len(targets)
+                return []
             if len(targets) == 1:
-                return [], {labels[0]: str(error)}
-        found, wrong = list[Recording](), dict[str, str]()
-        for chosen in targets.values():
-            some, why = self._read(table.take(chosen), rows[chosen])
-            found += some
-            wrong |= why
-        return sorted(found, key=lambda recording: recording.name), wrong
+                wrong.failed[labels[0]] = str(error)
+                return []
+        found = [one for chosen in targets.values() for one in self._read(table.take(chosen), rows[chosen], wrong)]
+        return sorted(found, key=lambda recording: recording.name)
 
 
 def open_data(path: str | Path, **words: str | None) -> DataSet:

@@ -59,11 +59,15 @@ class Target:
     repairs: Counter[str]
 
 
+class TooFewError(ValueError):
+    """No target has 2 fixes or more."""
+
+
 def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     """The targets of a file that have 2 fixes or more left, in the order of the file.
 
     Raises:
-        ValueError: there is none.
+        TooFewError: there is none.
     """
     ids, calls = (table.texts.get(layout.columns.get(role, "")) for role in ("id", "call"))
     members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
@@ -78,10 +82,15 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
         targets.append(Target(full, columns.time[index], place, height, filled, sigma, index.astype(np.int64), repairs))
     good = [target for target in targets if len(target.time) >= 2]
     if not good:
-        raise ValueError(_too_few(targets, layout.source.word))
+        raise TooFewError(_too_few(targets, layout.source.word))
     # The counts of all targets sum to those of the file.
-    good[0].repairs[f"{plural(layout.source.word)} of one fix or none dropped"] = len(targets) - len(good)
+    good[0].repairs[dropped(layout)] = len(targets) - len(good)
     return good
+
+
+def dropped(layout: Layout) -> str:
+    """What became of targets that have no 2 fixes."""
+    return f"{plural(layout.source.word)} of one fix or none dropped"
 
 
 def _too_few(targets: list[Target], word: str) -> str:

@@ -60,15 +60,18 @@ def _impossible(recording: Recording) -> str:
 
 
 def speed_across(recording: Recording, share: float = 0.5) -> float:
-    """Speed over 30 s on the ground that this share of the fixes does not exceed, m/s; 0 of a single fix."""
-    time, position = recording.time, recording.position[:, :2]
+    """Speed over 30 s on the ground that this share of the fixes does not exceed, m/s; 0 of a single fix or none."""
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, position = recording.time[there], recording.position[there, :2]
+    if not len(time):
+        return 0.0
     later = np.searchsorted(time, time + _ACROSS).clip(max=len(time) - 1)
     passed = time[later] - time
     there = passed > 0
     if not there.any():
         return 0.0
     speed = np.linalg.norm(position[later] - position, axis=1)[there] / passed[there]
-    return float(np.nanquantile(speed, share))
+    return float(np.quantile(speed, share))
 
 
 def _speed(recording: Recording) -> float:
