@@ -10,7 +10,8 @@ from the likelihood of their measurements, or from squared errors with a truth, 
 The network has learned from batches of 64 tracks with their truth.
 
 In the setting "one step ahead" errors are not divided by anything, and those that filternet (Song et al.) has published
-stand beside them: the best of its four networks for each variance.
+stand beside them: the best of its four networks for each variance.  There a Gaussian sum of ``ukf`` runs as well: see
+``scripts/learned/gaussian_sum.py``.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import argparse
 import sys
 
 import torch
+from learned.gaussian_sum import followed
 from learned.kalmannet import KalmanNet, trained
 from learned.lorenz import DT, SETTINGS, Setting, Tracks, models, simulate
 
@@ -125,6 +127,7 @@ def of_setting(setting: Setting, variance: float, options: argparse.Namespace) -
         with torch.no_grad():
             errors["KalmanNet, small"] = error(network.estimated(tracks).double(), tracks, scale)
     if setting.published:
+        errors["Gaussian sum"] = error(summed(make_filter("ukf", motion, sensor), tracks, motion), tracks, scale)
         errors["published"] = PUBLISHED[variance]
     return errors
 
@@ -133,6 +136,15 @@ def estimated(f: Filter, tracks: Tracks, motion: Motion) -> torch.Tensor:
     """Estimates ``(B, T, 3)`` of what is asked for."""
     with torch.no_grad():
         return tracks.asked(f(tracks.z, tracks.prior, dt=DT).mean, motion)
+
+
+def summed(f: Filter, tracks: Tracks, motion: Motion) -> torch.Tensor:
+    """The same of a belief that is cut into many once noise has made it wide."""
+    with torch.no_grad():
+        means, weight = followed(f, tracks.z, tracks.prior, DT)
+        asked = torch.stack([tracks.asked(one, motion) for one in means])
+        weight = torch.cat([weight[..., :1], weight], -1)  # a prediction has the weight that was there before it
+        return (weight.unsqueeze(-1) * asked).sum(0)
 
 
 def fitted(f: Filter, tracks: Tracks, loss: str) -> Filter:

@@ -7,10 +7,13 @@ import lorenz
 import numpy as np
 import pytest
 import torch
+from learned.gaussian_sum import followed, split
 from learned.kalmannet import KalmanNet, trained
 from learned.lorenz import DEGREE, DT, SETTINGS, Lorenz, models, rotation, simulate
 
-from torchfra import presets
+from torchfra import Gaussian, presets
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
 
 SMALL = ["--runs", "3", "--fit", "", "--filters", "srckf", "--network", "1", "--variances", "1"]
 
@@ -50,6 +53,38 @@ def test_one_step_ahead_the_last_state_is_predicted_and_the_first_known():
     asked = tracks.asked(tracks.truth[:, :-1], motion)
     assert asked[:, 0].eq(0.0).all()
     assert (asked - tracks.truth).square().mean().sqrt() == pytest.approx(0.01, rel=0.2)  # the process noise
+
+
+def test_the_parts_of_a_belief_have_its_mean_and_covariance():
+    root = torch.linalg.cholesky(torch.tensor([[4.0, 1, 0], [1, 2, 0.5], [0, 0.5, 1]]).double())
+    belief = Gaussian(torch.tensor([[1.0, -2, 3]]).double(), root)
+    parts, log_weight = split(belief, 61)
+    weight = log_weight.exp()
+    assert float(weight.sum()) == pytest.approx(1.0)
+    mean = (weight[:, None] * parts.mean[0]).sum(0)
+    off = parts.mean[0] - mean
+    spread = (weight[:, None, None] * (parts.covariance[0] + off.unsqueeze(-1) * off.unsqueeze(-2))).sum(0)
+    torch.testing.assert_close(mean, belief.mean[0])
+    torch.testing.assert_close(spread, belief.covariance, rtol=0.03, atol=0.03)
+
+
+def test_where_models_are_linear_the_parts_together_are_the_filter():
+    rng = torch.Generator().manual_seed(0)
+    z = torch.randn(2, 12, 2, generator=rng, dtype=torch.float64).cumsum(1)
+    prior = Gaussian(torch.zeros(4).double(), 3 * torch.eye(4).double())
+    f = presets.srckf(ConstantVelocity(q=0.1), Position(2.0))
+    means, weight = followed(f, z, prior, 1.0, first=2, parts=41)
+    torch.testing.assert_close(weight.sum(0), torch.ones(2, 12).double())
+    torch.testing.assert_close((weight.unsqueeze(-1) * means).sum(0), f(z, prior, dt=1.0).mean, rtol=0.02, atol=0.02)
+
+
+def test_from_a_point_where_paths_part_a_sum_predicts_better_than_one_belief():
+    setting = SETTINGS["one step ahead"]
+    motion, sensor = models(setting, 1000.0)
+    tracks = simulate(setting, 1000.0, 40, 7)
+    one = lorenz.estimated(presets.ukf(motion, sensor), tracks, motion)
+    many = lorenz.summed(presets.ukf(motion, sensor), tracks, motion)
+    assert lorenz.error(many, tracks, 1.0) < 0.9 * lorenz.error(one, tracks, 1.0)
 
 
 def test_settings_change_what_they_say_alone():

@@ -1,4 +1,4 @@
-"""A lidar's tracks, the OKF in plain torch, fits beside it, and the command."""
+"""Tracks of a lidar and of a Doppler radar, the OKF in plain torch, fits beside it, and the command."""
 
 import itertools
 import json
@@ -8,7 +8,8 @@ import numpy as np
 import okf
 import pytest
 import torch
-from learned import lidar
+from learned import lidar, radar
+from learned.okf import LEAST, OKF, AnyNoise, Tracks, mse, optimised, prior, sampled
 
 from torchfra import presets
 from torchfra.sensors import RangeBearing
@@ -38,16 +39,25 @@ def parts_of(states):
 
 
 def kalman(z, process, measurement):
-    """Means of one track, by loops over the covariance form."""
-    f = np.array([[1.0, 0, 1, 0], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]])
-    h, mean, covariance, means = f[:2].copy() * [1, 1, 0, 0], np.array([*z[0], 0, 0]), lidar.START * np.eye(4), []
+    """Means of one track of either sensor, by loops over the covariance form."""
+    n = len(process)
+    f, covariance, means = np.eye(n) + np.eye(n, k=n // 2), (1e3 if n == 4 else 1e6) * np.eye(n), []
+    mean = np.array([*z[0], 0, 0]) if n == 4 else np.concatenate([z[0, :3], z[0, 3] * along(z[0])])
     for step, measured in enumerate(z):
         if step:
             mean, covariance = f @ mean, f @ covariance @ f.T + process
+        h = np.eye(len(measured), n)
+        if n == 6:
+            h[3] = np.concatenate([np.zeros(3), along(measured)])
         gain = covariance @ h.T @ np.linalg.inv(h @ covariance @ h.T + measurement)
         mean, covariance = mean + gain @ (measured - h @ mean), covariance - gain @ h @ covariance
         means.append(mean)
     return np.stack(means)
+
+
+def along(z):
+    """The direction of a position."""
+    return z[:3] / np.sqrt((z[:3] ** 2).sum())
 
 
 def test_targets_go_in_parts_of_constant_acceleration():
@@ -73,7 +83,7 @@ def test_tracks_start_in_the_square_at_speeds_of_the_range():
 
 def test_ranges_and_bearings_have_the_noise_that_is_stated():
     tracks = lidar.simulate(400, 2)
-    place, polar = tracks.truth[..., :2], tracks.polar
+    place, polar = tracks.truth[..., :2], lidar.polar(tracks.z)
     far = place.norm(dim=-1) > 50
     missed = torch.stack(
         [polar[..., 0] - place.norm(dim=-1), polar[..., 1] - torch.atan2(place[..., 0], place[..., 1])]
@@ -84,7 +94,124 @@ def test_ranges_and_bearings_have_the_noise_that_is_stated():
 
 
 def test_ranges_and_bearings_are_those_of_the_sensor(tracks):
-    torch.testing.assert_close(RangeBearing(std=torch.ones(2)).locate(tracks.polar), tracks.z, equal_nan=True)
+    torch.testing.assert_close(RangeBearing(std=torch.ones(2)).locate(lidar.polar(tracks.z)), tracks.z, equal_nan=True)
+
+
+def test_targets_of_the_radar_go_straight_but_for_the_kind_that_turns():
+    for name in ("toy", "close", "const_v", "const_a"):
+        for truth in radar.simulate(radar.KINDS[name], 20, 0).truth:
+            states = lasting(truth)
+            speeds = np.linalg.norm(states[:, 3:], axis=1)
+            np.testing.assert_allclose(states[:, 3:] / speeds[:, None], np.tile(along(states[0, 3:]), (len(states), 1)))
+            assert len(states) >= 5
+            changes = np.diff(speeds)
+            if name == "const_a":
+                assert ((changes > -1e-9) & (changes < 16.0)).all()
+                assert (speeds <= max(radar.FASTEST, speeds[0]) + 1e-9).all()
+            else:
+                np.testing.assert_allclose(changes, 0.0, atol=1e-9)
+
+
+def test_a_target_speeds_up_in_half_of_the_tracks_at_half_of_the_acceleration_or_more():
+    truth = radar.simulate(radar.KINDS["const_a"], 600, 1).truth
+    first = truth[:, 1, 3:].norm(dim=-1) - truth[:, 0, 3:].norm(dim=-1)
+    fast = first > 1e-9
+    assert 0.44 < fast.double().mean() < 0.56
+    assert 8.0 < first[fast & (first > 7.99)].min() < 8.2
+    assert 15.8 < first.max() < 16.0
+
+
+def test_a_turn_keeps_speed_and_height_rate_and_follows_an_arc():
+    velocity = torch.tensor([[60.0, 80.0, -5.0]]).double()
+    on, off = torch.tensor([True]), torch.tensor([False])
+    place, after = radar.moved(torch.zeros(1, 3).double(), velocity, 25.0 * torch.ones(1), -torch.ones(1), on, off)
+    rate = -25.0 / 100.0
+    course = np.arctan2(80.0, 60.0) + rate * np.linspace(0, 1, 20001)
+    np.testing.assert_allclose(after[0], [100 * np.cos(course[-1]), 100 * np.sin(course[-1]), -5.0])
+    middle = (course[1:] + course[:-1]) / 2
+    np.testing.assert_allclose(place[0], [100 * np.cos(middle).mean(), 100 * np.sin(middle).mean(), -5.0], rtol=1e-6)
+
+
+def test_a_turn_upwards_keeps_speed_and_course_and_ends_when_it_is_steep():
+    place, velocity = torch.zeros(1, 3).double(), torch.tensor([[60.0, 80.0, 0.0]]).double()
+    on, climbs = torch.tensor([True]), []
+    for _ in range(20):
+        place, velocity = radar.moved(place, velocity, 6.0 * torch.ones(1), torch.ones(1), on, on)
+        climbs.append(math.asin(velocity[0, 2] / 100))
+        np.testing.assert_allclose(velocity.norm(), 100.0)
+        np.testing.assert_allclose(velocity[0, 1] / velocity[0, 0], 80 / 60)
+    np.testing.assert_allclose(climbs[:3], np.arange(1, 4) * math.atan2(6.0, 100.0))
+    assert radar.STEEPEST <= climbs[-1] < radar.STEEPEST + math.atan2(6.0, 100.0)
+
+
+def test_turns_are_as_many_and_as_far_as_the_kind_says():
+    angles, counts = [], []
+    for truth in radar.simulate(radar.KINDS["free"], 150, 2).truth:
+        velocity = lasting(truth)[:, 3:]
+        change = np.diff(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
+        climbs = np.diff(np.arcsin(velocity[:, 2] / np.linalg.norm(velocity, axis=1)))
+        turns = [np.array(list(c)) for level, c in itertools.groupby(change, lambda x: abs(x) > 1e-6) if level]
+        angles += [abs(turn.sum()) for turn in turns]
+        vertical = sum(moves for moves, _ in itertools.groupby(np.abs(climbs) > 1e-6))
+        counts.append(len(turns) + vertical)
+    step = 32.0 / 30.0  # a turn ends at a whole second
+    assert all(radar.ANGLES[0] - 1e-9 < angle < radar.ANGLES[1] + step for angle in angles)
+    assert np.mean(angles) == pytest.approx(np.mean(radar.ANGLES), rel=0.15)
+    assert set(counts) <= {1, 2, 3}
+    assert np.mean(counts) == pytest.approx(2.0, abs=0.25)
+
+
+def test_tracks_near_the_radar_are_centred_there_and_others_start_in_the_box():
+    near, far = (radar.simulate(radar.KINDS[name], 400, 3).truth[..., :3] for name in ("close", "const_v"))
+    assert near.nanmean(1).std(0).mean() == pytest.approx(radar.NEAR, rel=0.1)
+    for axis, edge in enumerate(radar.BOX):
+        assert 0.97 * edge < far[:, 0, axis].abs().max() <= edge
+
+
+def test_the_radar_has_the_noise_of_its_data_sheet():
+    kind = radar.KINDS["const_v"]
+    tracks, sensor = radar.simulate(kind, 400, 4), radar.sensor(kind)
+    missed = sensor.difference(radar.after_first(kind, tracks), sensor(tracks.truth))
+    far = tracks.truth[..., :2].norm(dim=-1) > 1000.0
+    stds = missed[far & ~missed.isnan().any(-1)].std(0)
+    np.testing.assert_allclose(stds, [*radar.NOISE, radar.DOPPLER], rtol=0.03)
+
+
+def test_noise_is_turned_to_where_a_target_is():
+    place, std = torch.tensor([[300.0, -800, 400]]).double(), torch.tensor(radar.NOISE, dtype=torch.float64)
+    change = torch.autograd.functional.jacobian(radar.located, radar.polar(place)[0])
+    torch.testing.assert_close(radar.turned(place, std)[0], change * std)
+
+
+def test_a_believed_start_is_the_first_measurement_with_its_noise_and_the_velocities_of_samples():
+    kind = radar.KINDS["const_v"]
+    tracks = radar.simulate(kind, 600, 5)
+    mean, root = radar.believed(kind, tracks, tracks)
+    torch.testing.assert_close(mean[:, :3], tracks.z[:, 0, :3])
+    noise = radar.turned(tracks.z[:, 0, :3], torch.tensor(radar.NOISE, dtype=torch.float64))
+    torch.testing.assert_close((root @ root.mT)[:, :3, :3], noise @ noise.mT)
+    off = (mean - tracks.truth[:, 0])[:, 3:]
+    torch.testing.assert_close((root @ root.mT)[0, 3:, 3:], off.mT @ off / len(off))
+
+
+def test_a_converted_measurement_has_noise_along_and_across_the_line_of_sight():
+    z = torch.tensor([0.0, 2000.0, 0.0, 30.0]).double()
+    root = radar.Converted().measurement_noise(z).root
+    stds = [2000 * radar.NOISE[1], radar.NOISE[0], 2000 * radar.NOISE[2], radar.DOPPLER]
+    torch.testing.assert_close(root @ root.mT, torch.tensor(stds).double().square().diag())
+
+
+def test_log_normal_numbers_have_the_mean_and_the_standard_deviation():
+    normal = torch.randn(200_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    numbers = radar.log_normal(30.0, torch.tensor(8.0), normal)
+    assert numbers.mean() == pytest.approx(30.0, rel=0.01)
+    assert numbers.std() == pytest.approx(8.0, rel=0.02)
+
+
+def test_some_tracks_are_as_long_as_the_longest_of_them(tracks):
+    lengths = tracks.lasts.sum(1)
+    shortest = int(lengths.argmin())
+    assert tracks.rows(slice(shortest, shortest + 1)).z.shape[1] == lengths[shortest]
 
 
 def test_sample_covariances_are_those_of_what_models_are_off(tracks):
@@ -93,24 +220,31 @@ def test_sample_covariances_are_those_of_what_models_are_off(tracks):
         states = lasting(truth)
         off += [b - [a[0] + a[2], a[1] + a[3], a[2], a[3]] for a, b in itertools.pairwise(states)]
         missed += list(z[: len(states)].numpy() - states[:, :2])
-    process, measurement = lidar.sampled(tracks)
-    np.testing.assert_allclose(process, np.cov(np.array(off).T) + lidar.LEAST * np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(measurement, np.cov(np.array(missed).T) + lidar.LEAST * np.eye(2), atol=1e-9)
+    process, measurement = sampled(tracks, lidar.MODEL)
+    np.testing.assert_allclose(process, np.cov(np.array(off).T) + LEAST * np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(measurement, np.cov(np.array(missed).T) + LEAST * np.eye(2), atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["okf", "srckf"])
-def test_the_filter_in_plain_torch_and_ours_are_the_kalman_filter(kind, tracks):
-    process, measurement = lidar.sampled(tracks)
+@pytest.mark.parametrize("problem", ["lidar", "radar"])
+def test_the_filter_in_plain_torch_and_ours_are_the_kalman_filter(problem, kind, tracks):
+    if problem == "radar":
+        tracks = radar.simulate(radar.KINDS["free"], 12, 3)
+    model = lidar.MODEL if problem == "lidar" else radar.MODEL
+    process, measurement = sampled(tracks, model)
     with torch.no_grad():
         if kind == "okf":
-            means = lidar.OKF(tracks)(tracks.z)
+            means = OKF(tracks, model)(tracks.z)
         else:
-            f = presets.srckf(lidar.AnyNoise(process), lidar.AnyPosition(measurement))
-            means = f(tracks.z, lidar.prior(tracks), dt=okf.times(tracks)).mean
+            sensor = lidar.AnyPosition(measurement) if problem == "lidar" else radar.AnyDoppler(measurement)
+            f = presets.srckf(AnyNoise(process), sensor)
+            u = None if problem == "lidar" else lambda x: radar.direction(x.z)
+            task = okf.Task(lambda x: x.z, lambda x: prior(x, model), u or (lambda x: None))
+            means = f(**task.of(f, tracks)).mean
     for found, z in zip(means, tracks.z, strict=True):
         known = z[~z.isnan().any(-1)].numpy()
         wanted = kalman(known, process.numpy(), measurement.numpy())
-        np.testing.assert_allclose(found[: len(known)], wanted, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(found[: len(known)], wanted, rtol=1e-9, atol=1e-5)
 
 
 def test_the_error_is_the_mean_over_steps_of_all_tracks(tracks):
@@ -119,42 +253,54 @@ def test_the_error_is_the_mean_over_steps_of_all_tracks(tracks):
         for truth, z in zip(tracks.truth, tracks.z, strict=True)
         for state, measured in zip(lasting(truth), z.numpy(), strict=False)
     ]
-    assert float(lidar.mse(tracks.z, tracks)) == pytest.approx(np.mean(squares))
+    assert float(mse(tracks.z, tracks)) == pytest.approx(np.mean(squares))
 
 
 def test_tracks_of_a_batch_teach_the_same_together_and_one_at_a_time(tracks):
-    short = lidar.Tracks(tracks.truth[:24, :6], tracks.z[:24, :6])
-    found = [lidar.optimised(lidar.OKF(tracks), short, 0, together=together) for together in (True, False)]
+    short = Tracks(tracks.truth[:24, :6], tracks.z[:24, :6])
+    found = [optimised(OKF(tracks, lidar.MODEL), short, 0, together=together) for together in (True, False)]
     for a, b in zip(*(f.parameters() for f in found), strict=True):
         torch.testing.assert_close(a, b)
 
 
 def test_what_adam_has_learned_has_smaller_errors(tracks):
-    short = lidar.Tracks(tracks.truth[:, :12], tracks.z[:, :12])
+    short = Tracks(tracks.truth[:, :12], tracks.z[:, :12])
     with torch.no_grad():
-        before = float(lidar.mse(lidar.OKF(short)(short.z), short))
-    learned = lidar.optimised(lidar.OKF(short), short, 0, epochs=4)
-    assert float(lidar.mse(learned(short.z), short).detach()) < before
+        before = float(mse(OKF(short, lidar.MODEL)(short.z), short))
+    learned = optimised(OKF(short, lidar.MODEL), short, 0, epochs=4)
+    assert float(mse(learned(short.z), short).detach()) < before
 
 
 @pytest.mark.slow
 def test_a_fit_of_the_same_filter_has_smaller_errors_than_sample_covariances():
     options = okf.argparse.Namespace(iterations=6, no_compile=True, seed=0)
-    tracks, test = lidar.simulate(24, 0), lidar.simulate(24, 1)
+    tracks, test, ways = lidar.simulate(24, 0), lidar.simulate(24, 1), okf.PROBLEMS["lidar"].ways
     with torch.no_grad():
-        found, plain = (lidar.mse(way(tracks, options)(test), test) for way in (okf.same, okf.kf))
+        found, plain = (mse(ways[way](tracks, options)(test), test) for way in ("fit", "KF"))
     assert found < plain
 
 
 def test_the_table_and_the_json_have_a_line_for_each_filter(tmp_path, capsys):
     out = tmp_path / "r.json"
     assert okf.main([*SMALL, "--filters", "OKF together,fit lidar", "--json", str(out)]) == 0
-    found = json.loads(out.read_text())["found"]
+    found = json.loads(out.read_text())["found"]["lidar"]
     assert found.keys() == {"KF", "OKF together", "fit lidar"}
     assert all(draws[0].keys() == {"mse", "seconds"} for draws in found.values())
     printed = capsys.readouterr().out
     assert "| fit lidar" in printed
     assert "| OKF, published, KF 808 | 674 | 0.834 |" in printed
+
+
+def test_each_problem_has_a_table(tmp_path, capsys):
+    out = tmp_path / "r.json"
+    options = [*SMALL, "--problems", "close,toy", "--filters", "fit radar", "--json", str(out)]
+    assert okf.main(options) == 0
+    found = json.loads(out.read_text())["found"]
+    assert {name: list(ways) for name, ways in found.items()} == {
+        "close": ["KF", "fit radar"],
+        "toy": ["KF", "fit radar"],
+    }
+    assert "published" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("options", "said"), [
