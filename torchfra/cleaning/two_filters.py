@@ -17,6 +17,7 @@ from torchfra.cleaning.ladder import (
     corrected,
     filter_forward,
     merged,
+    steps,
     switched,
 )
 
@@ -55,15 +56,25 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     later = Belief(*(x[..., count:].flip(-3) for x in every.belief))
     later = later._replace(velocity=-later.velocity, pv=-later.pv)
     log_later = every.log_weights[..., count:].flip(0)
-    later, log_later = switched(later, log_later, levels.duration, levels.log_restart, fixes.elapsed)
+    later, log_later = switched(later, log_later, levels.chain, fixes.elapsed)
     belief, log_fit = _product(predictions.belief, later)
     log_weights = predictions.log_weights + log_later - levels.log_share + log_fit
     return updated(belief, log_weights, fixes, model, predictions)
 
 
-def filtered(predictions: Predictions, fixes: Fixes, model: OutlierModel = DEFAULT) -> Smoothed:
+def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """What the fixes up to each step say of it."""
-    return updated(predictions.belief, predictions.log_weights, fixes, model, predictions)
+    every = list(steps(fixes, levels, model))
+    predictions = Predictions(
+        Belief(*(torch.stack(x, -3) for x in zip(*(step.prediction for step in every), strict=True))),
+        *(torch.stack(x) for x in zip(*(step[1:5] for step in every), strict=True)),
+    )
+    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(step.known for step in every), strict=True)))
+    log_weights = torch.stack([step.log_weights for step in every])  # (T, 2, J, B)
+    whole, _ = merged(log_weights.flatten(1, 2), known, 1)
+    odds = log_weights.logsumexp(2).diff(dim=1).squeeze(1) - predictions.prior_outlier.logit()
+    outlier, evidence = (torch.where(fixes.missing, 0.0, x) for x in (predictions.outlier, odds))
+    return Smoothed(whole, log_weights.exp().sum(1), outlier, predictions, evidence - fixes.odds)
 
 
 def updated(
