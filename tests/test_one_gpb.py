@@ -1,9 +1,11 @@
 """The closed form that cleans tracks and the module ``GPB`` are one filter."""
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
 
+import torchfra
 from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, as_gpb
 from torchfra.cleaning.two_filters import filtered
 from torchfra.filters import GPB
@@ -90,3 +92,26 @@ def test_beliefs_probabilities_and_likelihoods_are_the_same(fixes, track):
         assert_close(log_likelihood, known.predictions.log_likelihood[k, track], rtol=1e-9, atol=1e-9)
         burst = max(burst, weights[1].sum().item())
     assert burst > 0.99
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_cleaned_track_gives_its_filters_which_track_on_from_its_end(dims):
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 160.0, 2.0)
+    path = np.outer(time, [30.0, 10.0, 2.0][:dims])
+    cleaned = torchfra.clean((time, path + 10 * rng.standard_normal(path.shape)), bank="aircraft")
+    parts = [[0, 1, dims, dims + 1], [2, 5]][: dims - 1]
+    assert len(cleaned.filters()) == len(parts)
+    for f, part in zip(cleaned.filters(), parts, strict=True):
+        root = np.linalg.cholesky(cleaned.covariance[-1][np.ix_(part, part)])
+        state = f.init(Gaussian(torch.from_numpy(cleaned.mean[-1:, part]), torch.from_numpy(root[None])))
+        axes = part[: len(part) // 2]
+        ahead = torch.from_numpy(path[-1:, axes] + np.array([60.0, 20.0, 4.0])[axes])
+        good, wrong = (f.faulty(f.step(state, ahead + off, dt=2.0)[0]).item() for off in (0.0, 900.0))
+        assert good < 0.05
+        assert wrong > 0.95
+
+
+def test_other_filters_give_none():
+    time = np.arange(20.0)
+    assert torchfra.clean((time, np.outer(time, [3.0, 1.0])), filter="srckf", bank="person").filters() == ()

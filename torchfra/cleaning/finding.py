@@ -37,8 +37,6 @@ _STILL = 0.1
 """How far the least process noise may move a target between two fixes, m."""
 _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
-_OFTEN = 1.5
-"""Exponent of how often a level has begun by the end of a period, in its share before a track has said."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
 
@@ -80,7 +78,7 @@ def levels_up_to(
     duration = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
     passed = period / duration
-    often = _OFTEN * (passed.log() - (-torch.expm1(-passed)).log())  # next to 0 where levels last
+    often = passed.log() - (-torch.expm1(-passed)).log()  # next to 0 where levels last
     return Levels(density, (rarer + often).log_softmax(0), duration)
 
 
