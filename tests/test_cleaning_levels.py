@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchfra.cleaning.finding import Part, estimated, fitted, levels_up_to
-from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, filter_forward
+from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel
 from torchfra.cleaning.two_filters import filtered, two_filters
 
 SURE = OutlierModel(begins=1e-300, lasts=1e-300)
@@ -51,7 +51,7 @@ def expected(fixes, axis, track):
 def test_one_level_without_outliers_is_kalman_s_filter(fixes, axis, track):
     of = expected(fixes, axis, track)
     oracle = oracles.kalman(*of, np.array([[1.0, 0.0]]))
-    found = filtered(filter_forward(fixes, one_level(2), SURE), fixes, SURE).belief
+    found = filtered(fixes, one_level(2), SURE).belief
     np.testing.assert_allclose(found.position[axis, :, track], oracle["mean"][:, 0], rtol=1e-9)
     np.testing.assert_allclose(found.velocity[axis, :, track], oracle["mean"][:, 1], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(found.pp[:, track], oracle["P"][:, 0, 0], rtol=1e-6)

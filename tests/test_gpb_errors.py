@@ -41,6 +41,7 @@ def numbered(argument):
     ({"outlier_shares": (0.6, 0.4)}, "outlier_shares: expected one for each of outlier_sizes"),
     ({"outlier_sizes": (0.9, 4.0, 100.0)}, "outlier_sizes: expected a value above 1"),
     ({"outlier_offsets": (0.0, 4.0, float("inf"))}, "outlier_offsets: expected finite numbers"),
+    ({"same_offset": 1.5}, r"same_offset: expected a value in \[0, 1\]"),
     ({"noise_levels": (-1.0, 10.0)}, "noise_levels: expected"),
     ({"noise_levels": 3.0}, "noise_levels: expected several, received 3"),
     ({"jump_factors": 300.0}, "jump_factors: expected several, received 300"),

@@ -56,6 +56,9 @@ class Qualities(NamedTuple):
     durations: tuple[float, float] | None = None  # instead of the chain: s without outliers, s that one lasts
     dt: Array | None = None  # (T,) s, beside durations
     offsets: list[float] | None = None  # mean of the errors of outliers of each size, in units of their noise
+    inform: bool = True  # whether an outlier changes the belief
+    same_offset: float = 0.0  # probability that an outlier after another has its offset; of linear sensors
+    transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
 
     def over(self, seconds: float) -> Array:
         """The chain (2,2) between two measurements."""
@@ -149,9 +152,12 @@ def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, k: int) ->
 def jumped(
     ahead: Beliefs, mixed: Beliefs, motions: list[Carry], regimes: Regimes, position: slice, z: Array, model: Model,
     k: int,
-) -> tuple[Beliefs, Array]:  # fmt: skip
-    """Manoeuvres and jumps, as wide as the measurement asks for, up to FURTHEST; (2, M + J) how much rarer."""
-    after, rarer = {}, []
+) -> tuple[Beliefs, Array, Beliefs]:  # fmt: skip
+    """Manoeuvres and jumps, as wide as the measurement asks for, up to FURTHEST; (2, M + J) how much rarer.
+
+    Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise before that.
+    """
+    after, rarer, factors = {}, [], {}
     for q in QUALITIES:
         mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
         m = read((mean, P), z, model, k)
@@ -159,14 +165,31 @@ def jumped(
         count = len(regimes.manoeuvres)
         rarer.append([max(far / 30.0, 1.0) ** 2] * count + [max(far / USUAL, 1.0)] * len(regimes.jumps))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
+        factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
             carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
-            after[q, r] = carried_mean, J + level * min(max(factor * far, 1.0), FURTHEST) * Q
+            factors[q, r] = np.ones(len(mean)), level * min(max(factor * far, 1.0), FURTHEST)
+            after[q, r] = carried_mean, J + factors[q, r][1] * Q
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
             widen[position] = math.sqrt(min(max(jump * far, 1.0), FURTHEST))
+            factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
-    return after, np.array(rarer)
+    return after, np.array(rarer), factors
+
+
+def paths(
+    mixed: Beliefs, ahead: Beliefs, motions: list[Carry], regimes: Regimes, factors: Beliefs, q: Qualities, k: int
+) -> Beliefs:
+    """By how much a step changes the state, by every regime."""
+    moved = {}
+    for (before, r), (widen, level) in factors.items():
+        motion = regimes.all_motions[r]
+        mean, P = mixed[before, motion]
+        change = np.diag(widen) @ q.transitions[motion](k) - np.eye(len(mean))
+        Q = level * motions[motion](mean, P, k)[2] * np.outer(widen, widen)
+        moved[before, r] = ahead[before, r][0] - mean, change @ P @ change.T + Q
+    return moved
 
 
 def told(
@@ -234,18 +257,26 @@ def clean(belief: Belief, z: Array, q: Qualities, model: Model, k: int) -> tuple
 
 
 def dirty(
-    belief: Belief, z: Array, q: Qualities, model: Model, k: int, prior: Array
+    belief: Belief, z: Array, q: Qualities, model: Model, k: int, prior: Array, again: Array, path: Belief, last: Array
 ) -> tuple[float, Belief, list[float]]:
-    """Each block clean or an outlier, of which it is one with probability `prior` (B,); also what it is then."""
+    """Each block clean or an outlier, of which it is one with probability `prior` (B,); also what it is then.
+
+    Of these `again` (B,) have the offset that they had in the measurement before: z has changed as the `path` says.
+    """
     total, outlier = 0.0, []
-    for block, share in zip(q.blocks, prior, strict=True):
+    for block, share, chance in zip(q.blocks, prior, again, strict=True):
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
         furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k, offsets[-1]))
-        chances = [1 - share] + [share * s for s in q.shares]
+        chances = [1 - share] + [share * (1 - chance) * s for s in q.shares]
         first, sizes = is_first(block, z, q), [1.0, *q.sizes[:-1], furthest]
         parts = [
             told(belief, z, block, model, k, size, first, off) for size, off in zip(sizes, [0.0, *offsets], strict=True)
         ]
+        if not q.inform:
+            parts = [parts[0], *((part[0], *belief) for part in parts[1:])]
+        if chance:
+            parts.append((unchanged(z - last, block, path, model, k), *belief))
+            chances.append(share * chance)
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
@@ -253,6 +284,14 @@ def dirty(
         outlier.append(sum(weights[1:]))
         total += score
     return total, belief, outlier
+
+
+def unchanged(change: Array, block: list[int], path: Belief, model: Model, k: int) -> float:
+    """Log density of a block's change since the step before, with noise then and now, if its offset is the same."""
+    seen = [i for i in block if not math.isnan(change[i])]
+    H = np.array([model.h(e, k)[seen] for e in np.eye(READS)]).T
+    mean, P = path[0][:READS], path[1][:READS, :READS]
+    return fit(change[seen] - H @ mean, H @ P @ H.T + 2 * measurement_noise(model, k, seen))[1]
 
 
 def asked_for(belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float) -> float:
@@ -283,12 +322,24 @@ def outlier_odds(chain: Array, was: Array, before: int) -> tuple[Array, Array]:
     return np.array([ok, 1 - ok]), now / (1 - ok)
 
 
+def same_as_before(q: Qualities, was: Array, chain: Array, last: Array, z: Array, before: int) -> Array:
+    """Probabilities (B,) that an outlier of each block has the offset of the one before it, after quality `before`."""
+    again = np.zeros(len(q.blocks))
+    for b, block in enumerate(q.blocks):
+        known = not any(math.isnan(last[i]) and not math.isnan(z[i]) for i in block)
+        if before and known and was[b]:
+            lasted = was[b] * chain[1, 1]
+            again[b] = q.same_offset * lasted / (lasted + (1 - was[b]) * chain[0, 1])
+    return again
+
+
 class Carried(NamedTuple):
     """What goes from step to step."""
 
     beliefs: Beliefs  # of every motion
     log_regimes: Array  # (2,R) logs of the probabilities of quality and regime
     outlier: Array  # (B,) of each block, if the step was dirty
+    last: Array  # (m,) the measurement
     unmeasured: float = 0.0  # s since the last measurement
 
 
@@ -297,7 +348,8 @@ def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, fa
     count = max(regimes.motions) + 1
     beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in QUALITIES for m in range(count)}
     log_regimes = np.log(np.array([share * regimes.first for share in (1 - poor, poor)]))
-    return Carried(beliefs, log_regimes, np.zeros(len(q.blocks)), math.inf)
+    nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
+    return Carried(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf)
 
 
 class Hypothesis(NamedTuple):
@@ -312,18 +364,21 @@ class Hypothesis(NamedTuple):
 
 
 def hypotheses(
-    ahead: Beliefs, log_chance: Array, was: Array, chain: Array, z: Array, model: Model, q: Qualities, k: int
-) -> list[Hypothesis]:
+    ahead: Beliefs, moved: Beliefs, log_chance: Array, c: Carried, chain: Array, z: Array, model: Model, q: Qualities,
+    k: int,
+) -> list[Hypothesis]:  # fmt: skip
     """All of a step, before their weights are made to sum to one."""
     found = []
     for before, r in ahead:
-        quality, prior = outlier_odds(chain, was, before)
+        quality, prior = outlier_odds(chain, c.outlier, before)
+        again = same_as_before(q, c.outlier, chain, c.last, z, before)
         if np.isnan(z).all():
             quality = np.eye(2)[before]  # until a measurement says more
         score, belief = clean(ahead[before, r], z, q, model, k)
         weight = log_chance[before, r]
         found.append(Hypothesis(0, r, before, weight + log(quality[0]) + score, belief, np.zeros(len(prior))))
-        score, belief, outlier = dirty(ahead[before, r], z, q, model, k, prior)
+        path = moved.get((before, r), ahead[before, r])
+        score, belief, outlier = dirty(ahead[before, r], z, q, model, k, prior, again, path, c.last)
         found.append(Hypothesis(1, r, before, weight + log(quality[1]) + score, belief, np.array(outlier)))
     return found
 
@@ -347,11 +402,12 @@ def step(
             log_pairs = np.log(switched(np.exp(c.log_regimes), *regimes.seconds(k)))
     mixed, shares = interacted(c.beliefs, log_pairs, motion)
     ahead = predicted(mixed, motions, regimes, k)
-    after_jumps, rarer = jumped(ahead, mixed, motions, regimes, position, z, model, k)
+    after_jumps, rarer, factors = jumped(ahead, mixed, motions, regimes, position, z, model, k)
     ahead |= after_jumps
+    moved = paths(mixed, ahead, motions, regimes, factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
     chance[:, len(regimes.levels) :] -= np.log(rarer)
-    every = hypotheses(ahead, chance, c.outlier, q.over(seconds), z, model, q, k)
+    every = hypotheses(ahead, moved, chance, c, q.over(seconds), z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
     after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
@@ -373,8 +429,8 @@ def step(
     }  # fmt: skip
     if nothing:
         told_of["outlier"] = np.zeros(len(c.outlier))
-        return Carried(after, log_regimes, c.outlier, seconds), told_of, lagged
-    return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum()), told_of, lagged
+        return Carried(after, log_regimes, c.outlier, z, seconds), told_of, lagged
+    return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z), told_of, lagged
 
 
 def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: Qualities) -> Result:

@@ -7,8 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
+from torchfra.cleaning.ladder import Levels, OutlierModel, as_gpb
 from torchfra.filters.alarms import LIKELY
+from torchfra.filters.gpb import GPB
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
@@ -26,6 +29,19 @@ class Segment(NamedTuple):
     """``"left turn"``, ``"right turn"``, ``"speeding up"``, ``"slowing down"``, ``"climbing"``, ``"descending"``."""
     rate: float
     """How hard: deg/s of a turn, counter-clockwise positive; m/s^2 of a change of speed; m/s of a climb."""
+
+
+class Used(NamedTuple):
+    """What the default filter was run with on some axes of a track."""
+
+    dims: int
+    """How many axes."""
+    levels: Levels
+    """Of the process noise, ``(J, 1)``."""
+    sigma: Tensor
+    """``(1,)`` m."""
+    model: OutlierModel
+    """How likely outliers are."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +101,16 @@ class Cleaned:
     """``(T, R)`` their probabilities."""
     behind: float = 0.0
     """Seconds by which the path is behind the fixes, as times were cut."""
+    used: tuple[Used, ...] = ()
+    """What the default filter was run with: across the ground, and of the height where there is one."""
+
+    def filters(self) -> tuple[GPB, ...]:
+        """The default filter with what was found, as a module for each part of ``used``; none of other filters.
+
+        Each reads the positions of its axes, of a batch of one track, and goes on from any belief of these and their
+        velocities.
+        """
+        return tuple(as_gpb(part.levels, part.sigma, part.model, part.dims) for part in self.used)
 
     def __repr__(self) -> str:
         """What was found, in a line."""

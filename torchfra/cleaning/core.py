@@ -51,7 +51,8 @@ def clean_tracks(
     """Recorded tracks, cleaned.
 
     The default, ``"gpb"`` without a ``Bank`` of your own, weighs levels of process noise and outliers in closed form
-    (``cleaning.ladder``).  Other filters run as the catalogue has them, with the sigma and q that this one has found.
+    (``cleaning.ladder``); ``Cleaned.filters`` gives the same as modules.
+    Other filters run as the catalogue has them, with the sigma and q that this one has found.
 
     Args:
         recordings: from ``torchfra.readers.read``.
@@ -163,10 +164,11 @@ def _cleaned(
     asked = zip(*[(tracks[i], kinds[i][0], found[i]) for i in unknown], strict=True) if unknown else ((), (), ())
     errors = dict(zip(unknown, lasting_errors(*asked), strict=True))
     if default:
-        results = [
-            _result(recording, steps, *answer[:5], of, REGIMES, np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1))
-            for recording, steps, answer, of in zip(recordings, tracks, found, every, strict=True)
-        ]
+        results = []
+        for recording, steps, answer, of in zip(recordings, tracks, found, every, strict=True):
+            regimes = np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1)
+            result = _result(recording, steps, *answer[:5], of, REGIMES, regimes)
+            results.append(replace(result, used=answer.used))
     else:
         results = _by_filter(recordings, tracks, every, own, compile, fallback)
     return [widened(one, errors.get(i)) for i, one in enumerate(results)]

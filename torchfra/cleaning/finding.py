@@ -68,7 +68,8 @@ def levels_up_to(
     Over a long period these are no larger than the speed ``fastest (B,)`` m/s.  Without that limit a target whose fixes
     come every two hours could be anywhere after each, and no fix an outlier.
 
-    Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.
+    Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.  Over a period in
+    which levels begin and end many times those that begin often are likelier: the hardest of them shapes it.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     top = (acceleration.square() * period).minimum(fastest.square() / period).clamp_min(10 * _SLOWEST)
@@ -76,7 +77,9 @@ def levels_up_to(
     density = least * (top / least) ** place
     duration = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
-    return Levels(density, rarer.expand_as(density).log_softmax(0), duration)
+    passed = period / duration
+    often = passed.log() - (-torch.expm1(-passed)).log()  # next to 0 where levels last
+    return Levels(density, (rarer + often).log_softmax(0), duration)
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
@@ -197,7 +200,7 @@ def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], T
     else:  # what other axes say of an outlier, and how likely one is, is of all fixes
         unsaid = [part.fixes._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
         parts = [part._replace(fixes=fixes, model=DEFAULT) for part, fixes in zip(parts, unsaid, strict=True)]
-        known = [filtered(filter_forward(part.scaled, part.levels), part.scaled) for part in parts]
+        known = [filtered(part.scaled, part.levels) for part in parts]
     return known, _outlier(parts, known)
 
 

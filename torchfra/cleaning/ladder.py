@@ -1,21 +1,29 @@
 """Generalised pseudo-Bayes for recorded positions: levels of process noise and outliers, in closed form.
 
-The hypotheses of ``filters.GPB`` for what most recordings are: positions whose axes are alike, of targets at a nearly
-constant velocity.  A step has one of some levels of process noise, from flying straight to turning as hard as can be,
-and a fix is clean or an outlier.  As axes share all covariances, a hypothesis is five numbers and two vectors, and a
-batch of tracks is some elementwise operations a step.
+It is ``filters.GPB`` for what most recordings are, positions of targets at a nearly constant velocity: ``as_gpb`` makes
+the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to turning as
+hard as can be, and a fix is clean or an outlier.  All axes have one covariance, the mean of theirs where hypotheses are
+merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise operations a
+step.  On one axis both filters are the same.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchfra.filters import GPB, Outliers, Regimes
+from torchfra.motion.bank import Bank
+from torchfra.motion.polynomial import ConstantVelocity
+from torchfra.sensors.position import Position
+
 _LOG_TWO_PI = math.log(2 * math.pi)
+_LEAST = 1e-300
+"""Least probability that is told from 0."""
 
 
 class Belief(NamedTuple):
@@ -76,6 +84,29 @@ DEFAULT = OutlierModel()
 """How likely outliers are by default."""
 
 
+class Chain(NamedTuple):
+    """The Markov chain of the levels over any time."""
+
+    duration: Tensor
+    """``(J, B)`` mean time that a level lasts, s."""
+    rates: Tensor
+    """``(B, J)`` 1/s at which the modes of the chain decay."""
+    begun: Tensor
+    """``(B, J, J)``, ``[was, mode]``."""
+    ended: Tensor
+    """``(B, J, J)``, ``[mode, now]``; ``begun exp(-rates gap) ended`` is what the chain says over a gap."""
+
+    def over(self, gap: Tensor) -> tuple[Tensor, Tensor]:
+        """Logs ``(n, J, B)`` of how likely levels last for gaps ``(n, B)``, and ``(n, B, J, J)`` what follows others.
+
+        That is the probability that a level has ended, once or several times, and which is there then.
+        """
+        lasts = -gap.unsqueeze(1) / self.duration
+        decayed = torch.exp(-gap.unsqueeze(-1) * self.rates).unsqueeze(-2)
+        follows = (self.begun * decayed) @ self.ended - lasts.exp().movedim(1, -1).diag_embed()
+        return lasts, follows.clamp_min(_LEAST)
+
+
 class Levels(NamedTuple):
     """The Markov chain of the process noise: a level lasts, then another is drawn from the restart distribution."""
 
@@ -90,6 +121,19 @@ class Levels(NamedTuple):
     def log_restart(self) -> Tensor:
         """``(J, B)`` logs of the restart distribution."""
         return (self.log_share - self.duration.log()).log_softmax(0)
+
+    @property
+    def chain(self) -> Chain:
+        """The chain in continuous time, ``exp(G gap)`` as in ``filters.Regimes``, by the eigenvectors of ``G``.
+
+        ``G = (restart - I) / duration`` is the same with time reversed, so that ``s G / s`` is symmetric, with the
+        roots ``s`` of the shares.
+        """
+        restart, root = self.log_restart.exp().T, (0.5 * self.log_share.log_softmax(0)).exp().T
+        scaled = (restart / self.duration.T).sqrt()
+        generator = scaled.unsqueeze(-1) * scaled.unsqueeze(-2) - (1 / self.duration.T).diag_embed()
+        values, vectors = torch.linalg.eigh(generator)
+        return Chain(self.duration, -values, vectors / root.unsqueeze(-1), vectors.mT * root.unsqueeze(-2))
 
 
 class Fixes(NamedTuple):
@@ -142,8 +186,32 @@ class Predictions(NamedTuple):
     """``(T, B)`` of each fix."""
 
 
+class Step(NamedTuple):
+    """What the filter says of a step."""
+
+    prediction: Belief
+    """``(J, B)`` of each level."""
+    log_levels: Tensor
+    """``(J, B)`` logs of the probabilities of the levels before the fix."""
+    prior_outlier: Tensor
+    outlier: Tensor
+    log_likelihood: Tensor
+    """These as in ``Predictions``."""
+    known: Belief
+    """``(2, J, B)`` after the fix, if it is clean and if it is an outlier; predicted where there is none."""
+    log_weights: Tensor
+    """``(2, J, B)`` of these."""
+
+
 def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
-    """The filter: predictions of every step.
+    """The filter: predictions of every step."""
+    beliefs, *rest = zip(*((step.prediction, *step[1:5]) for step in steps(fixes, levels, model)), strict=True)
+    parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
+    return Predictions(Belief(*parts), *map(torch.stack, rest))
+
+
+def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterator[Step]:
+    """The steps of the filter.
 
     After each fix hypotheses are merged to one for each level and for clean and outlier; these two stay apart until the
     next fix has said which was right.  Steps without a fix are predicted from the last one, and change nothing.
@@ -151,21 +219,20 @@ def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) 
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
     belief, log_weights = _start(fixes, levels, model)
-    log_chain, log_restart = model.chain(fixes.gap[0]).log().unsqueeze(2), levels.log_restart
+    log_chain, chain = model.chain(fixes.gap[0]).log().unsqueeze(2), levels.chain
     outlier, last = model.share(fixes.gap[0]), torch.full_like(fixes.z[0], torch.nan)
     state: State = belief, log_weights, outlier, last
-    kept: list[tuple[Belief, Tensor, Tensor, Tensor, Tensor]] = []
     rows = zip(fixes.z, fixes.variance, fixes.odds, fixes.missing, fixes.elapsed, strict=True)
-    for z, variance, odds, missing, elapsed in rows:
+    for k, (z, variance, odds, missing, elapsed) in enumerate(rows):
         belief, log_weights, outlier, last = state
-        if kept:
-            mixed, log_weights = switched(belief, log_weights, levels.duration, log_restart, elapsed.unsqueeze(0))
+        if k:
+            mixed, log_weights = switched(belief, log_weights, chain, elapsed.unsqueeze(0))
             belief = _predicted(mixed, levels.q, elapsed)
         prior_outlier = model.begins + outlier * (model.lasts - model.begins)
         prediction = _pair((log_weights[1] - log_weights[0]).sigmoid(), _entry(belief, 0), _entry(belief, 1))
         of_level = torch.logaddexp(log_weights[0], log_weights[1])
         clean, log_density = corrected(belief, z, variance, missing, model)
-        log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, elapsed, variance, model)
+        log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, levels.q, elapsed, variance, model)
         joint = log_chain + log_weights + log_density  # (2, 2, J, B): now, before
         share = (joint[:, 1] - joint[:, 0]).sigmoid()
         after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
@@ -173,11 +240,10 @@ def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) 
         pairs = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
         merged_now = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
         now: State = merged_now, after - log_likelihood, weights[len(levels.q) :].sum(0), z
-        state = now if not missing.any() else _where(missing, state, now)
-        kept.append((prediction, of_level, prior_outlier, state[2], torch.where(missing, 0.0, log_likelihood)))
-    beliefs, *rest = zip(*kept, strict=True)
-    parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
-    return Predictions(Belief(*parts), *map(torch.stack, rest))
+        ahead: State = belief, log_weights, outlier, last
+        state, known = (now, now) if not missing.any() else (_where(missing, x, now) for x in (state, ahead))
+        log_likelihood = torch.where(missing, 0.0, log_likelihood)
+        yield Step(prediction, of_level, prior_outlier, state[2], log_likelihood, *known[:2])
 
 
 def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
@@ -189,16 +255,44 @@ def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tenso
     return Belief(position, velocity, *((weight * x).sum(dim) for x in spread)), total
 
 
-def switched(
-    belief: Belief, log_weights: Tensor, duration: Tensor, log_restart: Tensor, gap: Tensor
-) -> tuple[Belief, Tensor]:
+def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> tuple[Belief, Tensor]:
     """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
-    stay = -gap.unsqueeze(1) / duration
-    ends = torch.log(-torch.expm1(stay)).clamp_min(-700.0)  # over no time none does
-    common, log_ended = merged(log_weights + ends, belief, 1)
-    stayed, restarted = log_weights + stay, log_ended.unsqueeze(1) + log_restart
+    lasts, follows = chain.over(gap)
+    ends = torch.log(-torch.expm1(lasts)).clamp_min(-700.0)  # over no time none does
+    common, _ = merged(log_weights + ends, belief, 1)
+    weights = log_weights.exp().movedim(1, -1).unsqueeze(-2)
+    stayed, restarted = log_weights + lasts, (weights @ follows).squeeze(-2).movedim(-1, 1).log()
     every = Belief(*(x.unsqueeze(-2) for x in common))
     return _pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
+
+
+def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB:
+    """The same filter as a module: a bank of one motion with several densities of process noise.
+
+    A step without a fix is a prediction here (``GPB.predict``) and no step.
+
+    Args:
+        levels: of the process noise, two or more.
+        sigma: ``(B,)`` standard deviations of fixes, m.
+        model: how likely outliers are.
+        dims: the number of axes.
+    """
+    outliers = Outliers(
+        [range(dims)],
+        outlier_transition=model.chain(sigma).permute(2, 1, 0),
+        outlier_sizes=(model.least_size,),
+        outlier_shares=(1.0,),
+        outliers_inform=False,
+        same_offset=model.same_offset,
+    )
+    regimes = Regimes(
+        len(levels.q), noise_levels=(1.0,), jump_factors=(), durations=levels.duration.T,
+        restart=levels.log_restart.exp().T,
+    )  # fmt: skip
+    bank = Bank([ConstantVelocity(q, dims, spectral=True) for q in levels.q])
+    sensor = Position(sigma.unsqueeze(-1).expand(-1, dims), dims=dims)
+    share = model.share(sigma)
+    return GPB(bank, sensor, regimes=regimes, outliers=outliers, prior_outlier=share, prior_inflation=1.0)
 
 
 def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, Tensor]:
@@ -246,14 +340,14 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: Ou
 
 
 def _again(
-    log_density: Tensor, x: Belief, moved: Tensor, elapsed: Tensor, variance: Tensor, model: OutlierModel
+    log_density: Tensor, x: Belief, moved: Tensor, q: Tensor, elapsed: Tensor, variance: Tensor, model: OutlierModel
 ) -> Tensor:
     """Log density ``(J, B)`` of an outlier after another, which may be as far off in the same direction.
 
     Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
     """
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
-    wide = 2 * variance + elapsed.square() * x.vv
+    wide = 2 * variance + elapsed.square() * x.vv - q * (2 / 3 * elapsed**3)  # the velocity was surer before
     squared = d * _over_axes(residual, residual)
     same = (math.log(model.same_offset) if model.same_offset else -math.inf) - 0.5 * (
         squared / wide + d * (wide.log() + _LOG_TWO_PI)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
+from torchfra.cleaning.cleaned import Used
 from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
 from torchfra.cleaning.kinds import KINDS
-from torchfra.cleaning.ladder import Fixes, Levels
+from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 
@@ -66,6 +67,8 @@ class Answer(NamedTuple):
     q: float
     density: Array
     """``(T,)`` mean of that of the process noise that led to each step, m^2/s^3."""
+    used: tuple[Used, ...]
+    """Of each part what the filter was run with."""
 
 
 def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]) -> list[Answer]:
@@ -83,6 +86,8 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, c
     if any(len(some.time) < len(every.time) for some, every in zip(seen, tracks, strict=True)):
         rows, parts = _between(tracks, rows, parts)
     known, outlier = estimated(parts, smooth=settings.smooth)
+    if not settings.smooth:
+        parts = [part._replace(model=DEFAULT) for part in parts]
     calm = [_CALM * KINDS[kinds[row.track]].acceleration for row in rows]
     return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
 
@@ -184,8 +189,16 @@ def _joined(
         first = next(b for b, row in enumerate(rows) if row.track == i)
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
         a, b, c, d, e, f = (_whole(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
-        found.append(Answer(a, b, c, d, e, float(parts[0].sigma[first]), height, float(q[first]), f))
+        used = tuple(_used(part, first) for part in parts)
+        found.append(Answer(a, b, c, d, e, float(parts[0].sigma[first]), height, float(q[first]), f, used))
     return found
+
+
+def _used(part: Part, row: int) -> Used:
+    """What the filter was run with on one row."""
+    one = slice(row, row + 1)
+    levels, model = Levels(*(x[:, one].clone() for x in part.levels)), part.model.of_rows(lambda x: x[one].clone())
+    return Used(part.fixes.z.shape[1], levels, part.sigma[one].clone(), model)
 
 
 def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:

@@ -17,6 +17,7 @@ from torchfra.cleaning.ladder import (
     corrected,
     filter_forward,
     merged,
+    steps,
     switched,
 )
 
@@ -56,8 +57,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     )
     count = fixes.z.shape[-1]
     predictions, later = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
-    behind = switched(later.belief, later.log_weights, levels.duration, levels.log_restart, fixes.elapsed)
-    later = Predictions(*behind, *later[2:])
+    later = Predictions(*switched(later.belief, later.log_weights, levels.chain, fixes.elapsed), *later[2:])
     belief, log_fit = _product(predictions.belief, later.belief)
     log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
     both = Predictions(belief, log_weights, *predictions[2:])
@@ -66,9 +66,19 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     return updated(both.belief, both.log_weights, fixes, model, _where(lost, later, predictions))
 
 
-def filtered(predictions: Predictions, fixes: Fixes, model: OutlierModel = DEFAULT) -> Smoothed:
+def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """What the fixes up to each step say of it."""
-    return updated(predictions.belief, predictions.log_weights, fixes, model, predictions)
+    every = list(steps(fixes, levels, model))
+    predictions = Predictions(
+        Belief(*(torch.stack(x, -3) for x in zip(*(step.prediction for step in every), strict=True))),
+        *(torch.stack(x) for x in zip(*(step[1:5] for step in every), strict=True)),
+    )
+    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(step.known for step in every), strict=True)))
+    log_weights = torch.stack([step.log_weights for step in every])  # (T, 2, J, B)
+    whole, _ = merged(log_weights.flatten(1, 2), known, 1)
+    odds = log_weights.logsumexp(2).diff(dim=1).squeeze(1) - predictions.prior_outlier.logit()
+    outlier, evidence = (torch.where(fixes.missing, 0.0, x) for x in (predictions.outlier, odds))
+    return Smoothed(whole, log_weights.exp().sum(1), outlier, predictions, evidence - fixes.odds)
 
 
 def updated(

@@ -60,6 +60,8 @@ def gpb(
     prior_outlier: Value = 0.0106,
     prior_inflation: Value = 95.9,
     adaptive_largest_size: bool = True,
+    outliers_inform: bool = True,
+    same_offset: Value | None = None,
     lag: int = 0,
     rule: Callable[[int], Rule] = third_degree,
     learn: Collection[str] = (),
@@ -81,7 +83,8 @@ def gpb(
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
             squared per element.
         self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
-            manoeuvre, each jump.  They are those of a step, whatever its ``dt``.
+            manoeuvre, each jump; or with each of several other motions instead of any other.  They are those of a step,
+            whatever its ``dt``.
         durations: instead of these, mean seconds until a regime ends, in the same order: ``filters.GPB``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
@@ -95,6 +98,9 @@ def gpb(
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
         prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
         adaptive_largest_size: whether the largest size adapts to the squared residual of a measurement.
+        outliers_inform: whether outliers update the belief, as measurements with larger noise.
+        same_offset: probability that an outlier after another has the same offset, as the fixes of a second target
+            have; for linear sensors.  None for 0.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``Estimate.info``.
         rule: makes the points for a number of states.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
@@ -138,6 +144,8 @@ def gpb(
         outlier_shares=outlier_shares,
         outlier_offsets=outlier_offsets,
         adaptive_largest_size=adaptive_largest_size,
+        outliers_inform=outliers_inform,
+        same_offset=same_offset,
     )
     f = GPB(
         models,

@@ -28,7 +28,7 @@ from torchfra.filters.gpb.hypotheses import (
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Regimes, Switching, in_front
 from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
-from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Step
+from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Last, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
 from torchfra.filters.records import Record, Smoothed
@@ -39,6 +39,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -128,6 +129,8 @@ class GPB(Filter[GPBState]):
         if regimes.motions != len(self.bank):
             raise ValueError(f"regimes: expected those of {len(self.bank)} motions, received of {regimes.motions}")
         outliers.check(sensor)
+        if outliers.same_offset is not None and not sensor.linear:
+            raise ValueError(f"same_offset: expected None or a linear sensor, received {type(sensor).__name__}")
         self.regimes, self.outliers, self.lag = regimes, outliers, lag
         self.prior_outlier = Hyper(prior_outlier, constraints.unit_interval, name="prior_outlier")
         self.prior_inflation = Hyper(prior_inflation, constraints.greater_than_eq(1.0), name="prior_inflation")
@@ -154,7 +157,8 @@ class GPB(Filter[GPBState]):
         )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
         relaxation = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
-        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, outlier, relaxation)
+        last = None if self.outliers.same_offset is None else self._unmeasured(mean)
+        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, outlier, relaxation, last)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step; the numbers are those of the class's docstring."""
@@ -165,7 +169,8 @@ class GPB(Filter[GPBState]):
         predicted, nis = self.predict_regimes(mixed, switching.log_weight, frame)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
         modes = self.outliers.predict(state.outlier, relaxation, measured)
-        updated, outlier = self.update(predicted, frame, modes)  # (4)
+        repeated = self.repeated(state, relaxation, mixed, nis, frame)
+        updated, outlier, log_ratio = self.update(predicted, frame, modes, repeated)  # (4)
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
@@ -179,10 +184,12 @@ class GPB(Filter[GPBState]):
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
-        now = GPBState(belief, lagged, *kept, state.lasted, relaxation)
+        last = None if state.last is None else Last(frame.z, frame.measured.expand_as(frame.z))
+        now = GPBState(belief, lagged, *kept, state.lasted, relaxation, last)
         alarm = self.alarm(state, now, frame)
         info = Step(tree.Late(lagged), by_regime, any_outlier * if_any, alarm)
-        past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation)
+        ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
+        past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation, ratio)
         record = Record(belief, expected.residual, *innovation(expected), info, posterior.log_likelihood, past=past)
         return now._replace(lasted=alarm.lasted), record
 
@@ -217,12 +224,36 @@ class GPB(Filter[GPBState]):
         predicted = self.regimes.predictions(carried, nis, self.motion.position)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, nis)), nis
 
-    def update(self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor]) -> tuple[Hypotheses, Tensor]:
+    def update(
+        self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
+        repeated: tuple[Tensor, Whitened] | None,
+    ) -> tuple[Hypotheses, Tensor, Tensor | None]:  # fmt: skip
         """Hypotheses after the measurement: see ``Outliers.update``."""
-        missing = 1 - frame.measured
         return self.outliers.update(
-            predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, missing, modes
-        )
+            predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, 1 - frame.measured, modes,
+            repeated,
+        )  # fmt: skip
+
+    def repeated(
+        self, state: GPBState, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
+    ) -> tuple[Tensor, Whitened] | None:
+        """Probabilities that outliers have the offset of the step before, and the change of the measurement since.
+
+        If they have, the change is that of the target, whatever the offset.  It comes against its prediction by each
+        regime, ``(1, R, 2, ..., m)``; None without ``same_offset``.
+        """
+        if state.last is None or not self.sensor.linear:
+            return None
+        regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
+        carried = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
+        ahead = regimes.predicted_parts(carried, nis, self.motion.position)
+        mean, root = (regimes.per_regime(x) for x in mixed)
+        rest, spread = ahead.spread[..., :-n], ahead.spread[..., -n:] - root  # of the same unknowns: x' - x
+        change = hstack(rest, hstack(spread, ahead.process_noise))[..., :d, :]
+        expected = Gaussian(self.motion.difference(ahead.mean, mean)[..., :d], tria(change))
+        probability = self.outliers.repeated(state.outlier, relaxation, state.last.measured, frame.measured)
+        z = self.sensor.difference(frame.z, state.last.z)
+        return probability, compare_linear(self.sensor, expected, frame._replace(z=z))
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """The Gaussian ``(..., d)`` with the moments of all predictions, of the components that the sensor reads."""
@@ -306,13 +337,20 @@ class GPB(Filter[GPBState]):
     def unremembered(self, state: GPBState) -> GPBState:
         """A state without outliers in its last measurement, from which outliers in the next do not follow."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
-        return self.remembering(state, state._replace(outlier=outlier))
+        last = None if state.last is None else self._unmeasured(state.belief.mean)
+        return self.remembering(state, state._replace(outlier=outlier, last=last))
 
     def remembering(self, state: GPBState, before: GPBState) -> GPBState:
         """A state after a measurement of another sensor, whose outliers say nothing of this filter's own sensor."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
-        return state._replace(outlier=none, lasted=none, relaxation=relaxation)
+        last: Last | None = tree.map_tensors(torch.zeros_like, before.last)
+        return state._replace(outlier=none, lasted=none, relaxation=relaxation, last=last)
+
+    def _unmeasured(self, like: Tensor) -> Last:
+        """The measurement of a step without any, for states ``like (..., n)``."""
+        none = like.new_zeros(*like.shape[:-1], self.sensor.size)
+        return Last(none, none)
 
     # ------------------------------------------------------------ smoothing
 
@@ -334,8 +372,9 @@ class GPB(Filter[GPBState]):
     decided = fresh
 
     def needed_of_next(self, past: GPBPast) -> GPBPast:
-        """The normalised innovation squared of the next step, and whether it has a measurement."""
-        return GPBPast(None, None, None, past.nis, past.measured)  # type: ignore[arg-type]  # ``retreat`` reads no others
+        """Of the next step the normalised innovation squared, whether it has a measurement, and ``log_repeated``."""
+        none: Any = None  # ``retreat`` reads no others
+        return GPBPast(none, none, none, past.nis, past.measured, None, past.log_repeated)
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Smoothed]:
         """Where the backward pass begins: the filtered hypotheses of the last step."""

@@ -12,9 +12,10 @@ from torch.nn.functional import pad
 
 from torchfra.filters.gpb.hypotheses import Hypotheses
 from torchfra.filters.gpb.regimes import in_front
+from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import mean_durations
-from torchfra.gaussian.mixture import matched, share_roots, without_failed
-from torchfra.hyper import Hyper, Values, one_given
+from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
+from torchfra.hyper import Hyper, Value, Values, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
@@ -36,6 +37,11 @@ class Outliers(nn.Module):
             ranges without a line of sight, which are too large; None for 0.
         adaptive_largest_size: whether the last size is at least the mean squared residual of a block in units of its
             noise, so that outliers of any size beyond it are equally likely.
+        outliers_inform: whether outliers update the belief, as measurements with larger noise; if not, it stays as
+            predicted.
+        same_offset: ``(...)`` probability that an outlier of a block that was one in the step before has the same
+            offset, as the fixes of a second target have; it does not update the belief.  For linear sensors; None
+            for 0.
 
     Raises:
         ValueError: shapes that do not go together, values out of their range or that do not sum to one, or not one of
@@ -48,6 +54,8 @@ class Outliers(nn.Module):
     """None if ``outlier_transition`` was given."""
     outlier_offsets: Hyper | None
     """None if none were given."""
+    same_offset: Hyper | None
+    """None if none was given."""
 
     def __init__(
         self,
@@ -59,9 +67,11 @@ class Outliers(nn.Module):
         outlier_durations: Values | None = None,
         outlier_offsets: Values | None = None,
         adaptive_largest_size: bool = True,
+        outliers_inform: bool = True,
+        same_offset: Value | None = None,
     ) -> None:
         super().__init__()
-        self.adaptive_largest_size = adaptive_largest_size
+        self.adaptive_largest_size, self.outliers_inform = adaptive_largest_size, outliers_inform
         name, modes = one_given(outlier_transition=outlier_transition, outlier_durations=outlier_durations)
         arguments = modes, outlier_sizes, outlier_shares
         modes, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in arguments)
@@ -88,6 +98,9 @@ class Outliers(nn.Module):
         self.outlier_offsets = None
         if offsets is not None:
             self.outlier_offsets = Hyper(offsets, constraints.real, event_dim=1, name="outlier_offsets")
+        self.same_offset = None
+        if same_offset is not None:
+            self.same_offset = Hyper(same_offset, constraints.unit_interval, name="same_offset")
 
     def check(self, sensor: Sensor) -> None:
         """Checks that the blocks are those of a sensor.
@@ -167,6 +180,23 @@ class Outliers(nn.Module):
         same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
         return torch.where(measured, torch.cat([none, safe_log(some)]), same), share
 
+    def repeated(self, outlier: Tensor, relaxation: Tensor | None, before: Tensor, now: Tensor) -> Tensor:
+        """Probability ``(1, 1, 2, ..., B)`` that an outlier of a block has the offset of the step before.
+
+        It is 0 after a step without outliers, and where an element is measured now that was missing then.
+
+        Args:
+            outlier: ``(..., B)`` as in ``predict``.
+            relaxation: ``(...)`` from ``relaxation``, None without durations.
+            before: ``(..., m)`` 1 where the step before was measured, 0 where missing.
+            now: ``(..., m)`` the same of this step.
+        """
+        begins, lasts = self._probabilities(outlier, relaxation)
+        lasted = safe_divide(outlier * lasts, begins + outlier * (lasts - begins))
+        unknown = torch.stack([(now * (1 - before))[..., list(block)].amax(-1) for block in self.blocks], -1)
+        after_some = (1 - unknown) * lasted * self.same_offset(outlier[..., 0]).unsqueeze(-1)  # type: ignore[misc]
+        return torch.stack([torch.zeros_like(after_some), after_some])[None, None]
+
     def _probabilities(self, like: Tensor, relaxation: Tensor | None) -> tuple[Tensor, Tensor]:
         """Probabilities ``(..., 1)`` of an outlier after none, and after one."""
         if relaxation is None:
@@ -183,7 +213,8 @@ class Outliers(nn.Module):
         reads: int,
         missing: Tensor,
         modes: tuple[Tensor, Tensor],
-    ) -> tuple[Hypotheses, Tensor]:
+        repeated: tuple[Tensor, Whitened] | None = None,
+    ) -> tuple[Hypotheses, Tensor, Tensor | None]:
         """The update of all hypotheses, without outliers and with outliers in some blocks.
 
         Blocks are independent, so the update takes one after the other, and its cost is linear in their number.  For
@@ -199,10 +230,12 @@ class Outliers(nn.Module):
             reads: ``d``, the number of leading components of a state that the sensor reads.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             modes: from ``predict``.
+            repeated: from ``repeated``, and the change of the measurement against the predicted one.
 
         Returns:
-            ``(2, R, 2, ...)`` without and with outliers, and the probability ``(1, R, 2, ..., B)`` that each block is
-            one, given that some block is.
+            ``(2, R, 2, ...)`` without and with outliers, the probability ``(1, R, 2, ..., B)`` that each block is one,
+            given that some block is, and ``(1, R, 2, ...)`` the log likelihood ratio of outliers with and without
+            ``repeated``.
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
@@ -219,6 +252,7 @@ class Outliers(nn.Module):
             [],
         )
         only, first_one = len(self.blocks) == 1, torch.ones_like(missing[..., :1, None])
+        log_ratio = None if repeated is None else torch.zeros_like(mean[..., 0])
         for b, block in enumerate(self.blocks):
             share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
@@ -229,7 +263,9 @@ class Outliers(nn.Module):
             rows, cross, left, residual = _in_space_of(whitened, belief)
             adapted = self.adapted(sizes, residual[-1:], gone, offsets)
             updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, gone, offsets)
-            none, log_none = _entry(updated, 0), log_updated[0]
+            none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
+            if not self.outliers_inform:
+                updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
             if b:  # after the first block, beliefs without and with outliers differ
                 first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
                 none, log_none = _entry(first, 0), log_first[0]
@@ -237,6 +273,13 @@ class Outliers(nn.Module):
                 [(log_updated[0] + torch.log1p(-share)).unsqueeze(0), log_updated[1:] + share.log() + log_shares]
             )
             first_size = int(only)  # given that some block is an outlier, a single block is
+            if repeated is not None and log_ratio is not None:
+                chance, change = repeated[0][..., b], elements_of(repeated[1], block)
+                _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], gone)  # noise of two steps
+                alone, same = joint[first_size:], log_same + share.log() + safe_log(chance)
+                joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-chance), same.expand_as(joint[:1])])
+                updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
+                log_ratio = log_ratio + _log_ratio(log_sum(joint[first_size:], 0), log_sum(alone, 0))
             roots, log_some = share_roots(joint[first_size:])
             some = matched(Gaussian(updated.mean[first_size:], updated.scale_tril[first_size:]), roots)
             both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
@@ -246,7 +289,7 @@ class Outliers(nn.Module):
             log_density = log_density + torch.cat([log_none, log_some])
             outliers.append(torch.ones_like(log_some) if only else roots[1:].square().sum(0))
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
-        return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1)
+        return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last at least the mean square of a residual ``(..., m)`` if adaptive."""
@@ -323,6 +366,19 @@ def _lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
     gain = root[..., : belief.mean.shape[-1]]
     own = gain @ belief.scale_tril
     return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
+
+
+def _standard_normal(like: Gaussian) -> Gaussian:
+    """Unknowns of the same shape before any measurement: ``N(0, I)``."""
+    mean, root = like
+    eye = torch.eye(mean.shape[-1], dtype=root.dtype, device=root.device)
+    return Gaussian(torch.zeros_like(mean), eye.expand_as(root))
+
+
+def _log_ratio(numerator: Tensor, denominator: Tensor) -> Tensor:
+    """The log of a ratio from two logs; 0 where the denominator is 0."""
+    nothing = denominator == -torch.inf
+    return torch.where(nothing, 0.0, numerator - torch.where(nothing, 0.0, denominator))
 
 
 def _entry(belief: Gaussian, i: int) -> Gaussian:

@@ -46,7 +46,8 @@ class Regimes(nn.Module):
     predicted position is.  A regime goes on with its self-transition probability, or for its mean duration; then the
     next one is drawn from the restart distribution.  The chain starts from its stationary distribution.  Values are by
     kind, ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks of any
-    size.
+    size.  For three or more motions they may be by regime instead, ``(..., R)``: levels of process noise that keep
+    beliefs of their own, for one, are a bank of one motion at several ``q``.
 
     Tensors of regimes have the axes of ``Hypotheses``.
 
@@ -55,9 +56,10 @@ class Regimes(nn.Module):
         noise_levels: ``(..., L)`` factors on the variance of the first motion's process noise, ascending.
         jump_factors: ``(..., J)`` factors on the covariance of the predicted position per unit of the normalised
             innovation squared per element; the product is 1 at least.  Correlations of the position stay.
-        self_transition: self-transition probabilities by kind, of a step, whatever its ``dt``.
-        durations: instead of these, mean seconds by kind until a regime ends: a Markov chain in continuous time.
-        restart: restart distribution by kind, which sums to one; other motions share theirs evenly.
+        self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``.
+        durations: instead of these, mean seconds by kind or regime until one ends: a Markov chain in continuous time.
+        restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
+            theirs evenly.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations a
             manoeuvre is the less likely the larger it is, as a single large innovation is rather an outlier.
@@ -86,21 +88,22 @@ class Regimes(nn.Module):
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
         kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
+        count = kinds + motions - 2  # of regimes
+        self.by_kind = motions < 3 or stay.shape[-1:] != (count,)
+        expected = f"(..., {kinds})" if motions < 3 else f"(..., {kinds}), or of each regime (..., {count})"
         for name, value in ((sojourn, stay), ("restart", begin)):
-            if value.shape[-1:] != (kinds,):
-                raise ValueError(f"{name}: expected (..., {kinds}), received {tuple(value.shape)}")
+            if value.shape[-1:] != (kinds if self.by_kind else count,):
+                raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (kinds - self.level_count - 1)
         """The number of each regime's motion."""
         self.regimes_of = tuple(
             tuple(r for r, k in enumerate(self.motion_of) if k == motion) for motion in range(motions)
         )
         """The numbers of each motion's regimes."""
-        self.kind_of = (
-            *range(self.level_count),
-            *(self.level_count,) * (motions - 1),
-            *range(self.level_count + 1, kinds),
-        )
-        """The kind of each regime."""
+        others = (self.level_count,) * (motions - 1)
+        by_kind = (*range(self.level_count), *others, *range(self.level_count + 1, kinds))
+        self.kind_of = by_kind if self.by_kind else tuple(range(count))
+        """The index of each regime's values."""
         self.noise_levels = Hyper(levels, event_dim=1, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
@@ -113,12 +116,17 @@ class Regimes(nn.Module):
             self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name=sojourn)
         self.restart = Hyper(begin, constraints.simplex, event_dim=1, name="restart")
 
+    @property
+    def sharing(self) -> int:
+        """The number of other motions that share one entry of the restart distribution."""
+        return self.motions - 1 if self.by_kind else 1
+
     # ------------------------------------------------------------ the Markov chain
 
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1)
-        others = torch.tensor([float(self.motions - 1) if k else 1.0 for k in self.motion_of]).to(odds)
+        others = torch.tensor([float(self.sharing) if k else 1.0 for k in self.motion_of]).to(odds)
         odds = odds / others.reshape(-1, *(1,) * (odds.dim() - 1))
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
@@ -176,7 +184,7 @@ class Regimes(nn.Module):
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
         ended = (over_seconds(rates(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(0.0)
         each = [
-            ended[..., kind] / (self.motions - 1 if motion else 1)
+            ended[..., kind] / (self.sharing if motion else 1)
             for kind, motion in zip(self.kind_of, self.motion_of, strict=True)
         ]
         return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])

@@ -58,7 +58,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     nis = step.next.nis.movedim(-1, 0)[None, None, :, None]
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    prior, prior_of_carried = (_prior(f, x, nis, frame.dt, measured) for x in (step.past, step.carried))
+    prior, prior_of_carried = (_prior(f, x, step.next, nis, frame.dt) for x in (step.past, step.carried))
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     carried = from_state(step.carried.hypotheses, step.carried.log_weights, (BEFORE, MOTION), AXES)
@@ -85,10 +85,18 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     return result
 
 
-def _prior(f: Any, past: GPBPast, nis: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
-    """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before."""
+def _prior(f: Any, past: GPBPast, after: GPBPast, nis: Tensor, dt: Tensor) -> Tensor:
+    """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before.
+
+    An offset that outliers have in both steps is in no belief, so its likelihood comes with these.
+    """
+    measured = after.measured > 0
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
     regime = log_weight + f.regimes.transition(log_weight.transpose(0, 1), dt, measured)
     log_mode, _ = f.outliers.predict(past.outlier, f.outliers.relaxation(past.relaxation, dt), measured)
+    if after.log_repeated is not None:
+        repeated = after.log_repeated.movedim(-1, 0)
+        none = torch.zeros_like(repeated)
+        log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, repeated], 1)])
     pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), nis)
     return pairs

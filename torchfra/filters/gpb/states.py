@@ -10,6 +10,15 @@ from torchfra.tree import Late
 from torchfra.types import Alarm, Gaussian
 
 
+class Last(NamedTuple):
+    """The measurement of a step, with which the next one is compared."""
+
+    z: Tensor
+    """``(..., m)``; 0 where missing."""
+    measured: Tensor
+    """``(..., m)`` 1 where measured and 0 where missing."""
+
+
 class GPBState(NamedTuple):
     """State of GPB after a step.
 
@@ -32,6 +41,8 @@ class GPBState(NamedTuple):
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
+    last: Last | None = None
+    """The measurement of the step; None without ``same_offset``."""
 
 
 class GPBInfo(NamedTuple):
@@ -75,3 +86,5 @@ class GPBPast(NamedTuple):
     """``(...)`` 1 where the step has a measurement, else 0."""
     relaxation: Tensor | None = None
     """See ``GPBState``."""
+    log_repeated: Tensor | None = None
+    """``(..., R)`` log likelihood ratio of outliers after an outlier, with and without ``same_offset``."""

@@ -115,6 +115,7 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         averaged(states.outlier, some),
         averaged(states.lasted, log_weights),
         None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
+        tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # whose the measurement was is not known
     )
 
 

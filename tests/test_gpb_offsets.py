@@ -1,0 +1,119 @@
+"""Outliers that say nothing of the state, and several in a row with one offset, are what the oracle says."""
+
+import numpy as np
+import pytest
+import torch
+from oracles import gpb as oracle
+from test_gpb import FEWER, SENSORS
+from test_gpb_oracle import PRIOR, bank, carried, expected, position, regimes, same, tensor
+from torch.testing import assert_close
+
+from torchfra import presets
+from torchfra.motion import ConstantAcceleration, ConstantVelocity
+from torchfra.sensors import Position
+from torchfra.types import Gaussian
+
+VALUES = (0.9, 0.8, 0.7, 0.6, 0.1), (0.4, 0.3, 0.15, 0.1, 0.05), (0.1, 1.0), (200.0,)
+
+
+def with_bursts(case):
+    """Outliers in a row with one offset: in both elements, and where the position before is missing in part."""
+    rng = np.random.default_rng(4)
+    case.z[4:8] = np.array([9.0, 0]) * np.arange(5, 9)[:, None] + [800.0, 300] + 3 * rng.standard_normal((4, 2))
+    case.z[6, 0] = np.nan
+    return case
+
+
+def transition(motion, k=0):
+    return motion.transition(tensor(1.0)).numpy()
+
+
+def expected_with(case, motions, r, **more):
+    transitions = [lambda k, m=motion: transition(m) for motion in motions]
+    return expected(case, [carried(motion, 1.0) for motion in motions], r, transitions=transitions, **more)
+
+
+@pytest.mark.parametrize("inform", [True, False])
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+def test_one_motion_with_levels_manoeuvres_and_jumps(inform, offset):
+    case, motion = with_bursts(position()), ConstantAcceleration(0.05)
+    options, r = regimes(*VALUES, manoeuvres=(3.0,))
+    f = presets.gpb(motion, case.sensor, outliers_inform=inform, same_offset=offset, **options)
+    same(f(tensor(case.z), PRIOR), expected_with(case, [motion], r, inform=inform, same_offset=offset))
+
+
+@pytest.mark.parametrize("inform", [True, False])
+def test_a_bank_and_elements_that_are_outliers_each_by_itself(inform):
+    case, motions = with_bursts(position()), bank()
+    case.model = case.model._replace(SR=np.diag([5.0, 4.0]))
+    case.blocks = [[0], [1]]
+    case.sensor = Position(tensor([5.0, 4.0]))
+    case.sensor.blocks = ((0,), (1,))
+    options, r = regimes(*VALUES, motions=3, manoeuvres=(3.0,))
+    f = presets.gpb(motions, case.sensor, outliers_inform=inform, same_offset=0.4, **options)
+    same(f(tensor(case.z), PRIOR), expected_with(case, motions, r, inform=inform, same_offset=0.4))
+
+
+def test_other_motions_may_last_and_begin_each_in_its_own_way():
+    case, motions = position(), bank()
+    stay, restart = [0.9, 0.8, 0.7, 0.5, 0.1], [0.3, 0.3, 0.2, 0.15, 0.05]
+    options, r = regimes((0.9, 0.8, 0.7, 0.1), (0.3, 0.3, 0.3, 0.1), (0.1, 1.0), motions=3)
+    chain = oracle.renewing_chain(stay, restart)
+    r = r._replace(chain=chain, silent=oracle.silent_chain(stay, restart, range(2, 4)), first=oracle.long_run(chain))
+    f = presets.gpb(motions, case.sensor, **options | {"self_transition": stay, "restart": restart})
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0) for motion in motions], r))
+
+
+def test_several_motions_with_values_for_neither_kinds_nor_regimes_are_named():
+    values = regimes((0.9, 0.8, 0.7, 0.1), (0.3, 0.3, 0.3, 0.1), (0.1, 1.0), motions=3)[0]
+    with pytest.raises(
+        ValueError, match=r"restart: expected \(..., 4\), or of each regime \(..., 5\), received \(3,\)"
+    ):
+        presets.gpb(bank(), Position(5.0), **values | {"restart": (0.5, 0.3, 0.2)})
+
+
+def test_the_offset_of_a_sensor_that_is_not_linear_is_refused():
+    with pytest.raises(ValueError, match="same_offset: expected None or a linear sensor, received Bearings"):
+        presets.gpb(ConstantAcceleration(0.05), SENSORS["bearings"], same_offset=0.5)
+
+
+def burst(steps=20):
+    """A target at a constant velocity, and a burst of fixes beside it by one offset."""
+    z = tensor([[9.0 * k, 0.0] for k in range(1, steps + 1)])
+    z = z + 3 * torch.randn(z.shape, dtype=z.dtype, generator=torch.Generator().manual_seed(2))
+    z[8:13] += tensor([500.0, 300.0])
+    return z, Gaussian(torch.zeros(4).double() + tensor([0, 0, 9, 0]), torch.diag(tensor([20, 20, 8, 8])))
+
+
+@pytest.mark.parametrize("offset", [None, 0.5])
+def test_a_burst_of_one_offset_is_a_jump_there_and_back_unless_outliers_may_have_the_same(offset):
+    z, prior = burst()
+    often = {"outlier_transition": ((0.98, 0.02), (0.4, 0.6)), "outliers_inform": False}
+    estimate = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=offset, **often).smooth(z, prior)
+    wrong = torch.zeros(len(z), dtype=torch.bool)
+    wrong[8:13] = offset is not None
+    assert_close(estimate.info.outlier[:, 0].round(), wrong.double())
+
+
+def test_the_gradient_of_the_probability_is_that_of_small_differences():
+    z, prior = burst()
+
+    def likelihood(probability):
+        f = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=probability, learn=("same_offset",))
+        total = f(z, prior).log_likelihood.sum()
+        return f.outliers.same_offset, total
+
+    hyper, total = likelihood(0.4)
+    (slope,) = torch.autograd.grad(total, hyper.raw)
+    up, down = (likelihood(0.4 + step)[1].item() for step in (1e-6, -1e-6))
+    (unit,) = torch.autograd.grad(hyper(), hyper.raw)
+    assert (slope / unit).item() == pytest.approx((up - down) / 2e-6, rel=1e-5)
+
+
+def test_compiled_it_says_the_same():
+    z, prior = burst()
+    f = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=0.4, outliers_inform=False, **FEWER)
+    eager, g = f.smooth(z, prior), f.compile()
+    compiled = g.smooth(z, prior)
+    assert_close(compiled.mean, eager.mean, rtol=1e-9, atol=1e-9)
+    assert_close(compiled.info.outlier, eager.info.outlier, rtol=1e-9, atol=1e-9)
