@@ -18,3 +18,5 @@ if ! cat pyproject.toml constraints.txt | cmp -s - "$stamp"; then
   cat pyproject.toml constraints.txt > "$stamp"
 fi
 export PATH="$PWD/.venv/bin:$PATH"
+# Python keeps modules that it has compiled: each process that had to compile those of torch again would take two seconds more.
+unset PYTHONDONTWRITEBYTECODE
