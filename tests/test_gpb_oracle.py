@@ -116,10 +116,10 @@ def expected(case, motions, regimes, prior=PRIOR, **more):
     )
 
 
-def regimes(stay, renew, levels, jumps=(200.0,), motions=1, manoeuvres=()):
+def regimes(stay, renew, levels, jumps=(200.0,), motions=1, manoeuvres=(), separate=0):
     """Options of the preset, and regimes of the oracle: levels, other motions, manoeuvres, jumps."""
     options = {"noise_levels": levels, "manoeuvre_factors": manoeuvres, "jump_factors": jumps, "self_transition": stay,
-               "restart": renew}  # fmt: skip
+               "restart": renew, "separate_levels": separate}  # fmt: skip
     count, others = len(levels), motions - 1
     stay, renew = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, renew))
     renew[count : count + others] = [x / others for x in renew[count : count + others]]
@@ -127,7 +127,7 @@ def regimes(stay, renew, levels, jumps=(200.0,), motions=1, manoeuvres=()):
     chain = oracle.renewing_chain(stay, odds)
     silent = oracle.silent_chain(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
     factors = [*levels, *[1.0] * others]
-    which = [0] * count + list(range(1, motions))
+    which = [*range(motions, motions + separate), *[0] * (count - separate), *range(1, motions)]
     first = oracle.long_run(chain)
     return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, first, count - 1, manoeuvres)
 
@@ -162,6 +162,25 @@ def test_three_levels_and_two_jumps(sensor):
     options, r = regimes(stay, renew, (0.1, 1.0, 60.0), (30.0, 2000.0))
     f = presets.gpb(motion, case.sensor, **options)
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r))
+
+
+@pytest.mark.parametrize("sensor", [position, pytest.param(ranges, marks=pytest.mark.slow)])
+def test_the_lowest_of_three_levels_keeps_a_belief_of_its_own(sensor):
+    """Which for the oracle is a second motion, the same as the first."""
+    case, motion = sensor(), ConstantAcceleration(0.05)
+    stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
+    options, r = regimes(stay, renew, (0.1, 1.0, 60.0), (30.0, 2000.0), separate=1)
+    f = presets.gpb(motion, case.sensor, **options)
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 2, r))
+
+
+def test_two_levels_of_the_first_of_three_motions_keep_beliefs_of_their_own():
+    case, motions = position(), bank()
+    stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2), (0.4, 0.2, 0.1, 0.15, 0.15)
+    options, r = regimes(stay, renew, (0.1, 1.0, 60.0), motions=3, separate=2)
+    f = presets.gpb(Bank(motions), case.sensor, **options)
+    each = [carried(m, 1.0) for m in motions]
+    same(f(tensor(case.z), PRIOR), expected(case, [*each, each[0], each[0]], r))
 
 
 @pytest.mark.slow

@@ -47,17 +47,17 @@ from torchfra.types import Alarm, Gaussian, Whitened
 
 
 class Mixing(NamedTuple):
-    """Weights ``(1, K, 2, ...)`` of the two components of the mixed belief of each motion."""
+    """Weights ``(1, S, 2, ...)`` of the two components of each mixed belief."""
 
     own: Tensor
-    """Weight of the motion's own belief."""
+    """Weight of the belief itself."""
     common: Tensor
     """Weight of the common belief, from which all regimes that begin start."""
     origin: Tensor
-    """Weight of each motion in that common belief."""
+    """Weight of each belief in that common one."""
 
     def smoothed(self, weight: Tensor) -> Tensor:
-        """Smoothed weights of the motions before a step, from those of the motions after it, ``(1, K, 2, ...)``."""
+        """Smoothed weights of the beliefs before a step, from those of the beliefs after it, ``(1, S, 2, ...)``."""
         return weight * self.own + (weight * self.common).sum(MOTION, keepdim=True) * self.origin
 
 
@@ -67,21 +67,21 @@ class GPB(Filter[GPBState]):
     The regime of a step is a Markov chain: a level of process noise, a manoeuvre or a jump of the first motion, or
     another motion of a bank.  For each block of the sensor's elements, whether its measurement is an outlier is a
     Markov chain too; an outlier has one of several sizes.  Every combination is a hypothesis with a prediction, an
-    update and a likelihood.  After a step the hypotheses are merged into one Gaussian for each motion without an
-    outlier in the step and one with an outlier in some block; the next measurement weighs those two.  So no gate
-    decides whether a large innovation is an outlier or a manoeuvre, and the filter is smooth in its inputs.  Over steps
-    without any measurement, however many, both are carried on, and the first motion keeps its regime if regimes have no
-    ``durations``.
+    update and a likelihood.  After a step the hypotheses are merged into one Gaussian for each motion (and each level
+    that ``Regimes.separate_levels`` keeps separate) without an outlier in the step and one with an outlier in some
+    block; the next measurement weighs those two.  So no gate decides whether a large innovation is an outlier or a
+    manoeuvre, and the filter is smooth in its inputs.  Over steps without any measurement, however many, both are
+    carried on, and the first motion keeps its regime if regimes have no ``durations``.
 
-    With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's motion, and a prime for the step
+    With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's belief, and a prime for the step
     before, a step is:
 
     1. ``c(r, o') = sum over r' of P(r | r') P(r', o')``: the Markov chain of the regimes.
-    2. ``x(k, o')``: the beliefs of all motions, mixed by the probabilities that they switch to ``k``.
+    2. ``x(k, o')``: all beliefs, mixed by the probabilities that they switch to ``k``.
     3. ``x-(r, o')``: the prediction by the regime; manoeuvres and jumps scale with the normalised innovation squared.
     4. ``x(o, r, o')``, ``L(o, r, o')``: the update, and the likelihood of the measurement.
     5. ``P(o, r, o' | z) = L(o, r, o') P(o | o') c(r, o') / L``, with ``L`` the sum over all hypotheses.
-    6. ``x(o, k)``, ``P(r, o | z)``: merged over the regimes of a motion and over ``o'``.
+    6. ``x(o, k)``, ``P(r, o | z)``: merged over the regimes of a belief and over ``o'``.
     7. ``x``: merged over all, the estimate.
     8. ``x'``: the beliefs of the step before with smoothed weights, the one-step smoothed estimate.
 
@@ -143,7 +143,7 @@ class GPB(Filter[GPBState]):
     # ------------------------------------------------------------ a step
 
     def begin(self, belief: Gaussian) -> GPBState:
-        """The state of a prior: for every motion the belief as it is, and inflated except for parameters."""
+        """The state of a prior: for every belief the prior as it is, and inflated except for parameters."""
         mean, root = belief
         outlying = self.prior_outlier(mean)
         log_prior = in_front(torch.stack([torch.log1p(-outlying), outlying.log()], -1), mean.dim() + 1)
@@ -152,7 +152,7 @@ class GPB(Filter[GPBState]):
         factor = torch.where(inflated, self.prior_inflation(mean).sqrt()[..., None], 1.0)[..., None]
         both = tree.stack([belief, Gaussian(mean, factor * root)], OUTLIER)
         every = Hypotheses(
-            Gaussian(*(x[:, None, None].expand(2, len(self.bank), 1, *x.shape[1:]) for x in both)),
+            Gaussian(*(x[:, None, None].expand(2, self.regimes.beliefs, 1, *x.shape[1:]) for x in both)),
             log_weight.expand(*log_weight.shape[:3], *mean.shape[:-1]),
         )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
@@ -174,7 +174,7 @@ class GPB(Filter[GPBState]):
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
-        smoothed = mixing.smoothed(regimes.by_motion(posterior.probability.sum(OUTLIER, keepdim=True)))
+        smoothed = mixing.smoothed(regimes.by_belief(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
         if_any = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
@@ -194,12 +194,12 @@ class GPB(Filter[GPBState]):
         return now._replace(lasted=alarm.lasted), record
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
-        """The mixed belief ``(1, K, 2, ...)`` of each motion: of its own, and of the common one of ended regimes."""
-        stayed, ended, restarted = (self.regimes.by_motion(x) for x in switching[:3])
+        """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
+        stayed, ended, restarted = (self.regimes.by_belief(x) for x in switching[:3])
         total = stayed + restarted
         origin = safe_divide(ended, ended.sum(MOTION, keepdim=True))
         mixing = Mixing(safe_divide(stayed, total), safe_divide(restarted, total), origin)
-        if len(self.bank) == 1:
+        if self.regimes.beliefs == 1:
             return before, mixing
         common = merge(before, safe_sqrt(origin), [MOTION], self.motion.angles)
         two = tree.stack([before, common], 0)
@@ -209,7 +209,7 @@ class GPB(Filter[GPBState]):
         """Predictions of all regimes, and the normalised innovation squared per element of the agile level.
 
         Args:
-            mixed: ``(1, K, 2, ...)`` beliefs of each motion.
+            mixed: ``(1, S, 2, ...)`` beliefs, of each motion and of separate levels.
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             frame: of the step.
 
@@ -284,8 +284,8 @@ class GPB(Filter[GPBState]):
     # ------------------------------------------------------------ what is expected later
 
     def hypotheses(self, source: GPBState | GPBPast) -> tuple[Gaussian, Tensor]:
-        """Hypotheses ``(..., 2 K, n)``, each motion without and with an outlier, and logs of their weights."""
-        log_weights = self.regimes.log_by_motion(source.log_weights, -1)
+        """Hypotheses ``(..., 2 S, n)``, each belief without and with an outlier, and logs of their weights."""
+        log_weights = self.regimes.log_by_belief(source.log_weights, -1)
         mean, root = source.hypotheses
         return Gaussian(mean.flatten(-3, -2), root.flatten(-4, -3)), log_weights.flatten(-2)
 

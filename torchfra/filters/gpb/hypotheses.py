@@ -107,24 +107,46 @@ def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
 
 
 def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
-    """Carries beliefs with ``K`` motions on axis ``MOTION`` over a step, each by its own motion.
+    """Carries ``S`` beliefs on axis ``MOTION`` over a step: ``K`` by the motions of a bank, all others by its first.
 
     Process noise that several hypotheses share has size 1 along their axes.
 
     Args:
-        bank: the motions.
+        bank: the ``K`` motions.
         rule: carries a belief through them.
-        belief: ``(1, K, ..., n)``.
+        belief: ``(1, S, ..., n)``.
         frame: for each motion.
     """
-    carried = propagate(bank, rule, models_last(belief), frame)
+    more = belief.mean.shape[MOTION] - len(bank)
+    carried = propagate(bank, rule, models_last(by_layer(belief, len(bank))), frame)
     rank = belief.mean.dim() - 1
 
     def back(event: int, x: Tensor) -> Tensor:
-        return x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
+        x = x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
+        if not more:
+            return x
+        layers = x.expand(more + 1, *x.shape[1:])
+        return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
 
     result: Carried = tree.map_ranked(back, carried)
     return result
+
+
+def by_layer(belief: Gaussian, count: int) -> Gaussian:
+    """Beliefs ``(1, S, ...)`` as layers of ``count`` motions, ``(1 + S - count, count, ...)``.
+
+    The first layer has the beliefs of the motions, every other one of the rest, for each motion.
+    """
+    more = belief.mean.shape[MOTION] - count
+    if not more:
+        return belief
+    first, rest = (Gaussian(*(x[:, part] for x in belief)) for part in (slice(count), slice(count, None)))
+    return Gaussian(
+        *(
+            torch.cat([x, y.transpose(0, MOTION).expand(more, count, *y.shape[2:])])
+            for x, y in zip(first, rest, strict=True)
+        )
+    )
 
 
 def models_last(belief: Gaussian) -> Gaussian:

@@ -49,6 +49,10 @@ class Regimes(nn.Module):
     size.  For three or more motions they may be by regime instead, ``(..., R)``: levels of process noise that keep
     beliefs of their own, for one, are a bank of one motion at several ``q``.
 
+    The levels of a motion share a belief, but for the lowest ``separate_levels``, which keep beliefs of their own:
+    while a target moves as calmly as such a level says, the belief becomes as sure as that.  So there are
+    ``S = K + separate_levels`` beliefs: of each motion, then of these levels.
+
     Tensors of regimes have the axes of ``Hypotheses``.
 
     Args:
@@ -63,6 +67,7 @@ class Regimes(nn.Module):
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations a
             manoeuvre is the less likely the larger it is, as a single large innovation is rather an outlier.
+        separate_levels: the number of lowest levels with beliefs of their own, fewer than all.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one, or not one
@@ -77,6 +82,7 @@ class Regimes(nn.Module):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
+        separate_levels: int = 0,
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -87,6 +93,10 @@ class Regimes(nn.Module):
                 raise ValueError(f"{name}: expected several, received {value.item():g}")
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
+        if separate_levels not in range(max(self.level_count, 1)):
+            raise ValueError(
+                f"separate_levels: expected a number from 0 to {self.level_count - 1}, received {separate_levels!r}"
+            )
         kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
         count = kinds + motions - 2  # of regimes
         self.by_kind = motions < 3 or stay.shape[-1:] != (count,)
@@ -96,10 +106,14 @@ class Regimes(nn.Module):
                 raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (kinds - self.level_count - 1)
         """The number of each regime's motion."""
+        self.beliefs = motions + separate_levels
+        """The number of beliefs, ``S``."""
+        self.belief_of = tuple(motions + r for r in range(separate_levels)) + self.motion_of[separate_levels:]
+        """The number of each regime's belief."""
         self.regimes_of = tuple(
-            tuple(r for r, k in enumerate(self.motion_of) if k == motion) for motion in range(motions)
+            tuple(r for r, k in enumerate(self.belief_of) if k == belief) for belief in range(self.beliefs)
         )
-        """The numbers of each motion's regimes."""
+        """The numbers of each belief's regimes."""
         others = (self.level_count,) * (motions - 1)
         by_kind = (*range(self.level_count), *others, *range(self.level_count + 1, kinds))
         self.kind_of = by_kind if self.by_kind else tuple(range(count))
@@ -237,7 +251,7 @@ class Regimes(nn.Module):
         """The prediction ``(1, 1, 2, ..., n)`` by the agile level, the last level of the first motion.
 
         Args:
-            carried: ``(1, K, 2, ...)`` by each motion.
+            carried: ``(1, S, 2, ...)``, each belief by its motion.
         """
         noise = self.noise_levels(carried.mean)[..., -1].sqrt()[..., None, None] * carried.process_noise[:, :1]
         return Gaussian(carried.mean[:, :1], tria(hstack(carried.spread[:, :1], noise)))
@@ -249,7 +263,7 @@ class Regimes(nn.Module):
         little of the state, or a missing one, could not rule them out, and they would widen the estimate without bound.
 
         Args:
-            carried: ``(1, K, 2, ...)`` by each motion.
+            carried: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
             position: components of a state that are its position.
         """
@@ -288,26 +302,26 @@ class Regimes(nn.Module):
         rows[position] = 1.0
         return (1 + (widths.unsqueeze(-1) - 1) * rows).unsqueeze(-1)
 
-    # ------------------------------------------------------------ regimes and their motions
+    # ------------------------------------------------------------ regimes and their beliefs
 
     def per_regime(self, x: Tensor, axis: int = MOTION) -> Tensor:
-        """Values of the ``K`` motions along an axis, repeated for each regime of a motion: ``R`` along that axis."""
-        return torch.stack([x.select(axis, motion) for motion in self.motion_of], axis)
+        """Values of the ``S`` beliefs along an axis, repeated for each regime of a belief: ``R`` along that axis."""
+        return torch.stack([x.select(axis, belief) for belief in self.belief_of], axis)
 
-    def by_motion(self, weight: Tensor) -> Tensor:
-        """Weights ``(1, R, 2, ...)`` of regimes summed for each motion, ``(1, K, 2, ...)``."""
+    def by_belief(self, weight: Tensor) -> Tensor:
+        """Weights ``(1, R, 2, ...)`` of regimes summed for each belief, ``(1, S, 2, ...)``."""
         return torch.stack([sum(weight[:, r] for r in regimes) for regimes in self.regimes_of], MOTION)  # type: ignore[misc]
 
-    def log_by_motion(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
-        """Logs of weights of ``R`` regimes along an axis, summed for each of the ``K`` motions."""
+    def log_by_belief(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
+        """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
         each = [torch.stack([log_weight.select(axis, r) for r in regimes], axis) for regimes in self.regimes_of]
         return torch.stack([log_sum(x, axis) for x in each], axis)
 
     def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
-        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a motion and the outlier before: ``(2, K, 1, ...)``."""
-        motions = [every.of(regimes).merged(MOTION, BEFORE, angles=angles) for regimes in self.regimes_of]
-        belief = Gaussian(*(torch.cat(x, MOTION) for x in zip(*(one.belief for one in motions), strict=True)))
-        return Hypotheses(belief, torch.cat([one.log_weight for one in motions], MOTION))
+        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``."""
+        beliefs = [every.of(regimes).merged(MOTION, BEFORE, angles=angles) for regimes in self.regimes_of]
+        belief = Gaussian(*(torch.cat(x, MOTION) for x in zip(*(one.belief for one in beliefs), strict=True)))
+        return Hypotheses(belief, torch.cat([one.log_weight for one in beliefs], MOTION))
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
         """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` with ``rank`` dimensions behind the first."""

@@ -13,6 +13,7 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
+    by_layer,
     carry,
     estimate,
     from_state,
@@ -36,7 +37,7 @@ MOTION_BEFORE, AXES = 3, 4
 def smoothed(f: Any, past: GPBPast) -> Smoothed:
     """The estimate of all hypotheses, and the probabilities of regimes and outliers."""
     belief, log_weight = from_state(past.hypotheses, past.log_weights, (BEFORE, MOTION))
-    roots = (0.5 * f.regimes.log_by_motion(log_weight)).exp()
+    roots = (0.5 * f.regimes.log_by_belief(log_weight)).exp()
     weights = past.log_weights.exp()
     outlier = weights[..., 1, :].sum(-1, keepdim=True) * past.measured.unsqueeze(-1) * past.outlier
     return Smoothed(estimate(belief, roots, f.motion), weights.sum(-2), outlier)
@@ -46,8 +47,8 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     """One step of the backward pass, over all pairs of a hypothesis before the step and one after it.
 
     As in ``filters.model_smoothing``, all later measurements together act as the measurement that turns a prediction
-    into its smoothed belief, here for each motion after the step, with and without an outlier.  The beliefs of the
-    regimes of one motion have been merged, so later measurements reach those regimes through their Markov chain alone.
+    into its smoothed belief, here for each belief after the step, with and without an outlier.  Several regimes have
+    been merged into one belief, so later measurements reach those regimes through their Markov chain alone.
 
     Args:
         f: the filter.
@@ -63,21 +64,23 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     carried = from_state(step.carried.hypotheses, step.carried.log_weights, (BEFORE, MOTION), AXES)
     mixed, _ = f.mix(carried.belief, regimes.switch(carried.log_weight, frame.dt, measured))
-    frame = adapted(for_each_model(frame), models_last(mixed).mean)  # as the filter has adapted it
+    frame = adapted(
+        for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean
+    )  # as the filter has adapted it
     predicted = regimes.predictions(carry(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
     to_step = Hypotheses(predicted, log_sum(prior_of_carried, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
     measurement = tree.map_tensors(regimes.per_regime, measurement)  # (2, R, 1, 1, ...)
 
     # The belief of every motion before, carried by every regime, is updated by it.
-    every = Gaussian(*(x.expand(x.shape[0], regimes.motions, *x.shape[2:]) for x in before.belief))
+    every = Gaussian(*(x.expand(x.shape[0], regimes.beliefs, *x.shape[2:]) for x in before.belief))
     by_regime = regimes.predicted_parts(carry(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
     each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
     joint = prior + regimes.per_regime(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
     none = total == -torch.inf  # no hypothesis before leads to this one
     joint = without_failed(torch.where(none, -torch.inf, joint - torch.where(none, 0.0, total))) + later.log_weight
-    updated = Hypotheses(each, regimes.log_by_motion(joint, MOTION_BEFORE)).merged(OUTLIER, MOTION).belief
+    updated = Hypotheses(each, regimes.log_by_belief(joint, MOTION_BEFORE)).merged(OUTLIER, MOTION).belief
     log_weight = log_sum(log_sum(joint, MOTION), OUTLIER)[None, None]
     now = Hypotheses(inside(before.belief, updated), log_weight)
     hypotheses, log_weights = to_state(now, (BEFORE, MOTION_BEFORE), AXES)

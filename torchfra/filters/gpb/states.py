@@ -31,7 +31,7 @@ class GPBState(NamedTuple):
     lagged: Gaussian
     """The one-step smoothed estimate of the step before: smoothed by the measurement of this step, if it has one."""
     hypotheses: Gaussian
-    """``(..., 2, K)`` beliefs without and with an outlier in the measurement, for each motion."""
+    """``(..., 2, S)`` beliefs without and with an outlier in the measurement: each motion's, then separate levels'."""
     log_weights: Tensor
     """``(..., 2, R)`` logs of the joint probabilities of no outlier or some, and of the regime."""
     outlier: Tensor

@@ -104,7 +104,7 @@ def _of_models(inner: IMM, states: Any, log_weights: Tensor) -> IMMState:
 def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
     """Merges each motion, without and with an outlier, by its joint probability with each hypothesis."""
     joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
-    _, shares = _shared(inner.regimes.log_by_motion(joint, -1), log_weights[..., None, None])  # (P, ..., 2, K)
+    _, shares = _shared(inner.regimes.log_by_belief(joint, -1), log_weights[..., None, None])  # (P, ..., 2, K)
     _, some = _shared(log_sum(joint[..., 1, :], -1), log_weights)
     angles = inner.motion.angles
     return GPBState(
