@@ -1,6 +1,7 @@
 """GPB over steps without any measurement: what was told of outliers and manoeuvres is kept until the next one."""
 
 import copy
+from functools import partial
 
 import pytest
 import torch
@@ -185,14 +186,16 @@ def test_smoothed_gradients_are_finite_however_far_off_a_measurement_is(motion, 
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
 
+@pytest.mark.parametrize("separate_levels", [0, 1])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_gradients_of_targets_that_are_always_detected_are_finite_however_far_off_they_are(dtype):
+def test_gradients_of_targets_that_are_always_detected_are_finite_however_far_off_they_are(dtype, separate_levels):
     start = torch.tensor([[0.0, 0, 1, 0], [5000, 0, 1, 0]], dtype=dtype)
     noise = torch.randn(8, 2, 2, generator=torch.Generator().manual_seed(0)).to(dtype)
     z = start[:, :2] + torch.arange(1, 9)[:, None, None] * start[:, 2:] + noise
     z[3:, 0] += 900
     z[4] = torch.nan
-    f = presets.jpda(ConstantVelocity(1.0), Position(1.0), clutter=Clutter(1e12, rate=0.01), inner=presets.gpb,
+    inner = partial(presets.gpb, separate_levels=separate_levels)
+    f = presets.jpda(ConstantVelocity(1.0), Position(1.0), clutter=Clutter(1e12, rate=0.01), inner=inner,
                      gate=Euclidean(2000.0), detection=1.0, learn=["q"])  # fmt: skip
     e = f(z, Gaussian(start, torch.diag(torch.tensor([5.0, 5, 2, 2], dtype=dtype))))
     e.mean.square().mean().backward()

@@ -1,5 +1,7 @@
 """Outliers that say nothing of the state, and several in a row with one offset, are what the oracle says."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from test_gpb_oracle import PRIOR, bank, carried, expected, position, regimes, s
 from torch.testing import assert_close
 
 from torchfra import presets
+from torchfra.association import Clutter
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
@@ -117,3 +120,12 @@ def test_compiled_it_says_the_same():
     compiled = g.smooth(z, prior)
     assert_close(compiled.mean, eager.mean, rtol=1e-9, atol=1e-9)
     assert_close(compiled.info.outlier, eager.info.outlier, rtol=1e-9, atol=1e-9)
+
+
+def test_each_of_two_targets_in_a_scan_may_have_outliers_of_one_offset():
+    inner = partial(presets.gpb, same_offset=0.4)
+    f = presets.jpda(ConstantVelocity(0.1), Position(3.0), clutter=Clutter(1e6, rate=1.0), inner=inner)
+    start = tensor([[0.0, 0, 9, 0], [500, 0, -9, 0]])
+    z = torch.stack([start[:, :2] + k * start[:, 2:] for k in range(1, 4)])
+    estimate = f(z, Gaussian(start, torch.diag(tensor([9, 9, 4, 4]))))
+    assert_close(estimate.mean[:, -1, :2], z[-1], rtol=0, atol=1.0)

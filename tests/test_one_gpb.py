@@ -115,3 +115,15 @@ def test_a_cleaned_track_gives_its_filters_which_track_on_from_its_end(dims):
 def test_other_filters_give_none():
     time = np.arange(20.0)
     assert torchfra.clean((time, np.outer(time, [3.0, 1.0])), filter="srckf", bank="person").filters() == ()
+
+
+def test_fixes_that_state_how_good_they_are_give_a_sensor_in_metres(tmp_path):
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 400.0, 2.0)
+    x, y = np.outer(time, [3.0, 1.0]).T + 30 * rng.standard_normal((2, len(time)))
+    rows = [f"{t},{a},{b},30.0" for t, a, b in zip(time, x, y, strict=True)]
+    file = tmp_path / "track.csv"
+    file.write_text("\n".join(["time,x,y,accuracy", *rows]))
+    (cleaned,) = torchfra.clean(file, bank="person")
+    assert cleaned.found.stated
+    assert 15 < cleaned.used[0].sigma.item() < 45

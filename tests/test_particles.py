@@ -59,7 +59,7 @@ def test_the_script_writes_all_cells(tmp_path, capsys):
     assert particles.main(arguments) == 0
     cells = json.loads((tmp_path / "p.json").read_text())["cells"]
     assert len(cells) == 3
-    assert all(of.keys() == {"gpb", "lagged", "particles"} for of in cells.values())
+    assert all(of.keys() == {"gpb", "lagged", "separate", "particles"} for of in cells.values())
     assert "gpb above" in capsys.readouterr().out
     assert particles.main(["--particles", "0"]) == 2
     assert "particles: expected 1 or more, received 0" in capsys.readouterr().err

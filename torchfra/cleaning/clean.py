@@ -28,7 +28,9 @@ _PLACES = {"x", "y", "z", "lat", "lon"}
 _LATITUDE, _LONGITUDE = "latitude", "longitude"
 _LEFT_OUT = ("row", "id", "time", "seconds")
 """Columns of an output that a table of one's own has already."""
-_OPTION = re.compile(r"--([a-z]+(?:-[a-z]+)*)( '[^']*'| (?!(?:and|if|name|or|takes|that|with)\b)[^\s,;)]+)?")
+_OPTION = re.compile(
+    r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)(?![\w.])( '[^']*'| (?!(?:and|if|name|or|takes|that|with)\b)[^\s,;)]+)?"
+)
 """An option of the command in a message, and its value if it has one; other words go on with the sentence."""
 
 

@@ -39,7 +39,7 @@ class Used(NamedTuple):
     levels: Levels
     """Of the process noise, ``(J, 1)``."""
     sigma: Tensor
-    """``(1,)`` m."""
+    """``(1,)`` standard deviation of a fix, m; where fixes have their own, the median."""
     model: OutlierModel
     """How likely outliers are."""
 

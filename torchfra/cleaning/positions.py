@@ -198,7 +198,8 @@ def _used(part: Part, row: int) -> Used:
     """What the filter was run with on one row."""
     one = slice(row, row + 1)
     levels, model = Levels(*(x[:, one].clone() for x in part.levels)), part.model.of_rows(lambda x: x[one].clone())
-    return Used(part.fixes.z.shape[1], levels, part.sigma[one].clone(), model)
+    stated = torch.where(part.fixes.missing, torch.nan, part.fixes.variance)[:, one].nanquantile(0.5, dim=0).sqrt()
+    return Used(part.fixes.z.shape[1], levels, part.sigma[one] * stated, model)
 
 
 def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:

@@ -23,6 +23,8 @@ from torchfra.types import CompileError as CompileError
 compiled = 0
 """How many kernels this process has compiled."""
 
+_FORM = "objects, each behind its length"
+"""What a kept kernel is.  It is part of its name: LLVM ends the process when it reads anything else."""
 _LEVEL = 1
 """Of optimisation: more of it takes 1.4 times as long, for kernels that are no faster."""
 _loaded: dict[str, Any] = {}
@@ -54,7 +56,8 @@ def load_whole(source: str) -> Any:
 
 def _function(source: str, name: str, result: Any, arguments: list[Any]) -> Any:
     llvm = binding()
-    words = source, str(_LEVEL), llvm.get_host_cpu_name(), features(), str(llvm.llvm_version_info), torch.__version__
+    processor, versions = (llvm.get_host_cpu_name(), features()), (str(llvm.llvm_version_info), torch.__version__)
+    words = source, _FORM, str(_LEVEL), *processor, *versions
     key = hashlib.sha256("\n".join(words).encode()).hexdigest()[:32]
     engine = _loaded.get(key)
     if engine is None:

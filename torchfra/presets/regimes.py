@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-import torch
-
 from torchfra import register
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, Outliers, Regimes
@@ -25,19 +23,16 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
         "noise_levels": (1.0,), "manoeuvre_factors": (), "jump_factors": (), "self_transition": (0.999544, 0.99276),
         "restart": (0.17, 0.83),
-        "separate_levels": 0,
     },
     "some": {
         "noise_levels": (0.0042, 1.0, 5.71, 104.0), "manoeuvre_factors": (), "jump_factors": (5.95,),
         "self_transition": (0.9992, 0.999544, 0.808, 0.99232, 0.99276, 0.0399),
         "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65083765, 2.35e-06),
-        "separate_levels": 1,
     },
     "hard": {
         "noise_levels": (0.0042, 1.0, 5.71, 104.0), "manoeuvre_factors": (100.0,), "jump_factors": (5.95,),
         "self_transition": (0.9992, 0.999544, 0.808, 0.99232, 0.99276, 0.1, 0.0399),
         "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65073765, 0.0001, 2.35e-06),
-        "separate_levels": 1,
     },
 }  # fmt: skip
 """Values for each word of ``manoeuvres``: those of ``"some"`` were searched, the others are made from them by hand."""
@@ -57,7 +52,7 @@ def gpb(
     self_transition: Values | None = None,
     durations: Values | None = None,
     restart: Values | None = None,
-    separate_levels: int | None = None,
+    separate_levels: int = 0,
     outlier_transition: Values | None = None,
     outlier_durations: Values | None = None,
     outlier_sizes: Values = (7.71, 51.0, 1690.0, 19100.0),
@@ -81,7 +76,7 @@ def gpb(
         manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"some"``; or ``"hard"``, also turns
             far beyond its process noise, at some loss of accuracy with outliers.  None is ``"none"`` for a motion that
             measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the five
-            arguments that follow, and of ``separate_levels``: ``MANOEUVRES`` in this file.
+            arguments that follow: ``MANOEUVRES`` in this file.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
@@ -94,8 +89,8 @@ def gpb(
         durations: instead of these, mean seconds until a regime ends, in the same order: ``filters.GPB``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
-        separate_levels: the number of lowest levels that keep beliefs of their own; None for the calm level of
-            ``"some"`` and ``"hard"``, if there are several levels.
+        separate_levels: the number of lowest levels that keep beliefs of their own.  With 1, ``"some"`` is far nearer
+            to targets that hardly manoeuvre, and a little too sure where manoeuvres begin.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
             block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
         outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
@@ -137,16 +132,11 @@ def gpb(
     arguments = {
         "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
         "self_transition": self_transition, "durations": durations, "restart": restart,
-        "separate_levels": separate_levels,
     }  # fmt: skip
     values = MANOEUVRES[manoeuvres] | {name: x for name, x in arguments.items() if x is not None}
     if durations is not None:
         values["self_transition"] = self_transition
-    if separate_levels is None:
-        levels = torch.as_tensor(values["noise_levels"])
-        if levels.dim() == 0 or levels.shape[-1] < 2:
-            values["separate_levels"] = 0
-    regimes = Regimes(count, **values)
+    regimes = Regimes(count, **values, separate_levels=separate_levels)
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
     outliers = Outliers(

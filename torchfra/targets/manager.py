@@ -215,6 +215,9 @@ class Targets(nn.Module):
             if (has is None) != (part is None):
                 expected, received = ("none", "one") if part is None else ("one", "none")
                 raise ValueError(f"state: expected {expected} of a manager with {name}, received {received}")
+        if state.track.visible is not None and state.track.visible.shape[-1] != 1 + len(self.sensors):
+            sensors = state.track.visible.shape[-1]
+            raise ValueError(f"state: expected one of {1 + len(self.sensors)} sensors, received one of {sensors}")
         check_place(self.views.get(sensor), scan.u, filter.motion.dims)
         if bool((scan.dt < 0).any()):
             return put_in(self._step, filter.motion, state, scan, sensor)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchfra.linalg.safe import safe_divide
 from torchfra.numbers import as_number
 
 
@@ -75,7 +76,7 @@ class Chains(NamedTuple):
             log_miss: log probability that a visible target is missed: a number or ``(N,)``.
         """
         before = visible[:, sensor]
-        hidden = (1 - before) / (1 + before * torch.expm1(log_miss))  # of one that was missed
+        hidden = safe_divide(1 - before, 1 + before * torch.expm1(log_miss))  # of one that was missed
         now = 1 - log_missed.exp() * hidden
         return torch.cat([visible[:, :sensor], now.unsqueeze(-1), visible[:, sensor + 1 :]], -1)
 

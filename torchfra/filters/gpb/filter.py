@@ -184,7 +184,7 @@ class GPB(Filter[GPBState]):
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), if_any
         expected = self.compare(self.expected(predicted), frame)
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
-        last = None if state.last is None else Last(frame.z, frame.measured.expand_as(frame.z))
+        last = None if state.last is None else Last(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
         now = GPBState(belief, lagged, *kept, state.lasted, relaxation, last)
         alarm = self.alarm(state, now, frame)
         info = Step(tree.Late(lagged), by_regime, any_outlier * if_any, alarm)
@@ -198,7 +198,8 @@ class GPB(Filter[GPBState]):
         stayed, ended, restarted = (self.regimes.by_belief(x) for x in switching[:3])
         total = stayed + restarted
         origin = safe_divide(ended, ended.sum(MOTION, keepdim=True))
-        mixing = Mixing(safe_divide(stayed, total), safe_divide(restarted, total), origin)
+        own = torch.where(total > 0, safe_divide(stayed, total), 1.0)  # without any weight a belief stays as it is
+        mixing = Mixing(own, safe_divide(restarted, total), origin)
         if self.regimes.beliefs == 1:
             return before, mixing
         common = merge(before, safe_sqrt(origin), [MOTION], self.motion.angles)

@@ -53,10 +53,12 @@ class Hypotheses(NamedTuple):
     def share_roots(self, *axes: int) -> tuple[Tensor, Tensor]:
         """Square roots of the probabilities along some axes given the others, and the log weights of those others.
 
-        Where no hypothesis has any weight all shares are 0.
+        Where no hypothesis has any weight all shares are 0, with a gradient of 0.
         """
-        roots, total = share_roots(_in_front(self.log_weight, axes).flatten(0, len(axes) - 1))
-        roots = torch.where(total == -torch.inf, 0.0, roots)
+        log_weight = _in_front(self.log_weight, axes).flatten(0, len(axes) - 1)
+        none = log_weight.amax(0) == -torch.inf
+        roots, total = share_roots(torch.where(none, 0.0, log_weight))
+        roots, total = torch.where(none, 0.0, roots), torch.where(none, -torch.inf, total)
         sizes = [self.log_weight.shape[axis] for axis in axes]
         return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _kept(total, axes)
 
