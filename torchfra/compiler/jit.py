@@ -110,8 +110,12 @@ def _compiled(source: str) -> list[bytes]:
     """The objects of the parts of a module."""
     global compiled
     parts = source.split(PART)
-    with ThreadPoolExecutor(min(len(parts), torch.get_num_threads())) as threads:
-        made = [*threads.map(_object, parts)]
+    workers = min(len(parts), torch.get_num_threads())
+    if workers == 1:
+        made = [*map(_object, parts)]
+    else:
+        with ThreadPoolExecutor(workers) as threads:
+            made = [*threads.map(_object, parts)]
     compiled += 1
     return made
 
