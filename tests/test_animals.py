@@ -67,15 +67,19 @@ def test_a_mark_that_is_neither_true_nor_false_is_refused_with_its_row(tmp_path)
         written(tmp_path, HEADER, ROWS.replace("4,true", "4,maybe"))
 
 
-def walk(seed, noise=500.0, count=300):
-    """Fixes every two hours, one in 25 of them 20 km off: the recording, the truth and which are wrong."""
+def walk(seed, noise=500.0, count=300, hours=2):
+    """Fixes hours apart, one in 25 of them 20 km off: the recording, the truth and which are wrong."""
     rng = np.random.default_rng(seed)
-    truth = animal(rng, 20 * (count - 1), 360.0)[::20]
+    truth = animal(rng, 10 * hours * (count - 1), 360.0)[:: 10 * hours]
     wrong = rng.random(count) < 0.04
     angle = rng.uniform(-math.pi, math.pi, count)
     offset = 20e3 * wrong[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     fixes = truth + noise * rng.standard_normal((count, 2)) + offset
-    return Recording("seal", 7200.0 * np.arange(count), fixes, None, {}, source=Source(word="animal")), truth, wrong
+    return (
+        Recording("seal", 3600.0 * hours * np.arange(count), fixes, None, {}, source=Source(word="animal")),
+        truth,
+        wrong,
+    )
 
 
 @pytest.mark.parametrize("kind", ["animal", "marine"])
@@ -89,6 +93,25 @@ def test_outliers_among_fixes_hours_apart_are_found_and_the_others_come_nearer(k
         assert (found & wrong).sum() > 0.9 * found.sum()
         before, after = (np.square(z - truth)[~wrong].mean() for z in (recording.position, one.position))
         assert after < before
+
+
+@pytest.mark.parametrize(("noise", "hours"), [(100.0, 2), (100.0, 4), (500.0, 4), (1000.0, 4)])
+def test_where_fixes_do_not_tell_noise_from_motion_the_path_is_no_farther_off_than_they_are(noise, hours):
+    several = [walk(seed, noise, hours=hours) for seed in range(3)]
+    cleaned = clean_tracks([of for of, *_ in several])
+    of_raw = []
+    for one, (recording, truth, wrong) in zip(cleaned, several, strict=True):
+        before, after = (np.square(z - truth)[~wrong].mean() for z in (recording.position, one.position))
+        of_raw.append(math.sqrt(after / before))
+    assert np.median(of_raw) < 1.1
+
+
+def test_it_is_said_where_a_far_lower_sigma_is_as_likely():
+    recording, *_ = walk(0, 100.0, hours=4)
+    (one,) = clean_tracks([recording])
+    assert one.found.doubt == "Fixes 4 h apart hardly tell noise from motion: sigma is unsure"
+    (one,) = clean_tracks([recording], sigma=100.0)
+    assert not one.found.doubt
 
 
 def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():

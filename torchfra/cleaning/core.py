@@ -28,9 +28,9 @@ from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
-_FEW, _SURER = 10, 0.9
-"""Fixes below which sigma is a guess; and the share of its standard deviation above which an estimate is no surer than
-its fix alone, so that others tell nothing of it."""
+_FEW, _SURER, _OPEN = 10, 0.9, 0.5
+"""Fixes below which sigma is a guess; the share of its standard deviation above which an estimate is no surer than its
+fix alone, so that others tell nothing of it; and the share of sigma below which one may be that is not ruled out."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
 """What a track may do to its own work; all else is a mistake of the program and is raised."""
 
@@ -159,7 +159,7 @@ def _cleaned(
     default = name == DEFAULT and own is None
     told = settings if default else settings._replace(smooth=False)
     found = answers(tracks, [kind for kind, _ in kinds], told, coarse)
-    every = [_found(name, settings, own, kind, answer) for kind, answer in zip(kinds, found, strict=True)]
+    every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
     unknown = [i for i, known in enumerate(moved) if not known]
     asked = zip(*[(tracks[i], kinds[i][0], found[i]) for i in unknown], strict=True) if unknown else ((), (), ())
     errors = dict(zip(unknown, lasting_errors(*asked), strict=True))
@@ -187,7 +187,7 @@ def _result(
     mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     found = replace(found, nis=mean_nis, stated=recording.sigma is not None)
     if "sigma" in found.found:
-        found = replace(found, doubt=_doubt(steps, covariance, found.sigma))
+        found = replace(found, doubt=found.doubt or _doubt(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
     result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
     if result.failed.all():
@@ -203,18 +203,25 @@ def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
     surer = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * seen.std[:, 0])
     if np.median(surer) < _SURER:
         return ""
-    return f"Fixes {duration(period_of(seen))} apart hardly tell noise from motion: sigma is unsure"
+    return _hardly_told(seen)
 
 
-def _found(name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], answer: Answer) -> Found:
+def _hardly_told(steps: Steps) -> str:
+    return f"Fixes {duration(period_of(steps))} apart hardly tell noise from motion: sigma is unsure"
+
+
+def _found(
+    name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], steps: Steps, answer: Answer
+) -> Found:  # fmt: skip
     """What a track is cleaned with, and a line for each choice."""
     bank, why = ("own", "as given") if own is not None else kind
     told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as given" else bank}
     said = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
         said = (*said, f"Sigma of the height: {metres(answer.height)}")
+    doubt = _hardly_told(steps) if answer.lowest < _OPEN * answer.sigma else ""
     found = frozenset(key for key, value in told.items() if value is None)
-    return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said)
+    return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said, doubt=doubt)
 
 
 def _by_filter(

@@ -20,6 +20,11 @@ _LARGER = 8.0
 """Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
 _MANY, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
+_OPEN, _LOWER, _FORGOTTEN = 0.28, 1.5, 7200.0
+"""How much less likely a fix may be, in log, with a lower sigma that its track does not rule out; the ratio of those
+that are tried; and seconds in which targets may forget their velocity, to a share of 1 / e."""
+_SURELY, _DECIDED = 0.95, 50.0
+"""Probability of an outlier that the path goes past where sigma is open, and log of the odds of what is decided."""
 _STEPS, _ROWS = 200, 2
 """Of each track that are looked at for sigma: steps of a row, and rows."""
 SHORT = 0
@@ -37,6 +42,9 @@ _STILL = 0.1
 """How far the least process noise may move a target between two fixes, m."""
 _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
+_SLOW, _GAPS = 0.03, 3.0
+"""Where fixes come more rarely than any level ends: change of the velocity between two, m/s, from which on levels are
+told apart; and gaps that levels last, as what many levels leave in the mean changes slowly."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
 
@@ -51,6 +59,8 @@ class Part(NamedTuple):
     """``(B,)`` m."""
     least: Tensor
     """``(B,)`` m that sigma has at least."""
+    lowest: Tensor
+    """``(B,)`` m, the lowest sigma that the track does not rule out: the path goes as near to the fixes as it says."""
     model: OutlierModel = DEFAULT
     """How likely outliers are."""
 
@@ -69,17 +79,19 @@ def levels_up_to(
     come every two hours could be anywhere after each, and no fix an outlier.
 
     Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.  Over a period in
-    which levels begin and end many times those that begin often are likelier: the hardest of them shapes it.
+    which levels begin and end many times those that begin often are likelier: the hardest of them shapes it.  What many
+    leave in the mean changes little from one period to the next: where none lasts as long, each is for some periods.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     top = (acceleration.square() * period).minimum(fastest.square() / period).clamp_min(10 * _SLOWEST)
     least = (3 * _STILL**2 / period**3).clamp_max(_SLOWEST)
-    density = least * (top / least) ** place
+    slow = torch.where(period > _LASTING[0], _SLOW**2 / period, least)
+    density = torch.cat([least.unsqueeze(0), (slow * (top / slow) ** place)[1:]])
     duration = (_LASTING[0] * (_LASTING[1] / _LASTING[0]) ** place).expand_as(density)
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
     passed = period / duration
     often = passed.log() - (-torch.expm1(-passed)).log()  # next to 0 where levels last
-    return Levels(density, (rarer + often).log_softmax(0), duration)
+    return Levels(density, (rarer + often).log_softmax(0), duration.maximum(_GAPS * (period - _LASTING[0])))
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
@@ -110,6 +122,39 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model:
         sigma: that are tried.
         model: about outliers.
     """
+    fit, wrong, seen = _fits(fixes, levels, owner, sigma, model)
+    too_many = (wrong - _MANY * seen).clamp_min(0.0)
+    total = fit - _COST * too_many + _LARGER * sigma.log()
+    best = total.argmax(0).clamp(1, len(sigma) - 2)
+    left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
+    bend = (left - 2 * middle + right).clamp_max(-1e-3)
+    place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    return likely
+
+
+def _lowest(part: Part, levels: Levels, owner: Tensor) -> Tensor:
+    """The lowest standard deviations ``(B,)`` that tracks do not rule out, where fixes are rarer than levels end.
+
+    There a target forgets its velocity between fixes, what is left looks like noise, and the likeliest sigma may be ten
+    times what it is.
+    """
+    fixes = part.fixes
+    period = torch.where(fixes.missing, math.nan, fixes.elapsed).nanmedian(0).values
+    rare = period > _LASTING[0]
+    if not rare.any():
+        return part.sigma
+    tried = part.sigma / _LOWER ** torch.arange(_COARSE).unsqueeze(1)
+    fit, _, seen = _fits(fixes, levels, owner, tried, part.model.of_any_offset)
+    open_ = fit >= fit.amax(0) + _OPEN * torch.expm1(-period / _FORGOTTEN) * seen
+    last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
+    return torch.where(rare, tried.gather(0, last.unsqueeze(0))[0], part.sigma).maximum(part.least)
+
+
+def _fits(
+    fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of standard deviations ``(G, B)`` log-likelihoods, expected outliers and numbers of fixes ``(G, B)``."""
     count, looked_at = len(sigma), _looked_at(fixes, owner)
     part = Fixes(*(x[:_STEPS, ..., looked_at] for x in fixes))
     variance = sigma[:, looked_at].square() * part.variance.unsqueeze(1)
@@ -123,14 +168,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model:
     seen = (~tried.missing).to(sigma)
     sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
-    too_many = (wrong - _MANY * seen).clamp_min(0.0)
-    total = fit - _COST * too_many + _LARGER * sigma.log()
-    best = total.argmax(0).clamp(1, count - 2)
-    left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
-    bend = (left - 2 * middle + right).clamp_max(-1e-3)
-    place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
-    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
-    return likely
+    return fit, wrong, seen
 
 
 def _looked_at(fixes: Fixes, owner: Tensor) -> Tensor:
@@ -182,6 +220,7 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
         find_sigma: whether to find sigma.
         find_q: whether to find the shares of the levels.
     """
+    begun = [part.levels for part in parts]
     for left in reversed(range(_ROUNDS)):
         known = [two_filters(part.scaled, part.levels, part.model.of_any_offset) for part in parts]
         if find_q:
@@ -190,6 +229,9 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
         parts = _with_evidence(parts, known, owner)
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
+    if find_sigma:
+        lowest = [_lowest(part, levels, owner) for part, levels in zip(parts, begun, strict=True)]
+        parts = [part._replace(lowest=low) for part, low in zip(parts, lowest, strict=True)]
     return parts
 
 
@@ -201,7 +243,22 @@ def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], T
         unsaid = [part.fixes._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
         parts = [part._replace(fixes=fixes, model=DEFAULT) for part, fixes in zip(parts, unsaid, strict=True)]
         known = [filtered(part.scaled, part.levels) for part in parts]
-    return known, _outlier(parts, known)
+    outlier = _outlier(parts, known)
+    return [_near_fixes(part, of, outlier) if smooth else of for part, of in zip(parts, known, strict=True)], outlier
+
+
+def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
+    """With the path of the lowest sigma that a track does not rule out, past the outliers that are found.
+
+    No fix is moved far for a noise that may not be there.  How sure that is stays as it was.
+    """
+    open_ = part.lowest < part.sigma
+    if not open_.any():
+        return known
+    fixes = part.fixes._replace(odds=torch.where(outlier > _SURELY, _DECIDED, -_DECIDED))
+    path = two_filters(part._replace(fixes=fixes, sigma=part.lowest).scaled, part.levels, part.model).belief
+    position, velocity = (torch.where(open_, new, old) for new, old in zip(path[:2], known.belief[:2], strict=True))
+    return known._replace(belief=known.belief._replace(position=position, velocity=velocity))
 
 
 def _outlier(parts: Sequence[Part], known: Sequence[Smoothed]) -> Tensor:

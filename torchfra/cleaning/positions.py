@@ -64,6 +64,8 @@ class Answer(NamedTuple):
     sigma: float
     height: float
     """Sigma of the height; NaN in the plane."""
+    lowest: float
+    """The lowest sigma that the track does not rule out."""
     q: float
     density: Array
     """``(T,)`` mean of that of the process noise that led to each step, m^2/s^3."""
@@ -110,7 +112,8 @@ def _parts(
             least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         told = None if settings.sigma is None else torch.full_like(most, settings.sigma)
         sigma = first_sigma(fixes, levels, _owners(rows, tracks)) if told is None else told
-        parts.append(Part(fixes, levels, sigma.maximum(least), least))
+        sigma = sigma.maximum(least)
+        parts.append(Part(fixes, levels, sigma, least, sigma))
     return rows, parts
 
 
@@ -128,7 +131,7 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
             fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
-        more.append(Part(fixes, levels, part.sigma[first], part.least[first], model))
+        more.append(Part(fixes, levels, part.sigma[first], part.least[first], part.lowest[first], model))
     return every, more
 
 
@@ -190,7 +193,8 @@ def _joined(
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
         a, b, c, d, e, f = (_whole(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
         used = tuple(_used(part, first) for part in parts)
-        found.append(Answer(a, b, c, d, e, float(parts[0].sigma[first]), height, float(q[first]), f, used))
+        sigma, lowest = float(parts[0].sigma[first]), float(parts[0].lowest[first])
+        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), f, used))
     return found
 
 
