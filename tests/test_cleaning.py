@@ -1,11 +1,14 @@
 """Cleaning finds what tracks are made of, rejects what is wrong, and no track stops another."""
 
 import numpy as np
+import oracles
 import pytest
+import torch
 
 import torchfra
 from torchfra.cleaning import check_settings, clean_tracks
 from torchfra.cleaning.kinds import kind_of
+from torchfra.cleaning.two_filters import _believed, _joined
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
 from torchfra.motion.bank import Bank
 from torchfra.readers import Recording
@@ -139,6 +142,51 @@ def test_a_burst_of_one_offset_at_either_end_throws_no_good_fix_away(burst):
     np.testing.assert_array_equal(one.flag == "outlier", wrong)
     assert np.abs(one.position - truth).max() < 5 * 3.0
     assert one.found.nis < 1.3
+
+
+@pytest.mark.parametrize(("period", "burst"), [(5.0, slice(0, 6)), (5.0, slice(-6, None)), (10.0, slice(-6, None))])
+def test_a_burst_at_either_end_of_a_track_that_turns_hard_leaves_the_others_where_they_are(period, burst):
+    course = np.cumsum(np.radians(12.0) * ((np.arange(120) > 25) & (np.arange(120) < 35)))
+    truth = 10.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
+    z = truth + SIGMA * np.random.default_rng(2).standard_normal(truth.shape)
+    z[burst] += (2000.0, 1000.0)
+    (one,) = clean_tracks([Recording("burst", period * np.arange(120), z, None, {})])
+    good = np.delete(np.arange(120), np.arange(120)[burst])
+    assert (one.flag[burst] == "outlier").all()
+    assert error(one, truth, good) < SIGMA
+
+
+@pytest.mark.parametrize(("period", "jump", "speed"), [(5.0, 1000.0, 10.0), (5.0, 3000.0, 10.0), (5.0, 0.0, 220.0),
+                                                       (10.0, 0.0, 220.0)])  # fmt: skip
+def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal(period, jump, speed):
+    after = np.arange(120) >= 60
+    along = np.cumsum(period * speed * np.where(after & (jump == 0), -1.0, 1.0))
+    truth = np.stack([along, 3.0 * period * np.arange(120) + jump * after], 1)
+    z = truth + SIGMA * np.random.default_rng(0).standard_normal(truth.shape)
+    (one,) = clean_tracks([Recording("sudden", period * np.arange(120), z, None, {})])
+    assert (one.flag != "outlier").all()
+    assert error(one, truth, slice(None)) < SIGMA
+
+
+def error(one, truth, at):
+    """Root mean square of both axes together, which is 1.4 sigma of the fixes themselves."""
+    return np.sqrt(np.square(one.position - truth)[at].sum(1).mean())
+
+
+def test_the_filters_believed_are_the_likeliest_choice_of_every_stretch():
+    rng, rare = np.random.default_rng(0), np.array([-1.0, -3.0, -9.0, -4.0] * 20)
+    gain, lost = 3.0 * rng.standard_normal((50, 80)), rng.random((50, 80)) < 0.85
+    first = _believed(*map(torch.from_numpy, (gain, lost, rare))).numpy()
+    expected = [oracles.believed(*of) for of in zip(gain.T, lost.T, rare, strict=True)]
+    np.testing.assert_array_equal(first & lost, np.transpose(expected))
+
+
+def test_stretches_with_less_than_three_fixes_between_them_are_one():
+    rng = np.random.default_rng(0)
+    contrary, fixes = rng.random((60, 80)) < rng.uniform(0, 0.4, 80), rng.random((60, 80)) < 0.7
+    whole = _joined(torch.from_numpy(contrary), torch.from_numpy(fixes).long()).numpy()
+    expected = [oracles.joined(*of, 3) for of in zip(contrary.T, fixes.T, strict=True)]
+    np.testing.assert_array_equal(whole, np.transpose(expected))
 
 
 @pytest.mark.slow

@@ -25,12 +25,13 @@ from oracles.noise import Tuned, iaukf
 from oracles.robust import mr_ckf, rsrckf, srckf, ukf
 from oracles.smoothing import every_history, models_smoother, smoother, through, whole_track
 from oracles.spherical import msc_from_cartesian, msc_jacobian, msc_to_cartesian
+from oracles.two_filters import believed, joined
 from oracles.vsimm import likely_set, vsimm
 
 __all__ = [
-    "Model", "Tuned", "alphabeta_bank", "asrckf", "bearings", "ca", "cv", "ekf", "every_event", "every_history",
-    "fra", "huber_regression", "huber_score", "iaukf", "imm", "joint_events", "jpda", "kalman", "likely_set",
-    "models_smoother", "mr_ckf", "msc_from_cartesian", "msc_jacobian", "msc_to_cartesian", "rmckf", "rsrckf",
-    "smoother", "soft_fra", "srckf", "third_degree", "through", "turn", "ukf", "unscented", "vsimm", "whole_track",
-    "wrap",
+    "Model", "Tuned", "alphabeta_bank", "asrckf", "bearings", "believed", "ca", "cv", "ekf", "every_event",
+    "every_history", "fra", "huber_regression", "huber_score", "iaukf", "imm", "joined", "joint_events", "jpda",
+    "kalman", "likely_set", "models_smoother", "mr_ckf", "msc_from_cartesian", "msc_jacobian", "msc_to_cartesian",
+    "rmckf", "rsrckf", "smoother", "soft_fra", "srckf", "third_degree", "through", "turn", "ukf", "unscented",
+    "vsimm", "whole_track", "wrap",
 ]  # fmt: skip

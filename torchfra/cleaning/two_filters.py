@@ -45,7 +45,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
 
     A motion at constant velocity that white noise disturbs is the same in either direction, and so is the chain of
     levels.  So the filter that runs backward gives the likelihood of all later fixes for each level.  Where the two
-    contradict each other, one is lost, and the other is believed alone: see ``_lost``.
+    contradict each other, one is lost, and the other is believed alone, or each on its side of a jump: see ``_lost``.
 
     Source: Fraser & Potter (1969) for two filters; Helmick, Blair & Hoffman (1995) for those of interacting models.
     """
@@ -113,8 +113,12 @@ def _lost(
     """Where one of two filters follows something else than the target, as the burst of outliers that it began with.
 
     There what one says is as far from what the other says as an outlier is from a clean fix, whichever the level.  Of
-    each such stretch that filter is lost by which the fixes are less likely.  A filter that begins is sure of nothing,
-    so that it contradicts the other as it does thereafter.  To be lost is as rare as two outliers apart.
+    each such stretch that filter is lost by which the fixes are less likely.  Where the target itself jumps or turns
+    back at once, the first filter is right until then and the second from then on.  So the first is believed up to the
+    step that makes the fixes likeliest and the second after it, if that beats either alone by more than it is rare.
+
+    A filter that begins is sure of nothing, so that it contradicts the other as it does thereafter; and two that agree
+    for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
 
     Args:
         predictions: of every step from the fixes before it.
@@ -138,10 +142,40 @@ def _lost(
     first, last = told.long().argmax(0), len(told) - 1 - told.flip(0).long().argmax(0)
     nearest = torch.arange(len(told)).unsqueeze(1).clamp(first, last)
     contrary = ((log_weights.logsumexp(1) < log_lost) & told).gather(0, nearest)
-    stretch = (contrary & ~torch.cat([torch.zeros_like(contrary[:1]), contrary[:-1]])).long().cumsum(0)
-    likelier = (predictions.log_likelihood - later.log_likelihood) * contrary
-    likelier = torch.zeros_like(likelier).scatter_add(0, stretch, likelier).gather(0, stretch)
-    return contrary & (likelier < 0), contrary & (likelier >= 0)
+    lost = _joined(contrary, seen)
+    believed = _believed(predictions.log_likelihood - later.log_likelihood, lost, rare)
+    return lost & ~believed, lost & believed
+
+
+def _joined(contrary: Tensor, seen: Tensor) -> Tensor:
+    """Stretches ``(T, B)`` as one where fewer fixes lie between them than make a filter sure; ``seen`` is 1 at each."""
+    count = seen.cumsum(0)
+    since = torch.where(contrary, count, -_BEGUN).cummax(0).values
+    until = torch.where(contrary, count - seen, len(seen) + _BEGUN).flip(0).cummin(0).values.flip(0)
+    return until - since < _BEGUN
+
+
+def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
+    """Where the first of two filters is believed: in each stretch everywhere, nowhere, or up to the likeliest step.
+
+    Args:
+        gain: ``(T, B)``, the log of how much likelier each fix is by the first than by the second.
+        lost: ``(T, B)``, the stretches.
+        rare: ``(B,)``, the log of how probable a change from the first to the second is within a stretch.
+
+    Returns:
+        ``(T, B)``; outside the stretches it says nothing.
+    """
+    step, none = torch.arange(len(lost)).unsqueeze(1), torch.zeros_like(lost[:1])
+    begins, ends = lost & ~torch.cat([none, lost[:-1]]), lost & ~torch.cat([lost[1:], none])
+    stretch = begins.long().cumsum(0)
+    gain = gain * lost
+    total = gain.cumsum(0)
+    base = torch.zeros_like(total).scatter_add(0, stretch, (total - gain) * begins).gather(0, stretch)
+    likelier = torch.where(lost, total - base + torch.where(ends, 0.0, rare), -torch.inf)  # than the second alone
+    most = torch.full_like(total, -torch.inf).scatter_reduce(0, stretch, likelier, "amax").gather(0, stretch)
+    change = torch.where((likelier == most) & (most >= 0), step, -1)
+    return step <= torch.full_like(stretch, -1).scatter_reduce(0, stretch, change, "amax").gather(0, stretch)
 
 
 def _rows(x: Predictions, rows: slice) -> Predictions:

@@ -1,0 +1,28 @@
+"""Which of two filters is believed where they contradict each other: every choice of every stretch is tried."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from oracles.basics import Array
+
+
+def believed(gain: Array, lost: Array, rare: float) -> Array:
+    """Where the first is, of ``(T,)``: all of a stretch, none of it, or up to a step, which costs ``-rare``."""
+    first = np.zeros(len(gain), bool)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
+    for begin, end in ends.reshape(-1, 2):
+        worth = [gain[begin:k].sum() + (rare if begin < k < end else 0.0) for k in range(begin, end + 1)]
+        first[begin : begin + int(np.argmax(worth))] = True
+    return first
+
+
+def joined(contrary: Array, fixes: Array, fewer: int) -> Array:
+    """Stretches with fewer fixes than that between them as one."""
+    whole, at = contrary.copy(), np.flatnonzero(contrary)
+    for one, other in pairwise(at):
+        if fixes[one + 1 : other].sum() < fewer:
+            whole[one:other] = True
+    return whole
