@@ -135,3 +135,16 @@ def test_a_fix_is_an_outlier_where_its_position_or_its_height_is_one():
             some = none * alone * other + prior * ratio * (1 - beside + beside * other)
             none *= 1 - alone
         assert found[k, 0].item() == pytest.approx(some / (none + some), rel=1e-9)
+
+
+@pytest.mark.parametrize("period", [5.0, 600.0, 3600.0])
+@pytest.mark.parametrize("q", [None, 1e-4, 1e4, 1e8])
+def test_the_chain_of_levels_is_the_exponential_of_its_rates_whatever_q_is_told(period, q):
+    gap = torch.tensor([period], dtype=torch.float64)
+    fastest, hardest = torch.tensor([300.0]).double(), torch.tensor([9.0]).double()
+    levels = levels_up_to(hardest, fastest, gap, 7, q)
+    restart, duration = levels.log_restart.exp()[:, 0], levels.duration[:, 0]
+    rates = (restart - torch.eye(7)) / duration.unsqueeze(1)
+    lasts, follows = levels.chain.over(gap.unsqueeze(0))
+    whole = lasts[0, :, 0].exp().diag() + follows[0, 0]
+    torch.testing.assert_close(whole, torch.matrix_exp(rates * period), rtol=0, atol=1e-8)

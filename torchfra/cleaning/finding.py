@@ -47,6 +47,8 @@ _SLOW, _GAPS = 0.03, 3.0
 told apart; and gaps that levels last, as what many levels leave in the mean changes slowly."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
+_RAREST = -25.0
+"""Log of the least share: of much rarer levels nothing is left of the digits of ``Levels.chain``."""
 
 
 class Part(NamedTuple):
@@ -91,7 +93,8 @@ def levels_up_to(
     rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _SLOWEST)).log10().square()
     passed = period / duration
     often = passed.log() - (-torch.expm1(-passed)).log()  # next to 0 where levels last
-    return Levels(density, (rarer + often).log_softmax(0), duration.maximum(_GAPS * (period - _LASTING[0])))
+    share = (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
+    return Levels(density, share, duration.maximum(_GAPS * (period - _LASTING[0])))
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
