@@ -175,9 +175,10 @@ def error(one, truth, at):
 
 def test_the_filters_believed_are_the_likeliest_choice_of_every_stretch():
     rng, rare = np.random.default_rng(0), np.array([-1.0, -3.0, -9.0, -4.0] * 20)
-    gain, lost = 3.0 * rng.standard_normal((50, 80)), rng.random((50, 80)) < 0.85
+    gain, lost = 3.0 * rng.standard_normal((50, 80)), rng.random((50, 80)) < 0.3
+    lost = np.transpose([oracles.joined(of, np.ones(50), 3) for of in lost.T])
     first = _believed(*map(torch.from_numpy, (gain, lost, rare))).numpy()
-    expected = [oracles.believed(*of) for of in zip(gain.T, lost.T, rare, strict=True)]
+    expected = [oracles.believed(*of, 3) for of in zip(gain.T, lost.T, rare, strict=True)]
     np.testing.assert_array_equal(first & lost, np.transpose(expected))
 
 

@@ -9,12 +9,16 @@ import numpy as np
 from oracles.basics import Array
 
 
-def believed(gain: Array, lost: Array, rare: float) -> Array:
-    """Where the first is, of ``(T,)``: all of a stretch, none of it, or up to a step, which costs ``-rare``."""
+def believed(gain: Array, lost: Array, rare: float, least: int) -> Array:
+    """Where the first is, of ``(T,)``: all of a stretch, none of it, or up to a step inside, at ``-rare``."""
     first = np.zeros(len(gain), bool)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     for begin, end in ends.reshape(-1, 2):
-        worth = [gain[begin:k].sum() + (rare if begin < k < end else 0.0) for k in range(begin, end + 1)]
+        inside = range(begin + least, end - least + 1)
+        worth = [
+            gain[begin:k].sum() + (0.0 if k in {begin, end} else rare if k in inside else -np.inf)
+            for k in range(begin, end + 1)
+        ]
         first[begin : begin + int(np.argmax(worth))] = True
     return first
 

@@ -116,6 +116,7 @@ def _lost(
     each such stretch that filter is lost by which the fixes are less likely.  Where the target itself jumps or turns
     back at once, the first filter is right until then and the second from then on.  So the first is believed up to the
     step that makes the fixes likeliest and the second after it, if that beats either alone by more than it is rare.
+    Both sides have a few steps of the stretch, or else the last outlier of a burst would be a jump.
 
     A filter that begins is sure of nothing, so that it contradicts the other as it does thereafter; and two that agree
     for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
@@ -172,7 +173,10 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
     gain = gain * lost
     total = gain.cumsum(0)
     base = torch.zeros_like(total).scatter_add(0, stretch, (total - gain) * begins).gather(0, stretch)
-    likelier = torch.where(lost, total - base + torch.where(ends, 0.0, rare), -torch.inf)  # than the second alone
+    some = none.expand(_BEGUN, -1)
+    inside = torch.cat([some[1:], lost])[: len(lost)] & lost & torch.cat([lost, some])[_BEGUN:]
+    prior = torch.where(ends, 0.0, torch.where(inside, rare, -torch.inf))
+    likelier = total - base + prior  # than by the second alone
     most = torch.full_like(total, -torch.inf).scatter_reduce(0, stretch, likelier, "amax").gather(0, stretch)
     change = torch.where((likelier == most) & (most >= 0), step, -1)
     return step <= torch.full_like(stretch, -1).scatter_reduce(0, stretch, change, "amax").gather(0, stretch)
