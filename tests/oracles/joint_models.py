@@ -103,6 +103,7 @@ def regimes(
             beliefs[quality, m] = matched([(w / sum(each), *b) for w, b in zip(each, found, strict=True)])
         dirty = [w * np.exp(s.log_regimes[1]).sum() for w, s in parts]
         outlier = sum(w / sum(dirty) * s.outlier for w, (_, s) in zip(dirty, parts, strict=True))
-        return gpb.Carried(beliefs, np.log(chances), np.asarray(outlier))
+        nothing = np.full_like(parts[0][1].last, np.nan)  # no measurement is one target's alone
+        return gpb.Carried(beliefs, np.log(chances), np.asarray(outlier), nothing)
 
     return Target(gpb.start(mean, P, r, q, poor, widened), step, merge)
