@@ -432,3 +432,11 @@ def test_arguments_are_made_small():
         "compare", "--scenario", "growth", "--runs", "2", "--filters", "srckf,fra", "--no-compile"
     ]  # fmt: skip
     assert small_training(["noise", "batch=64", "lr=0.1"], []) == ["noise", "lr=0.1", *SMALL_TRAINING]
+
+
+def test_pages_include_from_and_to_words_that_are_there():
+    for page in sorted((ROOT / "scripts" / "docs").glob("*.md")):
+        for file, options in re.findall(r"```\{include\} (\S+)\n((?::.*\n)*)```", page.read_text(encoding="utf-8")):
+            text = (page.parent / file).read_text(encoding="utf-8")
+            for marker in re.findall(r'^:(?:start-after|end-before): "(.*)"$', options, re.MULTILINE):
+                assert marker.replace("\\n", "\n") in text, f"{page.name}: {marker}"
