@@ -8,6 +8,7 @@ import torch
 from short_tracks import SMALL_GPB
 from test_compile import close
 from test_gpb import ANCHORS, FEWER, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
+from torch.testing import assert_close
 
 from torchfra import presets, scenarios, tree
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
@@ -215,3 +216,31 @@ def test_what_never_happens_is_as_what_hardly_ever_does(never, motions):
         compiled = presets.gpb(bank, Position(2.0), **NEVER[never][0]).compile()(z, prior)
         for ours, expected in zip(tree.flatten(compiled), tree.flatten(nothing), strict=True):
             torch.testing.assert_close(ours, expected, rtol=1e-10, atol=1e-10)
+
+
+def test_a_level_with_a_belief_of_its_own_smooths_like_a_motion_of_its_own():
+    """With a chain in seconds, a separate level is another motion with that process noise, over gaps too."""
+    factor, (calm, stated, agile, jump), (a, b, c, d) = 0.01, (60.0, 30.0, 5.0, 0.5), (0.4, 0.3, 0.2, 0.1)
+    sensor, q, ranges = Position(5.0), 0.5, {"jump_factors": (9.0,)}
+    one = presets.gpb(
+        ConstantVelocity(q), sensor, noise_levels=(factor, 1.0, 50.0), durations=(calm, stated, agile, 1.0, jump),
+        restart=(a, b, c, 0.0, d), separate_levels=1, **ranges,
+    )  # fmt: skip
+    two = presets.gpb(
+        [ConstantVelocity(q), ConstantVelocity(factor * q)], sensor, noise_levels=(1.0, 50.0),
+        durations=(stated, agile, calm, jump), restart=(b, c, a, d), manoeuvres="some", **ranges,
+    )  # fmt: skip
+    generator = torch.Generator().manual_seed(3)
+    dt = 0.5 + torch.rand(25, generator=generator, dtype=torch.float64)
+    z = (dt.cumsum(0)[:, None] * torch.tensor([8.0, 2.0])).double()
+    z = z + 5 * torch.randn(25, 2, generator=generator, dtype=torch.float64)
+    z[12:, 1] += 6 * dt.cumsum(0)[12:] - 6 * dt.cumsum(0)[12]
+    z[6] += 200.0
+    z[17:20] = torch.nan
+    prior = Gaussian(torch.zeros(4).double(), torch.diag(torch.tensor([20.0, 20, 9, 9]).double()))
+    same = {"rtol": 1e-9, "atol": 1e-9}
+    for f in (one, copy.deepcopy(one).compile()):
+        for found, right in zip(*[(g(z, prior, dt=dt), g.smooth(z, prior, dt=dt)) for g in (f, two)], strict=True):
+            assert_close(found.mean, right.mean, **same)
+            assert_close(found.covariance, right.covariance, **same)
+            assert_close(found.log_likelihood, right.log_likelihood, **same)
