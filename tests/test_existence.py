@@ -138,11 +138,8 @@ def test_a_stream_that_was_saved_goes_on_to_the_same_bits():
         assert torch.equal(one, other)
 
 
-def test_gradients_are_those_of_finite_differences():
-    scans = dense(1, 5, 3)
-    targets = Targets(
-        plane(learn=("detection", "q", "std")), birth=OnePoint(3.0), confirmation=Existence(confirmed=0.6)
-    )
+def check_gradients(targets, scans):
+    """Gradients of likelihoods and estimates with respect to all values are finite differences."""
 
     def likelihood():
         estimate = targets(scans)
@@ -158,6 +155,14 @@ def test_gradients_are_those_of_finite_differences():
             p += 1e-6
         assert p.grad.abs() > 1e-3
         torch.testing.assert_close(p.grad, (above - below) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+def test_gradients_are_those_of_finite_differences():
+    scans = dense(1, 5, 3)
+    targets = Targets(
+        plane(learn=("detection", "q", "std")), birth=OnePoint(3.0), confirmation=Existence(confirmed=0.6)
+    )
+    check_gradients(targets, scans)
 
 
 def test_a_filter_of_regimes_has_targets_that_may_not_exist_too():

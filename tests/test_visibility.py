@@ -8,6 +8,7 @@ import torch
 from joint import plane
 from oracles.events import joint_visibility
 from oracles.targets import manage
+from test_existence import check_gradients
 from test_targets_oracle import BIRTHS, DT, HASTY, PD, PG, RATE, STD, WIDTH, Q, follow, manager, scans
 
 from torchfra import presets, tree
@@ -137,21 +138,7 @@ def test_a_late_scan_leaves_what_scans_in_the_order_of_their_times_leave():
 def test_gradients_are_those_of_finite_differences():
     z = torch.stack([torch.from_numpy(scan[:3]) for scan in scans(1, 8) if len(scan) >= 3]).unsqueeze(0)
     targets = lone(learn=("detection", "q", "std"), visibility={None: Visibility(5.0, 3.0)})
-
-    def likelihood():
-        estimate = targets(z)
-        return estimate.log_likelihood.sum() + estimate.mean[estimate.confirmed].sum()
-
-    likelihood().backward()
-    for p in targets.parameters():
-        with torch.no_grad():
-            p += 1e-6
-            above = likelihood()
-            p -= 2e-6
-            below = likelihood()
-            p += 1e-6
-        assert p.grad.abs() > 1e-3
-        torch.testing.assert_close(p.grad, (above - below) / 2e-6, rtol=1e-5, atol=1e-6)
+    check_gradients(targets, z)
 
 
 @pytest.mark.slow
