@@ -53,7 +53,7 @@ def filter_calls(scenario: Scenario, data: Tracks, options: argparse.Namespace) 
 
 def report_differences(scenario: Scenario, data: Tracks, peers: dict[str, Peer]) -> None:
     """Prints how far the last positions of each peer are from those of ``srckf``."""
-    reference = run(presets.srckf(scenario.motion, scenario.sensor), scenario, data).mean[:, -1].numpy()
+    reference = run(presets.srckf(scenario.motion, scenario.sensor), scenario, data).mean[:, -1].cpu().numpy()
     for name, peer in peers.items():
         means = peer.means()
         if means is not None:
