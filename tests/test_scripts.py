@@ -258,16 +258,16 @@ def test_plain_qr_is_the_same_filter(make, tracks):
 
 
 def test_the_benchmark_prints_a_table_of_rows_with_different_labels():
-    times = {"median": 1.5, "q1": 1.0, "q3": 2.0, "first_call_s": 12.34}
+    times = {"median": 0.000331, "q1": 0.00033, "q3": 2.0, "first_call_s": 12.34}
     rows = [{"system": "a", "batch": 10, **times, "peak_mib": 7.4}, {"system": "b", "steps": 5, **times}]
     assert timing.table(rows).splitlines() == [
-        "system  batch  steps  median us  q1 us  q3 us  first call s  peak MiB",
-        "a          10             1.500  1.000  2.000          12.3         7",
-        "b                  5      1.500  1.000  2.000          12.3",
+        "system  batch  steps  median us     q1 us  q3 us  first call s  peak MiB",
+        "a          10          0.000331  0.000330   2.00          12.3         7",
+        "b                  5   0.000331  0.000330   2.00          12.3",
     ]
     assert timing.table([{"system": "a", **times, "peak_mib": None}]).splitlines() == [
-        "system  median us  q1 us  q3 us  first call s",
-        "a           1.500  1.000  2.000          12.3",
+        "system  median us     q1 us  q3 us  first call s",
+        "a        0.000331  0.000330   2.00          12.3",
     ]
 
 

@@ -10,15 +10,15 @@ import torch
 
 from benchmarks.clock import PASS, WARM, first_call, one_pass
 from torchfra.running.progress import progress_bar
-from torchfra.tables import text_table
+from torchfra.tables import significant, text_table
 
 Row = dict[str, Any]
 _MEASURED = {
-    "median": ("median us", ".3f"), "q1": ("q1 us", ".3f"), "q3": ("q3 us", ".3f"),
+    "median": ("median us", ""), "q1": ("q1 us", ""), "q3": ("q3 us", ""),
     "ratio": ("ratio", ".2f"), "ratio_q1": ("q1", ".2f"), "ratio_q3": ("q3", ".2f"), "error": ("error", ".6g"),
     "first_call_s": ("first call s", ".1f"), "peak_mib": ("peak MiB", ".0f"),
 }  # fmt: skip
-"""Keys of rows that are not labels: their titles and formats in a table."""
+"""Keys of rows that are not labels: their titles in a table, and formats; of times three significant digits."""
 
 
 class System(Protocol):
@@ -107,12 +107,14 @@ def table(rows: Sequence[Row]) -> str:
     labels = [key for key in present if key not in ("system", *_MEASURED)]
     titles = [_MEASURED[key][0] for key in measured]
     forms = {key: _MEASURED[key][1] for key in measured}
-    cells = [[_cell(row.get(key), forms.get(key, "")) for key in ("system", *labels, *measured)] for row in rows]
+    cells = [[_cell(row.get(key), forms.get(key)) for key in ("system", *labels, *measured)] for row in rows]
     return text_table(["system", *labels, *titles], cells)
 
 
-def _cell(value: Any, form: str) -> str:
-    return "" if value is None else f"{value:{form}}"
+def _cell(value: Any, form: str | None) -> str:
+    if value is None:
+        return ""
+    return significant(value) if form == "" else f"{value:{form or ''}}"
 
 
 def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu") -> dict[str, System]:
