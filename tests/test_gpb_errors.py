@@ -15,6 +15,7 @@ def test_the_parts_make_the_filter_that_the_preset_makes():
     regimes = Regimes(
         1,
         noise_levels=(0.1, 30.0),
+        separate_levels=1,
         jump_factors=(200.0,),
         self_transition=VALUES["self_transition"],
         restart=VALUES["restart"],

@@ -228,7 +228,7 @@ def test_a_level_with_a_belief_of_its_own_smooths_like_a_motion_of_its_own():
     )  # fmt: skip
     two = presets.gpb(
         [ConstantVelocity(q), ConstantVelocity(factor * q)], sensor, noise_levels=(1.0, 50.0),
-        durations=(stated, agile, calm, jump), restart=(b, c, a, d), manoeuvres="some", **ranges,
+        durations=(stated, agile, calm, jump), restart=(b, c, a, d), separate_levels=0, **ranges,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(3)
     dt = 0.5 + torch.rand(25, generator=generator, dtype=torch.float64)

@@ -157,7 +157,9 @@ def test_a_loss_is_a_power_of_the_ratios_to_what_is_allowed_within_bounds(traini
 def test_rivals_have_the_same_runs_as_the_filters(training):
     for cases, runs in ((training.cases, training.config.batch), (training.unseen, training.config.validation_runs)):
         assert all(len(batch.z) == runs * len(tasks) for tasks, batch in cases.groups)
-    rival = training.best_rival(0, held_out=True, runs=training.config.validation_runs, seed=1)[1]
+    rival = training.best_rival(
+        0, held_out=True, runs=training.config.validation_runs, seed=training.config.validation_seed
+    )[1]
     assert training.unseen.rivals[0] == rival
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
+import torch
+
 from torchfra import register
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, Outliers, Regimes
@@ -21,23 +23,26 @@ __all__ = ["gpb"]
 
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
-        "noise_levels": (1.0,), "manoeuvre_factors": (), "jump_factors": (), "self_transition": (0.999544, 0.99276),
-        "restart": (0.17, 0.83),
+        "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (),
+        "self_transition": (0.999073, 0.9612), "restart": (0.076, 0.924),
     },
     "some": {
-        "noise_levels": (0.0042, 1.0, 5.71, 104.0), "manoeuvre_factors": (), "jump_factors": (5.95,),
-        "self_transition": (0.9992, 0.999544, 0.808, 0.99232, 0.99276, 0.0399),
-        "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65083765, 2.35e-06),
+        "noise_levels": (0.00612, 1.0, 2.05, 142.0), "separate_levels": 1,
+        "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.867, 0.9862, 0.9612, 0.0619),
+        "restart": (0.0291, 0.0613, 0.159, 0.00114, 0.74945798, 2.02e-06),
     },
     "hard": {
-        "noise_levels": (0.0042, 1.0, 5.71, 104.0), "manoeuvre_factors": (100.0,), "jump_factors": (5.95,),
-        "self_transition": (0.9992, 0.999544, 0.808, 0.99232, 0.99276, 0.1, 0.0399),
-        "restart": (0.0698, 0.137, 0.139, 0.00336, 0.65073765, 0.0001, 2.35e-06),
+        "noise_levels": (0.00612, 1.0, 2.05, 142.0), "separate_levels": 1,
+        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.867, 0.9862, 0.9612, 0.1, 0.0619),
+        "restart": (0.0291, 0.0613, 0.159, 0.00114, 0.74935798, 0.0001, 2.02e-06),
     },
 }  # fmt: skip
-"""Values for each word of ``manoeuvres``: those of ``"some"`` were searched, the others are made from them by hand."""
+"""Values for each word of ``manoeuvres``: those of ``"some"`` were searched, but for the calm level's self-transition
+probability, which is as large as covariances of turning targets allow; the others are made from them by hand."""
 
-OUTLIER_TRANSITION = ((0.999491, 0.000509), (0.9344, 0.0656))
+OUTLIER_TRANSITION = ((0.99852, 0.00148), (0.9141, 0.0859))
 
 
 @register.filter("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
@@ -47,19 +52,19 @@ def gpb(
     *,
     manoeuvres: str | None = None,
     noise_levels: Values | None = None,
+    separate_levels: int | None = None,
     manoeuvre_factors: Values | None = None,
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
     durations: Values | None = None,
     restart: Values | None = None,
-    separate_levels: int = 0,
     outlier_transition: Values | None = None,
     outlier_durations: Values | None = None,
-    outlier_sizes: Values = (7.71, 51.0, 1690.0, 19100.0),
-    outlier_shares: Values = (0.651019, 0.348, 0.000454, 0.000527),
+    outlier_sizes: Values = (8.77, 54.1, 1230.0, 21000.0),
+    outlier_shares: Values = (0.535213, 0.464, 0.000218, 0.000569),
     outlier_offsets: Values | None = None,
-    prior_outlier: Value = 0.0106,
-    prior_inflation: Value = 95.9,
+    prior_outlier: Value = 0.0132,
+    prior_inflation: Value = 92.5,
     adaptive_largest_size: bool = True,
     outliers_inform: bool = True,
     same_offset: Value | None = None,
@@ -75,10 +80,13 @@ def gpb(
         sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
         manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"some"``; or ``"hard"``, also turns
             far beyond its process noise, at some loss of accuracy with outliers.  None is ``"none"`` for a motion that
-            measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the five
+            measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six
             arguments that follow: ``MANOEUVRES`` in this file.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
+        separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is as
+            ``manoeuvres`` says, and 0 for one level.  A calm level that shares a belief with the others is
+            hardly ever told from them: with 0, targets that hardly manoeuvre are followed far less closely.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
@@ -89,8 +97,6 @@ def gpb(
         durations: instead of these, mean seconds until a regime ends, in the same order: ``filters.GPB``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
-        separate_levels: the number of lowest levels that keep beliefs of their own.  With 1, ``"some"`` is far nearer
-            to targets that hardly manoeuvre, and a little too sure where manoeuvres begin.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
             block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
         outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
@@ -130,13 +136,15 @@ def gpb(
         received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
     arguments = {
-        "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
-        "self_transition": self_transition, "durations": durations, "restart": restart,
+        "noise_levels": noise_levels, "separate_levels": separate_levels, "manoeuvre_factors": manoeuvre_factors,
+        "jump_factors": jump_factors, "self_transition": self_transition, "durations": durations, "restart": restart,
     }  # fmt: skip
     values = MANOEUVRES[manoeuvres] | {name: x for name, x in arguments.items() if x is not None}
     if durations is not None:
         values["self_transition"] = self_transition
-    regimes = Regimes(count, **values, separate_levels=separate_levels)
+    if separate_levels is None and torch.as_tensor(values["noise_levels"]).shape[-1:].numel() == 1:
+        values["separate_levels"] = 0  # the only level
+    regimes = Regimes(count, **values)
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
     outliers = Outliers(
