@@ -163,33 +163,34 @@ def threshold(ordered: Tensor, count: int) -> tuple[int, Tensor]:
 
 
 def cells(runs: int, seed: int) -> dict[str, tuple[GPB, Tracks]]:
-    """By name the filter and the tracks."""
+    """By name the filter, whose levels of process noise share a belief as in each particle, and the tracks."""
     made = {}
     for name, outliers in (("1, good start, std", "std"), ("1, good start, bursts", "bursts")):
         scenario = scenarios.bearings_outliers(outliers, initial="truth")
-        made[name] = presets.gpb(scenario.motion, scenario.sensor), scenario.simulate(runs, seed)
+        f = presets.gpb(scenario.motion, scenario.sensor, separate_levels=0)
+        made[name] = f, scenario.simulate(runs, seed)
     scenario = scenarios.bearings_manoeuvre("none")
     tracks, rng = scenario.simulate(runs, seed), torch.Generator().manual_seed(seed)
     noise = torch.randn(*tracks.truth.shape[:2], 2, dtype=torch.float64, generator=rng)
     wild = torch.rand(*noise.shape[:2], 1, generator=rng) < 0.1
     z = tracks.truth[..., :2] + POSITION_STD * torch.where(wild, 10**0.5, 1.0) * noise
-    f = presets.gpb(scenario.motion, Position(POSITION_STD))
+    f = presets.gpb(scenario.motion, Position(POSITION_STD), separate_levels=0)
     made["turns by position, covariance"] = f, tracks._replace(z=z, u=None)
     return made
 
 
 def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) -> dict[str, float]:
-    """Mean position RMSE of ``gpb``, its lagged estimate, ``gpb`` with a separate calm level, and particles."""
-    apart = presets.gpb(f.bank[0], f.sensor, separate_levels=1)
+    """Mean position RMSE of ``gpb``, its lagged estimate, ``gpb`` whose levels share one belief, and particles."""
+    default = presets.gpb(f.bank[0], f.sensor)
     with torch.no_grad():
-        merged, separate = (each(tracks.z, tracks.prior, u=tracks.u) for each in (f, apart))
+        own, shared = (each(tracks.z, tracks.prior, u=tracks.u) for each in (default, f))
         roots = tracks.prior.scale_tril.expand(len(tracks.z), *tracks.prior.scale_tril.shape[-2:])
         priors = (Gaussian(*x) for x in zip(tracks.prior.mean, roots, strict=True))
         each = [
             particle_filter(f, z, prior, tracks.u, count, seed + i, 1.0)
             for i, (z, prior) in enumerate(progress_bar(list(zip(tracks.z, priors, strict=True)), "run", progress))
         ]
-    found = {"gpb": merged.mean, "lagged": merged.info.lagged.mean, "separate": separate.mean}
+    found = {"gpb": own.mean, "lagged": own.info.lagged.mean, "shared": shared.mean}
     found["particles"] = torch.stack(each)
     return {name: metrics.rmse(mean, tracks.truth, slice(0, 2)).mean().item() for name, mean in found.items()}
 
@@ -218,7 +219,7 @@ def particles(options: argparse.Namespace) -> None:
         rows = [[name, *(f"{x:.1f}" for x in of.values()), f"{of['gpb'] / of['particles'] - 1:+.1%}"]
                 for name, of in results.items()]  # fmt: skip
         print(
-            text_table(["cell", "gpb m", "lagged m", "separate m", "particles m", "gpb above"], rows, align="<>>>>>"),
+            text_table(["cell", "gpb m", "lagged m", "one belief m", "particles m", "gpb above"], rows, align="<>>>>>"),
             flush=True,
         )
     if options.json is not None:
