@@ -32,7 +32,7 @@ short = _SHORT.repr
 
 
 class Head(NamedTuple):
-    """How a table begins, from which it is told what its columns hold."""
+    """How a table begins, which shows what its columns hold."""
 
     names: list[str]
     """Of all columns."""

@@ -23,7 +23,7 @@ from torchfra.readers.tables import naming
 _ROWS = 2**18
 """Of a file that are in memory at a time."""
 _HEAD = 1000
-"""Rows by which it is told what columns hold."""
+"""Rows that show what columns hold."""
 
 
 class File(NamedTuple):
@@ -133,7 +133,7 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
 
     Args:
         path: of the file or the folder.
-        words: what the files do not say: see ``Told``.
+        words: what the files do not say: see ``ReadOptions``.
 
     Raises:
         ValueError: there are no rows, a file is damaged or has other columns than the first one, or no column says
