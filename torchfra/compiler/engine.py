@@ -84,10 +84,10 @@ class Compiled:
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
-            whole: tuple[Estimate, Any, Any] = self.otherwise.forward(
+            found: tuple[Estimate, Any, Any] = self.otherwise.forward(
                 f, measurements, prior, checkpoint, truncate, past
             )
-            return whole
+            return found
         cut = checkpoint or truncate
         done = self._ready(f, measurements, prior, past, cut)
         if done is None:

@@ -143,10 +143,10 @@ class Expressions:
             args = args[::-1]
         return self._new(op, args)
 
-    def needed(self, ends: Iterable[int]) -> list[int]:
+    def needed(self, outputs: Iterable[int]) -> list[int]:
         """The expressions that these need, themselves included, in an order in which they can be computed."""
         found: set[int] = set()
-        todo = [*ends]
+        todo = [*outputs]
         while todo:
             number = todo.pop()
             if number not in found:

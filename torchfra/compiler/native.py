@@ -178,7 +178,7 @@ class Native:
         at = code.place(BLOCK, many)
         if self.plan.many:
             together, state = code.place(code.numbers, own + passing), code.place("i64", 8 + 2 * width)
-            memory = f"ptr {together}, ptr {state}, ptr {code.place(code.wholes, width)}"
+            memory = f"ptr {together}, ptr {state}, ptr {code.place(code.integers, width)}"
             code.store("i64", "0", state)
             code.store("i64", "0", code.at(state, "i64", 1))
         more = code.op("add", "%lanes", width - 1)
@@ -370,8 +370,8 @@ class _Body:
     def kept_truth(self, value: str) -> str:
         """A truth value as numbers: all bits where it holds."""
         code = self.code
-        whole = code.new(f"sext {code.truths} {value} to {code.wholes}")
-        return code.new(f"bitcast {code.wholes} {whole} to {code.numbers}")
+        integer = code.new(f"sext {code.truths} {value} to {code.integers}")
+        return code.new(f"bitcast {code.integers} {integer} to {code.numbers}")
 
     def _truth_of(self, value: str) -> str:
         return code_of_truth(self.code, value)
@@ -410,6 +410,6 @@ class _Body:
 
 def code_of_truth(code: Code, value: str) -> str:
     """Where a number in a place stands for true."""
-    whole = code.new(f"bitcast {code.numbers} {value} to {code.wholes}")
+    integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
     zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-    return code.new(f"icmp ne {code.wholes} {whole}, {zero}")
+    return code.new(f"icmp ne {code.integers} {integer}, {zero}")

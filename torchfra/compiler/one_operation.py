@@ -34,7 +34,7 @@ _COUNT = itertools.count()
 
 
 class Calls:
-    """The calls of a filter that ``torch.compile`` has seen, by name: it has its guards on attributes."""
+    """The calls of a filter that ``torch.compile`` has traced, by name: it has its guards on attributes."""
 
 
 class Call(nn.Module):
@@ -75,7 +75,7 @@ class Call(nn.Module):
         return made
 
     def batch(self, tensors: Sequence[Tensor]) -> torch.Size:
-        """The batch of tracks, of whose numbers none is looked at.
+        """The batch of tracks, of whose numbers none is read.
 
         Raises:
             ValueError: a shape that does not fit.
@@ -227,8 +227,8 @@ def _back(ctx: Any, grads: list[Tensor | None]) -> tuple[None, list[Tensor | Non
     tensors, values = given[: ctx.count], given[ctx.count :]
     found = whole_tracks_gradient(ctx.name, list(tensors), list(values), [grads[i] for i in places], places, needed)
     every = dict(zip(needed, found, strict=True))
-    whole = [every.get(i) for i in range(len(given))]
-    return None, whole[: ctx.count], whole[ctx.count :]
+    gradients = [every.get(i) for i in range(len(given))]
+    return None, gradients[: ctx.count], gradients[ctx.count :]
 
 
 whole_tracks.register_autograd(_back, setup_context=_setup)

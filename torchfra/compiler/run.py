@@ -14,14 +14,14 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
-from torchfra.compiler.ends import Ends
-from torchfra.compiler.ends_back import after_back, begin_back
+from torchfra.compiler.boundary import Boundary
+from torchfra.compiler.boundary_gradient import after_back, begin_back
 from torchfra.compiler.guards import savable
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import BUILDING, Program, Ready, batch_first
 from torchfra.compiler.source import Scan
 from torchfra.compiler.step import Step
-from torchfra.compiler.whole import Whole, at_both_ends, load
+from torchfra.compiler.track_kernel import TrackKernel, load, track_kernel
 from torchfra.linalg.tracing import has_tangents
 from torchfra.tree import flatten, unflatten
 
@@ -40,9 +40,9 @@ class Kernels:
     def __init__(self, step: Step) -> None:
         self.step = step
         self._programs: dict[Hashable, Program | None] = {}
-        self._ends: Ends | None = None
+        self._boundary: Boundary | None = None
         self._refused = set[bool]()
-        self._wholes: dict[bool, Any] = {}
+        self._track_functions: dict[bool, Any] = {}
         self._making = threading.Lock()
 
     def forwards(self, batch: torch.Size, device: torch.device, remembers: bool = False) -> Program:
@@ -70,10 +70,10 @@ class Kernels:
                     self._programs[name] = None if scan is None else Program(scan, narrow, device)
         return self._programs[name]
 
-    def whole(
+    def tracks(
         self, ready: Ready, batch: torch.Size, given: Sequence[Tensor], full: Sequence[Tensor],
-        ends: Callable[[Step], Ends],
-    ) -> Whole | Learning | None:  # fmt: skip
+        boundary: Callable[[Step], Boundary],
+    ) -> TrackKernel | Learning | None:  # fmt: skip
         """The steps, and all before and after them, in one call; None where that cannot be.
 
         Args:
@@ -81,26 +81,26 @@ class Kernels:
             batch: of the tracks.
             given: mean and root of a prior, and what the steps read besides the state.
             full: the same of the steps, with the batch.
-            ends: what comes before and after the steps, always the same.
+            boundary: what comes before and after the steps, always the same.
         """
         learns = has_gradient(given)
         if learns in self._refused or not hasattr(ready.run, "argtypes"):
             return None  # in the latter case it is no function of C but one that starts a GPU
         try:
             with BUILDING, torch.inference_mode(False):
-                made = self._ends = self._ends or ends(self.step)
-            if learns not in self._wholes:
-                self._wholes[learns] = load(made, len(self.step.zero) if learns else 0)
-            whole = at_both_ends(ready, made, self._wholes[learns], batch, given[:2], learns)
-            return Learning(whole, ready, made, self._way_back, batch, given, full) if whole and learns else whole
+                made = self._boundary = self._boundary or boundary(self.step)
+            if learns not in self._track_functions:
+                self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
+            kernel = track_kernel(ready, made, self._track_functions[learns], batch, given[:2], learns)
+            return Learning(kernel, ready, made, self._backward, batch, given, full) if kernel and learns else kernel
         except NotImplementedError:
             self._refused.add(learns)
             return None
 
-    def _way_back(self, kind: str, *how: Any) -> Program | None:
+    def _backward(self, kind: str, *how: Any) -> Program | None:
         """A part of the gradient pass of whole tracks on the CPU: see ``Learning``."""
         around: dict[str, Callable[..., Scan | None]] = {"after": after_back, "begin": begin_back}
-        make = partial(around[kind], self._ends) if kind in around else getattr(self.step, kind)
+        make = partial(around[kind], self._boundary) if kind in around else getattr(self.step, kind)
         return self._compiled((kind, _CPU, False, *how), partial(make, *how))
 
     def remembers(self, batch: torch.Size, steps: int) -> bool:
@@ -132,8 +132,8 @@ class Kernels:
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
         elif has_gradient((*state, *inputs)):
             remembers = checkpoint is None and self.remembers(batch, steps)
-            whole = remembers or self.step.last_first
-            length = steps if whole else checkpoint or math.isqrt((truncate or steps) - 1) + 1
+            all_kept = remembers or self.step.last_first
+            length = steps if all_kept else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
             given = map(savable, (*state, *inputs))
             done = _Run.apply(self, batch, starts, truncate, remembers, *given)  # type: ignore[no-untyped-call]

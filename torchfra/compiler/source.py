@@ -121,8 +121,8 @@ class Scan:
         live = self.live()
         varying, stores, same = self._varying(live), self._stores(), self._same(live)
         carried = {i: j for i, j in self._carried().items() if i not in same}
-        ends = [*carried.values(), *(i for i, _ in stores)]
-        book, live = with_choices_last(*with_quotients(self.book, live, varying, ends), varying, ends)
+        outputs = [*carried.values(), *(i for i, _ in stores)]
+        book, live = with_choices_last(*with_quotients(self.book, live, varying, outputs), varying, outputs)
         return Step(
             book,
             live,

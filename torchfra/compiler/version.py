@@ -192,9 +192,9 @@ class Version:
         run = kernels.forwards(plan.batch, plan.device, learns).ready(plan.batch, steps, full)
         if run is None:
             return
-        whole = None if past else kernels.whole(run, plan.batch, tensors, full[len(leaves) :], traced.ends)
-        if whole is not None:
-            self.tracks.add(form, WholeTracks(whole, tensors))
+        kernel = None if past else kernels.tracks(run, plan.batch, tensors, full[len(leaves) :], traced.boundary)
+        if kernel is not None:
+            self.tracks.add(form, WholeTracks(kernel, tensors))
         elif not (learns or plan.counts):
             made = kernels.step.state, kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))

@@ -59,7 +59,7 @@ class Writer:
         late: list[str] = []
         opened: dict[str, str] = {}
         known = set(piece.numbers)
-        told = ""
+        named = ""
         for number in piece.numbers:
             access = self._step.loads.get(number)
             for arg in self._book.nodes[number][1]:
@@ -68,9 +68,9 @@ class Writer:
                     known.add(arg)
             if access is None:
                 origin = self._book.origin[number]
-                if origin not in ("", told):
+                if origin not in ("", named):
                     body.append(f"// {origin}")
-                    told = origin
+                    named = origin
                 body += statement(self._book, number)
             else:
                 opened[access.name] = access.opened
