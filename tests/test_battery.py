@@ -14,7 +14,12 @@ from torchfra.sensors import Position, Sensor
 from torchfra.testing import CHECKS, check_filter
 from torchfra.types import Gaussian
 
-NAMES = [name for name, entry in FILTERS.items() if entry.preset is not presets.imm_ckf]
+ELSEWHERE = {
+    "imm_ckf": "imm_srckf by another name", "imm_fra": "as imm_srckf and fra", "hghckf1": "as hghckf2, decided once",
+    "jpda": "compiled too: test_compiled_scans.py", "ukf_jpda": "as iaukf_jpda, whose noise is estimated besides",
+}  # fmt: skip
+"""Filters that are made of what others of the battery have, or go through it in another file."""
+NAMES = [name for name, entry in FILTERS.items() if name not in ELSEWHERE and entry.preset is not presets.imm_ckf]
 COMPILED = ("gpb", "mr_ckf", "hghckf2", "iaukf", "fra", "imm_srckf", "alphabeta")
 """Of every part that filters have one whose kernels go through the whole battery; of all: test_random_settings."""
 HOLDS = "where_its_models_hold_it_is_no_worse_than_a_kalman_filter"
