@@ -13,7 +13,8 @@ from torchfra.readers.times import FORMS
 
 _ABOUT = {
     "time": ("COLUMN", "column of times; its numbers may be seconds since any start"),
-    "x": ("COLUMN", "column of positions"), "y": ("COLUMN", "likewise"), "z": ("COLUMN", "likewise"),
+    "x": ("COLUMN", "column of positions"), "y": ("COLUMN", "column of positions"),
+    "z": ("COLUMN", "column of positions"),
     "lat": ("COLUMN", "column of latitudes"), "lon": ("COLUMN", "column of longitudes"),
     "alt": ("COLUMN", "column of altitudes"),
     "id": ("COLUMN", "column that says which target a row is of"),

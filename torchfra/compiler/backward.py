@@ -101,7 +101,7 @@ def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int
     Args:
         f: the filter.
         past: ``(..., T, ...)``: see ``Filter.past``.
-        carried: likewise: see ``BackwardStep``; None for the same.
+        carried: as ``past``: see ``BackwardStep``; None where it is ``past``.
         measurements: of the forward pass.
         rank: dimensions of the batch.
     """

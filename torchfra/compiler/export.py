@@ -74,10 +74,10 @@ def export(
 
 _MEANINGS = {
     "z": "measured", "dt": "seconds since the step before", "u": "what the models need to know",
-    "std": "of this measurement's noise, instead of the sensor's", "noise": "root of its covariance, likewise",
+    "std": "of this measurement's noise, instead of the sensor's", "noise": "root of the covariance of that noise",
     "mean": "of the belief", "scale_tril": "lower root of its covariance",
     "residual": "measured minus predicted, 0 where missing", "innovation_scale_tril": "lower root of its covariance",
-    "nis": "normalised innovation squared", "log_likelihood": "log density of what was seen",
+    "nis": "normalised innovation squared", "log_likelihood": "log density of the measurement",
 }  # fmt: skip
 """Of inputs and outputs."""
 

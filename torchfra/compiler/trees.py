@@ -24,7 +24,7 @@ def flattener(like: Any) -> Callable[[Any], tuple[Tensor, ...] | None]:
 
 
 def unflattener(like: Any, places: Iterable[int] | None = None) -> Callable[[Sequence[Tensor]], Any]:
-    """``unflatten`` for trees of this form alone, faster, written likewise; tensors may be in other ``places``."""
+    """``unflatten`` for trees of this form alone, faster, as written code; tensors may be in other ``places``."""
     known: list[Any] = []
     place = itertools.count() if places is None else iter(places)
 

@@ -179,7 +179,7 @@ class Version:
     def get_tracks_ready(
         self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool
     ) -> None:
-        """Makes later tracks like these ready, likewise; with a gradient where the gradient pass is ``plain``."""
+        """Makes later tracks like these ready as well; with a gradient where the gradient pass is ``plain``."""
         steps, given = data[0].shape[-2], [*(x for x in data if x is not None), *self.read()]
         tensors, leaves = [*prior, *given], [x.contiguous() for x in flatten(state)]
         full, kernels, learns = self.full(plan, [*leaves, *given]), plan.kernels, has_gradient(tensors)

@@ -51,7 +51,7 @@ class Clock:
     """How a column tells the time."""
 
     columns: tuple[str, ...]
-    """One; or those of a date and of a time of the day."""
+    """One column, or two: the date and the time of the day."""
     kind: Kind
     form: str
     """How it is written: ``Source.time``."""
@@ -325,7 +325,7 @@ def _is_danish(head: Head) -> bool:
 
 
 def _values(cells: Sequence[Any]) -> NDArray[np.float64]:
-    """Those of the cells that are numbers."""
+    """The cells that hold numbers, as numbers."""
     values = []
     for cell in cells:
         with suppress(TypeError, ValueError, OverflowError):

@@ -179,7 +179,7 @@ def _header(row: list[str], headers: str) -> list[str]:
 
 
 def _cells(cells: list[str], place: dict[str, int], name: str) -> list[str]:
-    """Of a column, out of those of rows one after the other."""
+    """The cells of one column, out of the cells of all rows in one list."""
     return cells[place[name] :: len(place)]
 
 

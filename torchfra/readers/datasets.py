@@ -52,11 +52,11 @@ class DataSet:
     """The files of a data set, and what their columns hold."""
 
     files: tuple[File, ...]
-    """In the order of their names."""
+    """The files, in the order of their names."""
     reader: SheetReader
     """Reads some of the rows."""
     schema: Any
-    """Of the columns that are read: types that hold those of all files."""
+    """The columns that are read, with types into which the types of all files fit."""
     id: str
     """The column that says which target a row is of."""
 
@@ -186,7 +186,7 @@ def _footer(path: Path) -> int:
 
 
 def _paths(path: Path) -> list[Path]:
-    """Those of the files of a data set in the order of their names."""
+    """The files of a data set, in the order of their names."""
     if not path.is_dir():
         return [path]
     every = (file.relative_to(path) for file in path.rglob("*.parquet"))

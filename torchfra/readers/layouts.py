@@ -45,7 +45,7 @@ _SIDE = re.compile(
 )
 """Names of columns that say on which side of the equator or of Greenwich a fix is."""
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
-"""Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
+"""Columns that hold feet, as aircraft send them; baroaltitude and geoaltitude of OpenSky hold metres."""
 
 _PRIVATE = ("call", "update", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
@@ -203,7 +203,7 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
 
 
 def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:
-    """Those of the columns that may say which target a row is of, the one whose values part equal times first."""
+    """The columns that may name the target of a row; the one that separates rows of equal times comes first."""
     times = list(zip(*(_texts(head, [name]) for name in clock.columns), strict=False))
     if len(set(times)) == len(times):  # there is nothing to part, however many columns there are
         return ()
@@ -284,7 +284,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
 
 
 def _some_degrees(head: Head, name: str) -> list[float]:
-    """Those of the cells that are numbers, with a letter of a side or without."""
+    """The cells that hold degrees, with or without a letter of the hemisphere."""
     values = []
     for text in _texts(head, [name]):
         with suppress(ValueError):

@@ -38,7 +38,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def repeated(names: Iterable[str]) -> str:
-    """Those that come twice, for an error message; "" if none does."""
+    """The names that come twice, for an error message; "" if none does."""
     return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
 
 
