@@ -1,6 +1,6 @@
 """From a filter's step to machine code: ``README.md`` beside this file begins with a page that says how.
 
-- A filter: ``engine`` is what it holds once it is compiled, ``meanwhile`` what it holds if it does not wait for that;
+- A filter: ``engine`` is what it holds once it is compiled, ``background`` what it holds if it does not wait for that;
   ``version`` the filter as it is now, while it is ``unchanged``; ``traced`` and ``backward`` what is traced of
   it; ``single_steps`` and ``whole_tracks`` calls of a form that is known; ``export`` for use without torch.
 - Trace: ``step`` (backwards too), ``tangents`` (derivatives forwards), ``boundary`` and

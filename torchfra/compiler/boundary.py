@@ -51,7 +51,7 @@ class Boundary:
         begin: the state before the first, from the module and the mean and any root of a prior.
         finish: what becomes of the records of all steps, from the module, the state after the last and the records.
         size: of a state.
-        each: whole numbers that every track is given besides.
+        each: whole numbers that every track has besides.
 
     Raises:
         NotImplementedError: an operation that kernels do not have; or ``finish`` does more than to end what is late.
@@ -145,11 +145,12 @@ class Boundary:
         begin = Scan(self._book, [], [], reads, list(map(_port, self._begun)), dtype=step.dtype)
         finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
         made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
-        given = [range(prior, len(reads)), range(states, after), range(first, prior), range(end, end + len(self.each))]
+        ends = (prior, len(reads)), (states, after), (first, prior), (end, end + len(self.each))
+        arguments = itertools.chain(*(range(*pair) for pair in ends))
         lanes = lanes_of(step.dtype)
         places = Places(
             [*range(states), *range(after, first)],
-            list(itertools.chain(*given)),
+            list(arguments),
             [(port, 1 if late.truth else step.dtype.itemsize) for port, late in zip(self.late, last, strict=True)],
             [
                 Checked(port, port in self.late, made[k].numel() // 2, always=k == _CHECKED[0])

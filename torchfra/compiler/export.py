@@ -63,12 +63,12 @@ def export(
     m: int = f.sensor.size
     shapes = {"z": (m,), "dt": (), "u": (u,) if u else None, "std": (m,), "noise": (m, m)}
     chosen = {"z", "dt", "u", *inputs}
-    given = {key: Input(torch.Size(x), False, False) for key, x in shapes.items() if key in chosen and x is not None}
-    step = Step(f, traced.begin, _advance, given, dtype, repeated=False)
+    inputs = {key: Input(torch.Size(x), False, False) for key, x in shapes.items() if key in chosen and x is not None}
+    step = Step(f, traced.begin, _advance, inputs, dtype, repeated=False)
     begin, prior = _begin(f, dtype)
     return Standalone(
         name, _about(f), begin, step.forwards(), prior, _fields(step.state),
-        [Field(key, x.shape, _MEANINGS[key]) for key, x in given.items()], _fields(step.record), f.instants,
+        [Field(key, x.shape, _MEANINGS[key]) for key, x in inputs.items()], _fields(step.record), f.instants,
     ).files()  # fmt: skip
 
 

@@ -127,5 +127,5 @@ def crossing(
     """What a region of some pieces takes from the others, which need ``others``, and what it gives to them."""
     own = {number for piece in parts for number in piece.numbers}
     taken = [i for piece in parts for i in needs(book, Piece(piece.numbers, None)) if i not in own]
-    given = [i for needed in others for i in needed if i in own]
-    return list(dict.fromkeys(taken)), list(dict.fromkeys([*given, *(i for i in merged if i in own)]))
+    stored = [i for needed in others for i in needed if i in own]
+    return list(dict.fromkeys(taken)), list(dict.fromkeys([*stored, *(i for i in merged if i in own)]))

@@ -9,7 +9,7 @@ from torchfra.compiler.instructions import Code, Lanes
 
 def gathered(
     lanes: Lanes, name: str, place: int, value: bool, size: int, taken: Sequence[int], passed: Sequence[int],
-    given: Sequence[int], own: int,
+    stored: Sequence[int], own: int,
 ) -> tuple[list[str], set[str]]:  # fmt: skip
     """The functions ``guarded`` and ``flush`` of a region, and what they declare.
 
@@ -24,7 +24,7 @@ def gathered(
         size: places of the region.
         taken: places that it takes from a pack's own.
         passed: those from what packs have together.
-        given: those that it gives.
+        stored: those that it stores.
         own: how many places are a pack's own; the others are behind them.
     """
     if lanes.width == 1:
@@ -33,14 +33,14 @@ def gathered(
             code.do(f"call void @{name.format('region')}(ptr %s)")
         code.do("ret void")
         return [code.text()], code.declared
-    tables = {kind: f"{name.format(kind)}" for kind in ("taken", "passed", "given")}
+    tables = {kind: f"{name.format(kind)}" for kind in ("taken", "passed", "stored")}
     texts = [
         _table(tables["taken"], taken),
         _table(tables["passed"], [k - own for k in passed]),
-        _table(tables["given"], given),
+        _table(tables["stored"], stored),
     ]
     guarded = _guarded(lanes, name, place, value, tables, len(taken), len(passed), own)
-    flush = _flush(lanes, name, tables["given"], len(given))
+    flush = _flush(lanes, name, tables["stored"], len(stored))
     return [*texts, guarded.text(), flush.text()], guarded.declared | flush.declared
 
 
@@ -68,7 +68,7 @@ def _packs(code: Code, number: str) -> tuple[str, str, str]:
 
 
 def _moved(code: Code, kind: str) -> Callable[[str, str], str]:
-    """What gives in each lane what is in that lane of another value whose number is given."""
+    """What gives in each lane what is in that lane of another value at that number."""
     lanes = code.lanes
     name = {("avx512", 64): "llvm.x86.avx512.permvar.df.512", ("avx512", 32): "llvm.x86.avx512.permvar.sf.512"}.get(
         (lanes.registers, lanes.bits)

@@ -32,7 +32,7 @@ class Learning:
         boundary: what comes before and after these steps.
         compiler: see there.
         batch: of the tracks.
-        given: a prior, and what the steps read besides the state, as calls give them.
+        arguments: a prior, and what the steps read besides the state, as calls give them.
         full: what the steps read, with the batch.
 
     Raises:
@@ -41,15 +41,15 @@ class Learning:
 
     def __init__(
         self, kernel: TrackKernel, steps: Ready, boundary: Boundary, compiler: Compiler, batch: torch.Size,
-        given: Sequence[Tensor], full: Sequence[Tensor],
+        arguments: Sequence[Tensor], full: Sequence[Tensor],
     ) -> None:  # fmt: skip
         self.kernel, self.steps, self.boundary, self.compiler, self.batch = kernel, steps, boundary, compiler, batch
         self.made, self.places, self.states = kernel.made, kernel.places, len(boundary.sizes)
         inputs = boundary.step.inputs
-        self.prior = [_form(x.expand(batch + x.shape[-event:])) for event, x in enumerate(given[:2], 1)]
+        self.prior = [_form(x.expand(batch + x.shape[-event:])) for event, x in enumerate(arguments[:2], 1)]
         self.full, self.values = list(map(_form, full)), [k for k, kind in enumerate(inputs.values()) if kind.value]
         self.names = (*PRIOR, *inputs)
-        self.needed = [name for name, x in zip(self.names, given, strict=True) if x.requires_grad]
+        self.needed = [name for name, x in zip(self.names, arguments, strict=True) if x.requires_grad]
         self.like = steps.like[self.states : len(steps.like) - self.states]
         self.late = [port - 2 * self.states - len(inputs) for port in boundary.late]
         events = [x.shape[len(batch) + 1 :] for x in self.like]
@@ -69,10 +69,10 @@ class Learning:
         return written, sound
 
     def back(self, saved: Sequence[Tensor], grads: Sequence[Tensor | None]) -> list[Tensor | None]:
-        """Gradients of what a call was given, from those of the records.
+        """Gradients of the arguments of a call, from those of the records.
 
         Args:
-            saved: what it was given, the state before each step, and the memory of the state after the last.
+            saved: its arguments, the state before each step, and the memory of the state after the last.
             grads: of the records.
         """
         rank, tracks, pairs = len(self.batch), self.steps.tracks, zip(grads, self._ports, strict=True)
@@ -153,7 +153,7 @@ class _BackwardPass:
         return [_later(g, self._time) if k in self._late else g for k, g in enumerate(grads)]
 
     def __call__(self, saved: Sequence[Tensor], grads: Sequence[Tensor]) -> list[Tensor | None]:
-        """Gradients of what a call was given: see ``Learning.back``."""
+        """Gradients of the arguments of a call: see ``Learning.back``."""
         of, known = self._of, len(self._of.names)
         prior, inputs, path, room = saved[:2], saved[2:known], saved[known:-1], saved[-1].data_ptr()
         values, state = [inputs[k] for k in of.values], self._zero

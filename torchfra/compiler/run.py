@@ -71,19 +71,19 @@ class Kernels:
         return self._programs[name]
 
     def tracks(
-        self, ready: Ready, batch: torch.Size, given: Sequence[Tensor], full: Sequence[Tensor],
+        self, ready: Ready, batch: torch.Size, arguments: Sequence[Tensor], full: Sequence[Tensor],
         boundary: Callable[[Step], Boundary],
     ) -> TrackKernel | Learning | None:  # fmt: skip
         """The steps, and all before and after them, in one call; None where that cannot be.
 
         Args:
-            ready: the steps, which write the state before each where something ``given`` needs a gradient.
+            ready: the steps, which write the state before each where something of the ``arguments`` needs a gradient.
             batch: of the tracks.
-            given: mean and root of a prior, and what the steps read besides the state.
+            arguments: mean and root of a prior, and what the steps read besides the state.
             full: the same of the steps, with the batch.
             boundary: what comes before and after the steps, always the same.
         """
-        learns = has_gradient(given)
+        learns = has_gradient(arguments)
         if learns in self._refused or not hasattr(ready.run, "argtypes"):
             return None  # in the latter case it is no function of C but one that starts a GPU
         try:
@@ -91,8 +91,10 @@ class Kernels:
                 made = self._boundary = self._boundary or boundary(self.step)
             if learns not in self._track_functions:
                 self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
-            kernel = track_kernel(ready, made, self._track_functions[learns], batch, given[:2], learns)
-            return Learning(kernel, ready, made, self._backward, batch, given, full) if kernel and learns else kernel
+            kernel = track_kernel(ready, made, self._track_functions[learns], batch, arguments[:2], learns)
+            if kernel is None or not learns:
+                return kernel
+            return Learning(kernel, ready, made, self._backward, batch, arguments, full)
         except NotImplementedError:
             self._refused.add(learns)
             return None
@@ -135,19 +137,19 @@ class Kernels:
             all_kept = remembers or self.step.last_first
             length = steps if all_kept else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
-            given = map(savable, (*state, *inputs))
-            done = _Run.apply(self, batch, starts, truncate, remembers, *given)  # type: ignore[no-untyped-call]
+            saved = map(savable, (*state, *inputs))
+            done = _Run.apply(self, batch, starts, truncate, remembers, *saved)  # type: ignore[no-untyped-call]
         else:
             done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
 
-    def _with_tangents(self, batch: torch.Size, steps: int, given: Sequence[Any]) -> list[Tensor]:
+    def _with_tangents(self, batch: torch.Size, steps: int, duals: Sequence[Any]) -> list[Tensor]:
         """What the kernel writes of dual numbers: pairs of a value, and a derivative or None."""
         count, names = len(self.step.zero), list(self.step.inputs)
-        values = [x.primal for x in given]
-        along = {name: x.tangent for name, x in zip(names, given[count:], strict=True) if x.tangent is not None}
-        ways = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in given[:count]]
+        values = [x.primal for x in duals]
+        along = {name: x.tangent for name, x in zip(names, duals[count:], strict=True) if x.tangent is not None}
+        ways = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in duals[:count]]
         program = self.program("tangent", values[-1].device, tuple(along))
         done = program(batch, steps, (*values[:count], *ways, *values[count:], *along.values()))
         kept = 2 * count + len(flatten(self.step.record))

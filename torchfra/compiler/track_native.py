@@ -32,7 +32,7 @@ class Places(NamedTuple):
 
     Args:
         states: ports of states, which lie in one room, so many bytes from its start as their ports say.
-        given: ports whose addresses come with a call.
+        arguments: ports whose addresses come with a call.
         late: ports of what the last step leaves open, with the bytes of an entry.
         checks: tensors that say whether all is finite.
         each: whole numbers that are the same for all tracks; they come last.
@@ -42,7 +42,7 @@ class Places(NamedTuple):
     """
 
     states: list[int]
-    given: list[int]
+    arguments: list[int]
     late: list[tuple[int, int]]
     checks: list[Checked]
     each: Sequence[int]
@@ -83,7 +83,7 @@ def _run(lanes: Lanes, at: Places) -> Code:
     for k in range(at.ports):
         for field, type in enumerate(("ptr", "i64", "i64", "i64")):
             code.store(type, code.load(type, code.field(PORT, "%like", field, k)), code.field(PORT, ports, field, k))
-    for k, port in enumerate(at.given):
+    for k, port in enumerate(at.arguments):
         code.store("ptr", code.load("ptr", code.at("%places", "ptr", k)), code.field(PORT, ports, 0, port))
     for port in at.states:
         data = code.field(PORT, ports, 0, port)
