@@ -101,12 +101,6 @@ def test_the_learned_values_load_into_a_fixed_filter(unbroken):
     assert f.motion.q().item() == pytest.approx(reported["motion.q"])
 
 
-@pytest.mark.slow
-def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
-    assert train(tmp_path, "test_runs=0") == 0
-    assert equal(learned(tmp_path), learned(unbroken))
-
-
 # ---------------------------------------------------------------- interruptions
 
 
