@@ -6,7 +6,6 @@ import pytest
 import torch
 from short_tracks import SMALL_GPB
 
-from torchfra import presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
 from torchfra.motion import Bank, ConstantVelocity
