@@ -49,29 +49,13 @@ SMALL = {
     "torchfra compare": ({"--runs": "2"}, {"--filters": "srckf,fra"}),
     "torchfra compare --ranges": ({"--runs": "1"}, {"--filters": "srckf,fra"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
-    "scripts/regret.py": ({"--runs": "2", "--cells": "2-std"}, {}),
     "torchfra many": ({"--jobs": "1"}, {}),
     "scripts/many.py": ({"--tracks": "20", "--jobs": "1", "--share": "1"}, {}),
-    "scripts/clean_check.py": (
-        {"--kinds": "ships", "--flights": "1", "--runs": "1", "--steps": "60", "--periods": "5", "--noises": "15"},
-        {},
-    ),
     "scripts/peers_targets.py": (
         {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
         {"--trackers": "srckf"},
     ),
     "scripts/bounds.py": ({"--runs": "2", "--jobs": "1", "--cells": "bearings-manoeuvre"}, {"--filters": "srckf"}),
-    "scripts/lorenz.py": (
-        {"--runs": "2", "--network": "1"},
-        {"--settings": "as stated", "--filters": "srckf", "--fit": ""},
-    ),
-    "scripts/gradients.py": ({"--runs": "2", "--steps": "1,3"}, {"--filters": "srckf"}),
-    "scripts/okf.py": (
-        {"--draws": "1", "--tracks": "40", "--iterations": "1"},
-        {"--filters": "OKF together"},
-    ),
-    "scripts/certainty.py": ({"--fits": "2", "--iterations": "1", "--jobs": "1"}, {}),
-    "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/targets.py": ({"--runs": "1", "--scans": "3", "--what": "many,crowd"}, {}),
     "scripts/examples/": ({}, {}),
@@ -89,6 +73,10 @@ HELP_ONLY = {
     "scripts/benchmark.py --what linear": "filters of others: run by test_peers.py",
     "scripts/benchmark.py --peers --batch": "the same as with other batches",
     "scripts/many.py --tracks 1000,": "cleans flights: one line does so for all",
+    **{
+        f"scripts/{name}.py": f"run by test_{name}.py"
+        for name in ("certainty", "clean_check", "gradients", "lorenz", "okf", "particles", "regret")
+    },
     **{
         f"scripts/reproduce.py {name}": "run by test_scripts.py"
         for name in ("bearings", "adsb-turns", "alpha-beta", "growth", "reentry", "clutter-crossing", "noise-change")
