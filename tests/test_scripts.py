@@ -26,6 +26,10 @@ ROOT = Path(__file__).parent.parent
 @pytest.mark.slow
 def test_the_quickstart_of_the_readme_runs(capsys, monkeypatch):
     code = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    simulate = scenarios.Scenario.simulate
+    monkeypatch.setattr(
+        scenarios.Scenario, "simulate", lambda scenario, runs, seed: simulate(scenario, runs // 5, seed)
+    )
     scope: dict[str, object] = {}
     printed = []
     for block in code:

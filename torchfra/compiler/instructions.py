@@ -323,6 +323,6 @@ class Integer:
         return Number(self.code, self.code.new(f"bitcast {self.code.integers} {self.name} to {self.code.numbers}"))
 
 
-def phi(code: Code, type: str, ways: Sequence[tuple[str, str]]) -> str:
+def phi(code: Code, type: str, incoming: Sequence[tuple[str, str]]) -> str:
     """A value that depends on the block before: values and blocks."""
-    return code.new(f"phi {type} {', '.join(f'[ {value}, %{block} ]' for value, block in ways)}")
+    return code.new(f"phi {type} {', '.join(f'[ {value}, %{block} ]' for value, block in incoming)}")

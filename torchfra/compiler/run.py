@@ -149,9 +149,9 @@ class Kernels:
         count, names = len(self.step.zero), list(self.step.inputs)
         values = [x.primal for x in duals]
         along = {name: x.tangent for name, x in zip(names, duals[count:], strict=True) if x.tangent is not None}
-        ways = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in duals[:count]]
+        tangents = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in duals[:count]]
         program = self.program("tangent", values[-1].device, tuple(along))
-        done = program(batch, steps, (*values[:count], *ways, *values[count:], *along.values()))
+        done = program(batch, steps, (*values[:count], *tangents, *values[count:], *along.values()))
         kept = 2 * count + len(flatten(self.step.record))
         plain, rates = done[:count] + done[2 * count : kept], iter(done[count : 2 * count] + done[kept:])
         return [forward_ad.make_dual(x, next(rates)) if x.is_floating_point() else x for x in plain]
