@@ -331,7 +331,8 @@ def understood(line, flights):
         beside = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # the environment need not be active
         assert words[0] == "python" or shutil.which("torchrun", path=beside)
         words = [w.replace("RUN", "fra_bearings") for w in words[words.index("train.tune") + 1 :]]
-        if words[0] != "fra_bearings" or "--resume" in words:  # test_train.py, test_train_gpb.py: all others
+        own = any(word.startswith("scenario=") for word in words)
+        if "--resume" in words or not (own or words[0] == "fra_bearings"):  # these: test_train.py, test_train_gpb.py
             configured(words[0], [word for word in words[1:] if not word.startswith("-")])
             return tune.main, words, True
         return tune.main, [*words, *SMALL_TRAINING], False
