@@ -51,7 +51,7 @@ def begin_back(boundary: Boundary, needed: Sequence[str], prior: Sequence[str]) 
 
 
 def _scan(boundary: Boundary, at: Traced, reads: Sequence[Entries], writes: Sequence[Entries]) -> Scan:
-    """Of one step."""
+    """A loop of one step, which reads the values among the inputs first."""
     inputs = boundary.step.inputs.items()
     values = [Port(entry_ids(at.inputs[name]), x.shape, double=x.double) for name, x in inputs if x.value]
     ports, written = ([Port(entry_ids(x), x.shape) for x in tensors] for tensors in (reads, writes))

@@ -56,7 +56,7 @@ def _called(code: Code, name: str, args: Sequence[str]) -> str:
 
 @lru_cache
 def address(name: str) -> int:
-    """Where a function is that torch or the mathematics of C has; 0 where there is none of this name."""
+    """Address of a function of torch or of the mathematics of C; 0 where there is none of this name."""
     for library in _libraries():
         try:
             return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0

@@ -79,7 +79,7 @@ _MEANINGS = {
     "residual": "measured minus predicted, 0 where missing", "innovation_scale_tril": "lower root of its covariance",
     "nis": "normalised innovation squared", "log_likelihood": "log density of the measurement",
 }  # fmt: skip
-"""Of inputs and outputs."""
+"""What inputs and outputs mean."""
 
 
 _TAKEN = KEYWORDS | {"advance", "begin", "block", "example", "main", "read", "std", "write"}

@@ -23,7 +23,7 @@ _FOLD: dict[str, Callable[..., float]] = {
 }  # fmt: skip
 
 _FUNCTIONS = {"sqrt", "exp", "log", "sin", "cos"}
-"""Of numbers above 0, which are folded there."""
+"""Functions that are folded where the argument is a constant above 0."""
 _EITHER_WAY = {"add", "mul", "and", "or", "eq", "max", "min"}
 """Whose two arguments may change places."""
 

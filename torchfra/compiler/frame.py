@@ -18,7 +18,7 @@ class Frame(NamedTuple):
     """The first of them are each pack's own.  Others are shared by all packs: no pack needs their values while the next
     one is computed."""
     places: dict[int, int]
-    """Of each expression that has one."""
+    """The place of each expression that has one."""
     moves: list[tuple[int, int]]
     """Expressions to be copied at the end of a step, all at once, and where to."""
     late: set[int]

@@ -61,7 +61,7 @@ def _state(code: Code) -> tuple[str, str]:
 
 
 def _packs(code: Code, number: str) -> tuple[str, str, str]:
-    """Of a waiting pack: where the address of its places is, its lanes, and their places in the region."""
+    """Three addresses of a waiting pack: of the pointer to its places, its lanes, and their places in the region."""
     width = code.lanes.width
     pointers, lanes = code.at("%state", "i64", 8), code.at("%state", "i64", 8 + width)
     return code.at(pointers, "ptr", number), code.at(lanes, "i64", number), code.at("%places", code.integers, number)

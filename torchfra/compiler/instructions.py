@@ -27,7 +27,7 @@ class Lanes(NamedTuple):
 
     @property
     def bits(self) -> int:
-        """Of a number."""
+        """Bits of a number."""
         return 8 * self.dtype.itemsize
 
     @property
@@ -111,7 +111,7 @@ class Code:
         return self.new(f"getelementptr inbounds {type}, ptr {start}, i64 {at}, i32 {number}")
 
     def load(self, type: str, address: str, align: int = 8) -> str:
-        """What lies there."""
+        """The value that lies there."""
         return self.new(f"load {type}, ptr {address}, align {align}")
 
     def store(self, type: str, value: str, address: str, align: int = 8) -> None:
@@ -166,7 +166,7 @@ class Code:
         return self.every(self.lanes.scalar, literal(value, self.lanes.bits))
 
     def spread(self, scalar: str, value: str) -> str:
-        """What one scalar is in each lane."""
+        """A vector with one scalar in each lane."""
         if self.lanes.width == 1:
             return value
         type = self.lanes.of(scalar)
@@ -246,11 +246,11 @@ class Number:
         return self.compared("ogt", other)
 
     def equals(self, other: Number | float) -> Truth:
-        """Where both are the same number."""
+        """Truth values: whether both are the same number."""
         return self.compared("oeq", other)
 
     def compared(self, how: str, other: Number | float) -> Truth:
-        """Where a comparison of LLVM holds."""
+        """Truth values of a comparison of LLVM."""
         return Truth(self.code, self.code.new(f"fcmp {how} {self.code.numbers} {self.name}, {self._of(other)}"))
 
     def integer(self) -> Integer:
@@ -313,7 +313,7 @@ class Integer:
         return self._with("ashr", bits)
 
     def negative(self) -> Truth:
-        """Where it is below 0."""
+        """Truth values: whether it is below 0."""
         code = self.code
         zero = "0" if code.lanes.width == 1 else "zeroinitializer"
         return Truth(code, code.new(f"icmp slt {code.integers} {self.name}, {zero}"))

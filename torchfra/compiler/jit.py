@@ -26,7 +26,7 @@ compiled = 0
 _FORM = "objects, each behind its length"
 """What a kept kernel is.  It is part of its name: LLVM ends the process when it reads anything else."""
 _LEVEL = 1
-"""Of optimisation: more of it takes 1.4 times as long, for kernels that are no faster."""
+"""Level of optimisation: the next one takes 1.4 times as long, for kernels that are no faster."""
 _loaded: dict[str, Any] = {}
 """By key, what holds the code of a kernel: as long as the process, since its functions may be called at any time."""
 _LOADING = threading.Lock()

@@ -64,7 +64,7 @@ class Learning:
         after_back(boundary, self.stay, [k for k in self.late if self.like[k].is_floating_point()])
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
-        """As of a ``TrackKernel``."""
+        """Filters whole tracks: see ``TrackKernel``."""
         sound, *written = _Learned.apply(self, *map(savable, tensors))  # type: ignore[no-untyped-call]
         return written, sound
 
@@ -174,7 +174,7 @@ def _form(x: Tensor) -> Tensor:
 
 
 def _later(x: Tensor, time: int) -> Tensor:
-    """The same one step later, and 0 at first."""
+    """The tensor one step later, with 0 at the first step."""
     # Kernels have to be able to read it; what is copied most quickly lies like the original.
     inner = torch.empty((*x.shape[time:], *x.shape[:time]), dtype=x.dtype, device=x.device)
     moved, steps = torch.empty_like(x) if x.is_contiguous() else batch_first(inner, time), x.shape[time]

@@ -377,7 +377,7 @@ class _Body:
         return code_of_truth(self.code, value)
 
     def _place(self, number: int, piece: Piece | None) -> str:
-        """Where a value is; regions have all places side by side."""
+        """The place of a value; regions have all places side by side."""
         place, own = self._frame.places.get(number), self._frame.own
         if place is None:
             return self.code.at("%left", self.code.numbers, self._frame.left[number])
@@ -409,7 +409,7 @@ class _Body:
 
 
 def code_of_truth(code: Code, value: str) -> str:
-    """Where a number in a place stands for true."""
+    """Truth values: whether a number in a place stands for true."""
     integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
     zero = "0" if code.lanes.width == 1 else "zeroinitializer"
     return code.new(f"icmp ne {code.integers} {integer}, {zero}")

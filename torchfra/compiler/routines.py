@@ -110,7 +110,7 @@ def _batch(ranks: Sequence[int], tensors: Sequence[Tensor]) -> torch.Size:
 
 
 def _unknown(book: Expressions, numbers: Iterable[int]) -> list[int]:
-    """Those of them that are no constants, each once."""
+    """The numbers that are no constants, each once."""
     return list(dict.fromkeys(i for i in numbers if i not in book.values))
 
 

@@ -12,7 +12,7 @@ CALL = "{ i64, i64, i64, ptr, ptr, i64 }"
 PART = "; another part\n"
 """Between the parts of a module."""
 _LINES = 8000
-"""Of a part, about."""
+"""Lines of a part, about."""
 
 
 def called(code: Code, values: Sequence[tuple[str, str]]) -> str:

@@ -135,4 +135,4 @@ _SLOPES: dict[str, tuple[Callable[..., int], ...]] = {
     "hypot": (lambda w, y, a, b: w.div(a, y), lambda w, y, a, b: w.div(b, y)),
     "pow": (lambda w, y, a, b: w.mul(b, w.pow(a, w.sub(b, 1.0))), lambda w, y, a, b: w.mul(y, w.log(a))),
 }
-"""Of an operation's result in each of its arguments: from the writer, the result and the arguments."""
+"""Partial derivatives of an operation by each argument: functions of the writer, the result and the arguments."""

@@ -113,7 +113,7 @@ _HELD = 1 << 20
 
 
 def _room(size: int, new: bool) -> Tensor:
-    """So many bytes; of the caller alone if they are to be ``new``."""
+    """Memory of so many bytes; of the caller alone if it is to be ``new``."""
     if size > _HELD or new:
         return torch.empty(size, dtype=torch.uint8, device="cpu")
     if size > getattr(_ROOMS, "size", -1):

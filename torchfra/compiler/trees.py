@@ -53,7 +53,7 @@ def _places(tree: Any, at: str) -> Iterator[tuple[str, Any]]:
 
 
 def late(tree: Any) -> list[bool]:
-    """Of each tensor of a tree whether it is part of something ``Late``."""
+    """For each tensor of a tree whether it is part of something ``Late``."""
     if isinstance(tree, tuple):
         return [isinstance(tree, Late) or part for branch in tree for part in late(branch)]
     return [False] if isinstance(tree, Tensor) else []

@@ -36,7 +36,7 @@ class _Value(NamedTuple):
     event: int
     """Dimensions behind the batch."""
     alone: int
-    """The same where each target is a track, as on the backward pass of scans."""
+    """Dimensions behind the batch where each target is a track, as on the backward pass of scans."""
 
     @property
     def part(self) -> dict[str, Any]:
@@ -53,7 +53,7 @@ class Plan(NamedTuple):
     shapes: list[torch.Size]
     """What a kernel reads: leaves of the state, data, values, all with the full batch."""
     dtypes: list[torch.dtype]
-    """Of the same."""
+    """Dtypes of these tensors."""
     counts: bool
     """Whether some of what is kept of a step are whole numbers."""
     device: torch.device
@@ -61,7 +61,7 @@ class Plan(NamedTuple):
 
     @property
     def forwards(self) -> Program:
-        """What filters."""
+        """The kernel of the forward pass."""
         return self.kernels.forwards(self.batch, self.device)
 
 

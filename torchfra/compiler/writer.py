@@ -97,7 +97,7 @@ class Writer:
         return f"{self._place(number)} = {f'kept({name})' if self._book.is_bool(number) else name};"
 
     def _place(self, number: int) -> str:
-        """Where a value is."""
+        """The place of a value."""
         place = self._frame.places.get(number)
         return f"left[{self._frame.left[number]}]" if place is None else f"s[{place}]"
 
