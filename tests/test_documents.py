@@ -1,4 +1,4 @@
-"""Every README is held to its word: its code runs, its command lines run, with small arguments, and its links exist."""
+"""Every README is held to its word: its code runs, commands that no other test runs run small, its links exist."""
 
 import ast
 import contextlib
