@@ -85,7 +85,7 @@ def test_the_table_comes_in_every_form_and_file(comparison, tmp_path):
         assert part in comparison.save(tmp_path / f"table{ending}").read_text()
     held = json.loads(comparison.save(tmp_path / "all.json").read_text())
     assert held["filters"]["ukf"]["mean_rmse_position"] == comparison.results["ukf"]["mean_rmse_position"]
-    forms = {".csv": comparison.to_csv(), ".tex": comparison.to_latex(), ".md": comparison.to_markdown()}
+    forms = {".csv": comparison.table("csv"), ".tex": comparison.table("latex"), ".md": comparison.table("markdown")}
     assert all((tmp_path / f"table{ending}").read_text().startswith(text) for ending, text in forms.items())
     assert len(forms[".csv"].splitlines()) == 4
     with pytest.raises(ValueError, match=r"table: expected a file that ends in \.txt, \.csv, \.tex, \.md"):

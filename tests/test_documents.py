@@ -1,4 +1,4 @@
-"""Every README is held to its word: its code runs, its command lines run, with small arguments, and its links exist."""
+"""Every README is held to its word: its code runs, commands that no other test runs run small, its links exist."""
 
 import ast
 import contextlib
@@ -23,6 +23,7 @@ from torchfra import register
 from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.cli import main as cli
 from train import tune, values
+from train.runs import configured
 
 pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with which code and commands run as well
 
@@ -47,33 +48,14 @@ SETUP = (
 SMALL = {
     "torchfra compare": ({"--runs": "2"}, {"--filters": "srckf,fra"}),
     "torchfra compare --ranges": ({"--runs": "1"}, {"--filters": "srckf,fra"}),
-    "scripts/reproduce.py": ({"--runs": "2"}, {}),
-    "scripts/reproduce.py growth": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
-    "scripts/reproduce.py reentry": ({"--runs": "2", "--sizes": "1"}, {"--filters": "ghckf"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
-    "scripts/regret.py": ({"--runs": "2", "--cells": "2-std"}, {}),
     "torchfra many": ({"--jobs": "1"}, {}),
-    "scripts/many.py": ({"--tracks": "20", "--jobs": "1"}, {}),
-    "scripts/clean_check.py": (
-        {"--kinds": "ships", "--flights": "1", "--runs": "1", "--steps": "60", "--periods": "5", "--noises": "15"},
-        {},
-    ),
+    "scripts/many.py": ({"--tracks": "20", "--jobs": "1", "--share": "1"}, {}),
     "scripts/peers_targets.py": (
         {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
         {"--trackers": "srckf"},
     ),
     "scripts/bounds.py": ({"--runs": "2", "--jobs": "1", "--cells": "bearings-manoeuvre"}, {"--filters": "srckf"}),
-    "scripts/lorenz.py": (
-        {"--runs": "2", "--network": "1"},
-        {"--settings": "as stated", "--filters": "srckf", "--fit": ""},
-    ),
-    "scripts/gradients.py": ({"--runs": "2", "--steps": "1,3"}, {"--filters": "srckf"}),
-    "scripts/okf.py": (
-        {"--draws": "1", "--tracks": "40", "--iterations": "1"},
-        {"--filters": "OKF together"},
-    ),
-    "scripts/certainty.py": ({"--fits": "2", "--iterations": "1", "--jobs": "1"}, {}),
-    "scripts/particles.py": ({"--runs": "2", "--particles": "50"}, {}),
     "scripts/benchmark.py": ({"--batch": "1", "--passes": "1", "--modes": "eager"}, {"--filters": "srckf"}),
     "scripts/targets.py": ({"--runs": "1", "--scans": "3", "--what": "many,crowd"}, {}),
     "scripts/examples/": ({}, {}),
@@ -88,6 +70,17 @@ HELP_ONLY = {
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",
     "scripts/benchmark.py --what long": "filters 10,000 steps in turn: the jobs are tested by test_peers.py",
     "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
+    "scripts/benchmark.py --what linear": "filters of others: run by test_peers.py",
+    "scripts/benchmark.py --peers --batch": "the same as with other batches",
+    "scripts/many.py --tracks 1000,": "cleans flights: one line does so for all",
+    **{
+        f"scripts/{name}.py": f"run by test_{name}.py"
+        for name in ("certainty", "clean_check", "gradients", "lorenz", "okf", "particles", "regret")
+    },
+    **{
+        f"scripts/reproduce.py {name}": "run by test_scripts.py"
+        for name in ("bearings", "adsb-turns", "alpha-beta", "growth", "reentry", "clutter-crossing", "noise-change")
+    },
     "scripts/recordings.py": "reads recordings that are not part of the project: run by test_recordings_script.py",
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
 }
@@ -330,17 +323,6 @@ def small(line, main, words, known):
     return words
 
 
-def small_training(words, flights):
-    """The arguments of train.tune made small; recorded tracks are the flights."""
-    keys = {change.split("=")[0] for change in SMALL_TRAINING} | {"files"}
-    words = [word for word in words if word.split("=")[0] not in keys]
-    one = {
-        "fra_recorded": ["files=" + ",".join(flights)],
-        "gpb": ['tasks=[{"scenario":"bearings-manoeuvre"}]', "rivals=srckf", "population=4"],
-    }
-    return [*words, *one.get(words[0], []), *SMALL_TRAINING]
-
-
 def understood(line, flights):
     """The ``main`` that a command line calls, its arguments made small, and whether only its help is asked for."""
     words = shlex.split(line)
@@ -348,8 +330,12 @@ def understood(line, flights):
         assert words[0] in ("python", "torchrun")
         beside = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # the environment need not be active
         assert words[0] == "python" or shutil.which("torchrun", path=beside)
-        words = words[words.index("train.tune") + 1 :]
-        return tune.main, [w.replace("RUN", "fra_bearings") for w in small_training(words, flights)], False
+        words = [w.replace("RUN", "fra_bearings") for w in words[words.index("train.tune") + 1 :]]
+        own = any(word.startswith("scenario=") for word in words)
+        if "--resume" in words or not (own or words[0] == "fra_bearings"):  # these: test_train.py, test_train_gpb.py
+            configured(words[0], [word for word in words[1:] if not word.startswith("-")])
+            return tune.main, words, True
+        return tune.main, [*words, *SMALL_TRAINING], False
     if "-m" in words and words[words.index("-m") + 1] == "torchfra":
         words = words[words.index("-m") + 1 :]  # of torchrun, one process: two are in test_many.py
     if words[:3] == ["python", "-m", "train.values"]:  # measures for minutes: run by test_values.py
@@ -381,7 +367,8 @@ def test_a_command_line_of_a_document_works(line, flights, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     main, arguments, help_only = understood(line, flights)
     if help_only:
-        help_of(main, arguments)
+        known = help_of(main, arguments)
+        assert not [word for word in arguments if word.startswith("--") and word.split("=")[0] not in known]
         return
     status, text = run_once(main, *arguments)
     assert status == 0, f"{arguments}: {text}"
@@ -431,7 +418,6 @@ def test_arguments_are_made_small():
     assert small("torchfra compare --scenario growth", None, words, known) == [
         "compare", "--scenario", "growth", "--runs", "2", "--filters", "srckf,fra", "--no-compile"
     ]  # fmt: skip
-    assert small_training(["noise", "batch=64", "lr=0.1"], []) == ["noise", "lr=0.1", *SMALL_TRAINING]
 
 
 def test_pages_include_from_and_to_words_that_are_there():

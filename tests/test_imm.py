@@ -144,24 +144,6 @@ def test_an_outlier_says_much_less_of_the_model_of_a_robust_filter():
 # ---------------------------------------------------------------- how it behaves
 
 
-@pytest.mark.parametrize("inner", ["srckf", "rsrckf", "fra"])
-def test_a_batch_is_a_loop_and_streaming_is_the_whole(inner):
-    f, z = presets.imm(bank(), SENSOR, inner=getattr(presets, inner)), measured(3)
-    z[1, 4, 0] = torch.nan
-    z[2, 6] = torch.nan
-    whole = f(z, PRIOR, dt=DT)
-    assert whole.info.probabilities.shape == (3, STEPS, 5)
-    for i in range(3):
-        one = f(z[i], PRIOR, dt=DT)
-        same(one.mean, whole.mean[i])
-        same(one.info.probabilities, whole.info.probabilities[i])
-        state = f.init(PRIOR)
-        for k in range(STEPS):
-            state, innovation = f.step(state, z[i, k], dt=DT)
-            same(state.belief.mean, whole.mean[i, k])
-            same(innovation.log_likelihood, whole.log_likelihood[i, k])
-
-
 def test_steps_of_time_may_differ_and_sensors_may_bend():
     f = presets.imm(bank(), RangeBearing(torch.tensor([10.0, 0.01], dtype=torch.float64)))
     z = measured(2)

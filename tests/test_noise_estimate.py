@@ -153,19 +153,6 @@ def test_it_works_with_other_sensors_filters_and_interacting_models(scenario):
         assert (metrics.track_rmse(estimate.mean, t.truth, s.position) < 300).all()
 
 
-def test_streaming_and_single_tracks_agree_with_the_batch(scenario, tracks):
-    f = presets.iaukf(scenario.motion, scenario.sensor)
-    whole = f(tracks.z, tracks.prior)
-    state = f.init(tracks.prior)
-    for k in range(40):
-        state, innovation = f.step(state, tracks.z[:, k])
-        torch.testing.assert_close(state.belief.mean, whole.mean[:, k], rtol=1e-12, atol=1e-14)
-        torch.testing.assert_close(innovation.log_likelihood, whole.log_likelihood[:, k], rtol=1e-9, atol=1e-9)
-    root = tracks.prior.scale_tril[0]
-    alone = f(tracks.z[0], tracks.prior._replace(mean=tracks.prior.mean[0], scale_tril=root))
-    torch.testing.assert_close(alone.mean, whole.mean[0], rtol=1e-12, atol=1e-14)
-
-
 def test_the_likelihood_of_an_innovation_uses_the_noise_estimate_before_it(scenario, tracks):
     """Its density is that of a Gaussian with the covariance that ``step`` gives."""
     f = presets.iaukf(scenario.motion, scenario.sensor)

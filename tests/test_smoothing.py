@@ -51,8 +51,10 @@ def close(estimate, expected, tol=1e-9):
     np.testing.assert_allclose(estimate.covariance, expected["P"], rtol=tol, atol=tol * scale)
 
 
-@pytest.mark.parametrize("motion", [ConstantVelocity(0.5), ConstantAcceleration(0.1)], ids=["velocity", "acceleration"])
-@pytest.mark.parametrize("singular", ["nothing", "prior", "motion", "both"])
+@pytest.mark.parametrize(("motion", "singular"), [
+    *((ConstantVelocity(0.5), singular) for singular in ("nothing", "prior", "motion", "both")),
+    (ConstantAcceleration(0.1), "both"),
+], ids=lambda x: x if isinstance(x, str) else type(x).__name__)  # fmt: skip
 def test_a_linear_track_is_that_of_least_squares_over_all_of_it(motion, singular):
     if singular in ("motion", "both"):
         motion = type(motion)(0.0)
@@ -200,8 +202,7 @@ def test_fra_smooths_what_it_has_decided_for(scenario, tracks, provisional, plai
         close(Gaussian(smoothed.mean[b], smoothed.scale_tril[b]), expected, tol=1e-8)
 
 
-@pytest.mark.parametrize("name", ["srckf", "rsrckf", "asrckf", "fra"])
-@pytest.mark.parametrize("lag", [1, 2, 5])
+@pytest.mark.parametrize(("name", "lag"), [("rsrckf", 5), ("asrckf", 2), ("fra", 1), ("fra", 5)])
 def test_with_a_lag_each_step_is_that_of_the_track_up_to_so_many_later(make, tracks, name, lag):
     f = make(name)
     lagged = f.smooth(tracks.z, tracks.prior, u=tracks.u, lag=lag)

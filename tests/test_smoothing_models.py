@@ -132,8 +132,7 @@ def test_where_nothing_is_measured_any_more_it_is_as_filtered():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag", [1, 3])
-@pytest.mark.parametrize("name", ["imm_srckf", "imm_fra", "vsimm_srckf"])
+@pytest.mark.parametrize(("name", "lag"), [("imm_fra", 3), ("vsimm_srckf", 1)])
 def test_with_a_lag_each_step_is_that_of_the_track_up_to_so_many_later(name, lag):
     f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD)), turning()
     lagged = f.smooth(z, prior, lag=lag)
@@ -160,7 +159,7 @@ def turning(steps=10):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["imm_srckf", "imm_fra", "vsimm_srckf"])
+@pytest.mark.parametrize("name", ["imm_fra", "vsimm_srckf"])
 def test_batches_vmap_and_checkpoints_give_the_same(name):
     f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD), learn=("transition",)), turning()
 

@@ -59,9 +59,8 @@ def manager(birth, confirmation, deletion, **options):
     return Targets(f, birth=birth, confirmation=confirmation, deletion=deletion, **options)
 
 
-@pytest.mark.parametrize("deletion", DELETIONS)
 @pytest.mark.parametrize("confirmation", CONFIRMATIONS)
-@pytest.mark.parametrize("birth", BIRTHS)
+@pytest.mark.parametrize(("birth", "deletion"), list(zip(BIRTHS, DELETIONS, strict=True)))
 def test_every_scan_leaves_the_targets_of_plain_loops(birth, confirmation, deletion):
     (birth, born), (confirmation, how), (deletion, when) = (
         BIRTHS[birth], CONFIRMATIONS[confirmation], DELETIONS[deletion],

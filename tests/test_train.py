@@ -101,12 +101,6 @@ def test_the_learned_values_load_into_a_fixed_filter(unbroken):
     assert f.motion.q().item() == pytest.approx(reported["motion.q"])
 
 
-@pytest.mark.slow
-def test_the_same_settings_learn_the_same_values(unbroken, tmp_path):
-    assert train(tmp_path, "test_runs=0") == 0
-    assert equal(learned(tmp_path), learned(unbroken))
-
-
 # ---------------------------------------------------------------- interruptions
 
 
@@ -267,12 +261,13 @@ def test_an_unknown_run_is_answered_with_the_known_ones(capsys):
 
 
 def test_every_named_run_is_tried():
-    assert set(RUNS) == {*STEPPED, "switching", "association", "noise", "recover", "gpb", "recover_gpb"}
+    assert set(RUNS) == {*STEPPED, "fra_bearings", "switching", "association", "noise", "recover", "gpb", "recover_gpb"}
 
 
 UNMENDED = 'tasks=[{"scenario":"recorded","options":{"repair":false}}]'
-STEPPED = {"fra_bearings": [], "fra_recorded": [UNMENDED], "contaminated": []}
-"""Runs of which a step is tried, and what is changed to save time; others learn below, and in test_train_gpb.py."""
+STEPPED = {"fra_recorded": [UNMENDED], "contaminated": []}
+"""Runs of which a step is tried, and what is changed to save time; others learn below, and in
+test_train_gpb.py; a step of fra_bearings is a command line of a document."""
 
 
 @pytest.mark.slow

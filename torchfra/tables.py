@@ -23,7 +23,7 @@ def printable(name: str, longest: int = LONGEST) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in name)
 
 
-def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: str = "<>", gap: int = 2) -> str:
+def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: str = "<>") -> str:
     """A table as text: a line for the header and one for each row, each column as wide as its widest cell.
 
     Args:
@@ -31,7 +31,6 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: s
         rows: a cell for each column, already formatted; see ``printable`` for what is left of names.
         align: ``"<"`` (left) or ``">"`` (right) for each column; the last one holds for all columns that follow, so
             that the default is names on the left and numbers on the right.
-        gap: spaces between columns.
 
     Returns:
         Lines without spaces at their ends, and without a newline after the last.
@@ -55,7 +54,7 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, align: s
     cells = [
         [f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=False)] for line in lines
     ]
-    return "\n".join((" " * gap).join(line).rstrip() for line in cells)
+    return "\n".join("  ".join(line).rstrip() for line in cells)
 
 
 # ---------------------------------------------------------------- quantities

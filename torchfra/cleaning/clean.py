@@ -82,7 +82,7 @@ def clean(
         compile: whether to run compiled, which pays for long tracks; needs the extra ``compiler``.
         max_bytes: of text that a file may hold.
         words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
-            ``readers.told.Told``.
+            ``readers.ReadOptions``.
 
     Returns:
         For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,

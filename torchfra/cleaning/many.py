@@ -76,7 +76,7 @@ class Work:
 
     def _plan(self) -> dict[str, Any]:
         reader = self.data.reader
-        reading = {name: said for name, said in asdict(reader.told).items() if said is not None}
+        reading = {name: said for name, said in asdict(reader.options).items() if said is not None}
         files = {file.name: [file.rows, file.bytes, file.footer] for file in self.data.files}
         return {
             "version": __version__, "rows": self.rows, **self.settings, "reading": reading,

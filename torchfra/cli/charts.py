@@ -15,7 +15,7 @@ from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, p
 from torchfra.tables import printable
 
 _LETTERS = 60
-"""Of the name of a manoeuvre, that are as wide as a panel of a narrow window."""
+"""Characters of the name of a manoeuvre that are as wide as a panel of a narrow window."""
 _MOST_MARKS = 50
 """Rejected fixes that are marked at the edge of the map."""
 

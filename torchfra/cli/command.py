@@ -22,7 +22,7 @@ argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the output has
 _LONGEST = 1000
 """Characters of an error message."""
 _NO_MEMORY = ("can't allocate memory", "out of memory", "Storage size calculation overflowed")
-"""Parts of the messages with which torch says so."""
+"""Parts of the messages with which torch says that there is no memory left."""
 
 
 class Parser(argparse.ArgumentParser):

@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
-    """Those to compare, by name."""
+    """The filters to compare, by name."""
     names = filters_for(scenario) if options.filters is None else [name for name in options.filters.split(",") if name]
     made = load_filters(names, scenario)
     if options.learned is None:

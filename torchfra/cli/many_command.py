@@ -48,7 +48,7 @@ nothing of the others; the one that ends last sums up. The same command once mor
 PARTS, FEWEST, MOST = 64, 100_000, 1_000_000
 """Parts, and rows of one at least and at most: all files are read for each, and one that is not done begins anew."""
 _MOST_SAID = 5
-"""Targets that failed, of which each is said."""
+"""The most targets that failed that are named one by one."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:

@@ -30,7 +30,7 @@ class Plan(NamedTuple):
     tables: dict[Path, list[Recording]]
     """The targets of each table."""
     pictures: dict[Recording, Path]
-    """One for each target, or none."""
+    """A picture of each target, or of none."""
     overview: Path | None
     """A picture of several targets."""
 

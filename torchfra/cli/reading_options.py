@@ -8,12 +8,13 @@ from dataclasses import fields
 
 from torchfra.cleaning.kinds import KINDS
 from torchfra.readers.bounded import MAX_BYTES
+from torchfra.readers.options import METRES, ReadOptions
 from torchfra.readers.times import FORMS
-from torchfra.readers.told import METRES, Told
 
 _ABOUT = {
     "time": ("COLUMN", "column of times; its numbers may be seconds since any start"),
-    "x": ("COLUMN", "column of positions"), "y": ("COLUMN", "likewise"), "z": ("COLUMN", "likewise"),
+    "x": ("COLUMN", "column of positions"), "y": ("COLUMN", "column of positions"),
+    "z": ("COLUMN", "column of positions"),
     "lat": ("COLUMN", "column of latitudes"), "lon": ("COLUMN", "column of longitudes"),
     "alt": ("COLUMN", "column of altitudes"),
     "id": ("COLUMN", "column that says which target a row is of"),
@@ -24,7 +25,7 @@ _ABOUT = {
     "time_format": ("FORM", f"times as {', '.join(FORMS)}, or such as 25fps or %%d.%%m.%%Y %%H:%%M:%%S"),
 }  # fmt: skip
 """What each option is followed by, and what it is about."""
-READING = tuple(field.name for field in fields(Told))
+READING = tuple(field.name for field in fields(ReadOptions))
 """What the options are called in a namespace."""
 
 

@@ -111,7 +111,8 @@ class Comparison:
         """A line for each filter: means with 95 % intervals and so on; the best, and those as good, are bold.
 
         Args:
-            form: ``"text"``, ``"csv"``, ``"latex"`` (for ``booktabs``) or ``"markdown"``.
+            form: ``"text"``, ``"csv"``, in which half widths of intervals are columns of their own, ``"latex"``, for
+                ``booktabs``, or ``"markdown"``.
 
         Raises:
             ValueError: another form.
@@ -125,18 +126,6 @@ class Comparison:
             if name == self.best or p >= 1 - LEVEL:
                 good.add(name)
         return formed(form, rows, good, self.caption())
-
-    def to_latex(self) -> str:
-        """The table for LaTeX with the package ``booktabs``."""
-        return self.table("latex")
-
-    def to_markdown(self) -> str:
-        """The table for Markdown."""
-        return self.table("markdown")
-
-    def to_csv(self) -> str:
-        """The table for spreadsheets: half widths of intervals are columns of their own."""
-        return self.table("csv")
 
     def save(self, path: str | Path) -> Path:
         """Writes the table by the ending of the file, ``.txt``, ``.csv``, ``.tex`` or ``.md``; all of it as ``.json``.

@@ -12,7 +12,7 @@ class Access(NamedTuple):
 
     port: str
     type: str
-    """Of its entries."""
+    """Type of the entries."""
     how: str
     """The function that does it."""
     entry: int
@@ -21,7 +21,7 @@ class Access(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of the tensor, in a function."""
+        """Name of the tensor in a function."""
         return self.port.replace("[", "").replace("]", "").replace("out", "late" if self.step == "before" else "out")
 
     @property

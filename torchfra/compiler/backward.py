@@ -14,11 +14,11 @@ from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.types import Gaussian
 
 _AT_ONCE = 1 << 20
-"""Steps of windows that a kernel is given at once, as each step of a track is in many."""
+"""Steps of windows that a kernel reads at once, as each step of a track is in many."""
 
 
-class Given(NamedTuple):
-    """What the kernel of a backward pass is given."""
+class BackwardInputs(NamedTuple):
+    """What the kernel of a backward pass reads."""
 
     state: Any
     """To begin with, at the last step."""
@@ -62,7 +62,7 @@ def windows(
     """A track of ``lag + 1`` steps for each step that has so many later ones, along one more dimension of the batch.
 
     What the last step of a window has not decided yet is taken as it was at the step itself.  They come in parts, each
-    of ``_AT_ONCE`` steps in all or so, and the arguments are as those of ``given``.
+    of ``_AT_ONCE`` steps in all or so, and the arguments are as those of ``backward_inputs``.
     """
     shape = tree.flatten(past)[0].shape[: rank + 1]
     count, most = shape[-1] - lag, max(_AT_ONCE // max(shape[:-1].numel() * (lag + 1), 1), 1)
@@ -95,13 +95,13 @@ def of_windows(smoothed: Sequence[Any], rank: int, lag: int) -> Any:
     return tree.map_tensors(steps, *smoothed)
 
 
-def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int) -> Given:
-    """All that the kernel of this filter is given.
+def backward_inputs(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int) -> BackwardInputs:
+    """All that the kernel of this filter reads.
 
     Args:
         f: the filter.
         past: ``(..., T, ...)``: see ``Filter.past``.
-        carried: likewise: see ``BackwardStep``; None for the same.
+        carried: as ``past``: see ``BackwardStep``; None where it is ``past``.
         measurements: of the forward pass.
         rank: dimensions of the batch.
     """
@@ -118,7 +118,9 @@ def given(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int
     if u is not None:
         data["u"], events["u"] = u.roll(-1, -2), 1
     state, _ = f.last(tree.map_tensors(lambda x: x.select(rank, -1), past))
-    return Given(state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, following, carried))
+    return BackwardInputs(
+        state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, following, carried)
+    )
 
 
 def _lower(x: Any) -> Any:

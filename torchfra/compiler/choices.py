@@ -8,7 +8,7 @@ from torchfra.compiler.expressions import Expressions
 
 
 def with_choices_last(
-    book: Expressions, live: Sequence[int], varying: Collection[int], ends: Iterable[int]
+    book: Expressions, live: Sequence[int], varying: Collection[int], outputs: Iterable[int]
 ) -> tuple[Expressions, list[int]]:
     """The same step, with ``m ? f(a) : f(b)`` for ``f(m ? a : b)`` where a and b stay, and what of it is live.
 
@@ -16,7 +16,7 @@ def with_choices_last(
         book: the expressions, which stay as they are.
         live: those that are needed, arguments first.
         varying: those of them that change from step to step.
-        ends: those that are written or carried on.
+        outputs: those that are written or carried on.
     """
     new = book.copied()
     new.here = ""
@@ -29,7 +29,7 @@ def with_choices_last(
             new.nodes[number] = "select", (mask, *chosen)
             order.update(dict.fromkeys(i for side in chosen for i in _needed(new, [side], order)))
         order.setdefault(number)
-    needed = set(new.needed(ends))
+    needed = set(new.needed(outputs))
     return new, [number for number in order if number in needed]
 
 
@@ -49,10 +49,10 @@ def _sides(book: Expressions, number: int, varying: Collection[int]) -> tuple[in
     return (masks.pop(), yes, no) if len(masks) == 1 else None
 
 
-def _needed(book: Expressions, ends: Iterable[int], known: Collection[int]) -> list[int]:
+def _needed(book: Expressions, outputs: Iterable[int], known: Collection[int]) -> list[int]:
     """Expressions that others need and that are not known yet, arguments first."""
     found: dict[int, None] = {}
-    todo = [(end, False) for end in ends]
+    todo = [(output, False) for output in outputs]
     while todo:
         number, ready = todo.pop()
         if ready:

@@ -10,7 +10,7 @@ from torchfra.compiler.expressions import Expressions
 
 
 def with_quotients(
-    book: Expressions, live: Sequence[int], varying: Collection[int], ends: Collection[int]
+    book: Expressions, live: Sequence[int], varying: Collection[int], outputs: Collection[int]
 ) -> tuple[Expressions, list[int]]:
     """The same step, with ``a / b`` for ``a (1 / b)`` unless something else shares ``1 / b``, and what of it is live.
 
@@ -20,9 +20,9 @@ def with_quotients(
         book: the expressions, which stay as they are.
         live: those that are needed, arguments first.
         varying: those of them that change from step to step; an inverse that does not is computed once for all steps.
-        ends: those that are written or carried on.
+        outputs: those that are written or carried on.
     """
-    uses = Counter([*ends, *(arg for number in live for arg in book.nodes[number][1])])
+    uses = Counter([*outputs, *(arg for number in live for arg in book.nodes[number][1])])
     new, gone = copy.copy(book), set()
     new.nodes = list(book.nodes)
     for number in live:

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from torchfra.compiler.instructions import Code, Number, Truth, Whole, phi
+from torchfra.compiler.instructions import Code, Integer, Number, Truth, phi
 
 
 def applied(code: Code, name: str, args: Sequence[str]) -> str:
@@ -56,7 +56,7 @@ def _called(code: Code, name: str, args: Sequence[str]) -> str:
 
 @lru_cache
 def address(name: str) -> int:
-    """Where a function is that torch or the mathematics of C has; 0 where there is none of this name."""
+    """Address of a function of torch or of the mathematics of C; 0 where there is none of this name."""
     for library in _libraries():
         try:
             return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
@@ -173,13 +173,13 @@ def _atan2(y: Number, x: Number) -> Number:
     s = t * t
     octant = (t + t * s * _polynomial(s, _ARC)) + beyond.choose(quarter, 0.0)
     quadrant = steep.choose(2 * quarter - octant, octant)
-    return _signed_as(x.whole().negative().choose(4 * quarter - quadrant, quadrant), y)
+    return _signed_as(x.integer().negative().choose(4 * quarter - quadrant, quadrant), y)
 
 
 def _split(code: Code) -> tuple[int, float, float, float]:
     """Binary digits behind the first, ln(2) in two parts, and a number that rounds what is added to it.
 
-    Whole multiples of the first part are exact; what is rounded is in the last bits of the sum.
+    Integer multiples of the first part are exact; what is rounded is in the last bits of the sum.
     """
     if code.lanes.bits == 64:
         return 52, float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33"), 1.5 * 2.0**52
@@ -189,12 +189,12 @@ def _split(code: Code) -> tuple[int, float, float, float]:
 def _exp(x: Number) -> Number:
     """To a rounding: a power of two times a Taylor polynomial within ln(2) / 2, off by 5e-18 at most."""
     code = x.code
-    digits, high, low, whole = _split(code)
+    digits, high, low, rounder = _split(code)
     smallest, largest = (-746.0, 710.0) if code.lanes.bits == 64 else (-104.0, 89.0)  # beyond: 0 or infinite
     a = (x < smallest).choose(smallest, x)
     a = (a > largest).choose(largest, a)
-    shifted = a * 1.4426950408889634 + whole
-    k = shifted - whole
+    shifted = a * 1.4426950408889634 + rounder
+    k = shifted - rounder
     r = (a - k * high) - k * low
     p = 1.0 + (r + r * r * _polynomial(r, [1 / math.factorial(n) for n in range(2, 14)]))
     if code.lanes.registers == "avx512" and code.lanes.width > 1:
@@ -204,11 +204,11 @@ def _exp(x: Number) -> Number:
         return Number(
             code, code.call(kind, name, (kind, p.name), (kind, k.name), (kind, zero), (bits, "-1"), ("i32", "4"))
         )
-    power = shifted.whole() - code.number(whole).whole()
+    power = shifted.integer() - code.number(rounder).integer()
     half = power >> 1  # in halves: the power alone may be out of range
 
-    def of_two(exponent: Whole) -> Number:
-        return ((exponent << digits) + code.number(1.0).whole()).number()
+    def of_two(exponent: Integer) -> Number:
+        return ((exponent << digits) + code.number(1.0).integer()).number()
 
     return p * of_two(half) * of_two(power - half)
 
@@ -222,12 +222,12 @@ _LOG = (
 def _log(x: Number) -> Number:
     """To a rounding, as in FDLIBM (Sun Microsystems, 1993): exponent and fraction, and of that a rational function."""
     code = x.code
-    digits, high, low, whole = _split(code)
+    digits, high, low, rounder = _split(code)
     more, lowest = (54, 2.0**-1022) if code.lanes.bits == 64 else (25, 2.0**-126)
     tiny = x < lowest
-    bits = tiny.choose(x * 2.0**more, x).whole()
-    exponent = (bits - code.number(0.70710678118654752).whole()) >> digits
-    k = (exponent + code.number(whole).whole()).number() - tiny.choose(whole + more, whole)
+    bits = tiny.choose(x * 2.0**more, x).integer()
+    exponent = (bits - code.number(0.70710678118654752).integer()) >> digits
+    k = (exponent + code.number(rounder).integer()).number() - tiny.choose(rounder + more, rounder)
     f = (bits - (exponent << digits)).number() - 1.0
     s = f / (2.0 + f)
     z = s * s

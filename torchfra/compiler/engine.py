@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.compiler import one_operation, traced
-from torchfra.compiler.backward import Given, cut, given, of_windows, windows
+from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
 from torchfra.compiler.guards import hooked
 from torchfra.compiler.llvm import is_installed
 from torchfra.compiler.program import BUILDING
@@ -72,11 +72,11 @@ class Compiled:
             and not (torch.is_grad_enabled() and has_tangents())
         )
 
-    def call(self, method: Callable[..., Estimate], f: Any, *given: Any, **options: Any) -> Estimate:
+    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
         """What a method of the filter gives for whole tracks: to ``torch.compile`` it is one operation."""
         if one_operation.takes(f, options):
-            return one_operation.call(method.__name__, f, *given, **options)
-        return method(f, *given, **options)
+            return one_operation.call(method.__name__, f, *arguments, **options)
+        return method(f, *arguments, **options)
 
     def forward(
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
@@ -84,10 +84,10 @@ class Compiled:
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
-            whole: tuple[Estimate, Any, Any] = self.otherwise.forward(
+            found: tuple[Estimate, Any, Any] = self.otherwise.forward(
                 f, measurements, prior, checkpoint, truncate, past
             )
-            return whole
+            return found
         cut = checkpoint or truncate
         done = self._ready(f, measurements, prior, past, cut)
         if done is None:
@@ -118,9 +118,9 @@ class Compiled:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
         plain = cut is None and not hooked()
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
-        given = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
+        inputs = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
-        if f.home is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(given)):
+        if f.home is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):
             now, plan, data = self._plan(f, state, measurements, past)
             now.get_tracks_ready(form, plan, prior, state, data, past, plain)
 
@@ -155,12 +155,12 @@ class Compiled:
         measurements = f.for_each_target(measurements) if f.scans else measurements
         carried = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
-            return self._back(f, given(f, past, carried, measurements, rank))
+            return self._back(f, backward_inputs(f, past, carried, measurements, rank))
         every = windows(f, past, carried, measurements, rank, lag)
-        parts = [self._back(f, given(f, *part, rank + 1)._replace(windows=True)) for part in every]
+        parts = [self._back(f, backward_inputs(f, *part, rank + 1)._replace(windows=True)) for part in every]
         return of_windows(parts, rank, lag)
 
-    def _back(self, f: Any, back: Given) -> Any:
+    def _back(self, f: Any, back: BackwardInputs) -> Any:
         now = self._now(f)
         data, timed = list(back.data.values()), list(back.timed.values())
         with BUILDING:

@@ -63,23 +63,23 @@ def export(
     m: int = f.sensor.size
     shapes = {"z": (m,), "dt": (), "u": (u,) if u else None, "std": (m,), "noise": (m, m)}
     chosen = {"z", "dt", "u", *inputs}
-    given = {key: Input(torch.Size(x), False, False) for key, x in shapes.items() if key in chosen and x is not None}
-    step = Step(f, traced.begin, _advance, given, dtype, repeated=False)
+    inputs = {key: Input(torch.Size(x), False, False) for key, x in shapes.items() if key in chosen and x is not None}
+    step = Step(f, traced.begin, _advance, inputs, dtype, repeated=False)
     begin, prior = _begin(f, dtype)
     return Standalone(
         name, _about(f), begin, step.forwards(), prior, _fields(step.state),
-        [Field(key, x.shape, _MEANINGS[key]) for key, x in given.items()], _fields(step.record), f.instants,
+        [Field(key, x.shape, _MEANINGS[key]) for key, x in inputs.items()], _fields(step.record), f.instants,
     ).files()  # fmt: skip
 
 
 _MEANINGS = {
     "z": "measured", "dt": "seconds since the step before", "u": "what the models need to know",
-    "std": "of this measurement's noise, instead of the sensor's", "noise": "root of its covariance, likewise",
+    "std": "of this measurement's noise, instead of the sensor's", "noise": "root of the covariance of that noise",
     "mean": "of the belief", "scale_tril": "lower root of its covariance",
     "residual": "measured minus predicted, 0 where missing", "innovation_scale_tril": "lower root of its covariance",
-    "nis": "normalised innovation squared", "log_likelihood": "log density of what was seen",
+    "nis": "normalised innovation squared", "log_likelihood": "log density of the measurement",
 }  # fmt: skip
-"""Of inputs and outputs."""
+"""What inputs and outputs mean."""
 
 
 _TAKEN = KEYWORDS | {"advance", "begin", "block", "example", "main", "read", "std", "write"}

@@ -23,7 +23,7 @@ _FOLD: dict[str, Callable[..., float]] = {
 }  # fmt: skip
 
 _FUNCTIONS = {"sqrt", "exp", "log", "sin", "cos"}
-"""Of numbers above 0, which are folded there."""
+"""Functions that are folded where the argument is a constant above 0."""
 _EITHER_WAY = {"add", "mul", "and", "or", "eq", "max", "min"}
 """Whose two arguments may change places."""
 
@@ -143,10 +143,10 @@ class Expressions:
             args = args[::-1]
         return self._new(op, args)
 
-    def needed(self, ends: Iterable[int]) -> list[int]:
+    def needed(self, outputs: Iterable[int]) -> list[int]:
         """The expressions that these need, themselves included, in an order in which they can be computed."""
         found: set[int] = set()
-        todo = [*ends]
+        todo = [*outputs]
         while todo:
             number = todo.pop()
             if number not in found:

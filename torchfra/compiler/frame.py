@@ -18,7 +18,7 @@ class Frame(NamedTuple):
     """The first of them are each pack's own.  Others are shared by all packs: no pack needs their values while the next
     one is computed."""
     places: dict[int, int]
-    """Of each expression that has one."""
+    """The place of each expression that has one."""
     moves: list[tuple[int, int]]
     """Expressions to be copied at the end of a step, all at once, and where to."""
     late: set[int]
@@ -32,7 +32,7 @@ def frame(
     before: Sequence[Piece],
     steps: Sequence[Piece],
     carried: Mapping[int, int],
-    ends: Iterable[int],
+    outputs: Iterable[int],
     merged: Mapping[int, int],
     shared: bool = True,
 ) -> Frame:
@@ -43,13 +43,13 @@ def frame(
         before: pieces that are computed once, before the steps.
         steps: the pieces of a step.
         carried: what goes from step to step, with what takes its place after the step.
-        ends: what is written.
+        outputs: what is written.
         merged: results of regions, and the choices in whose places they are put.
         shared: whether packs may have places together.
     """
     made = {number: k for k, piece in enumerate(steps) for number in piece.numbers}
     last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
-    behind = {i for i in ends if i not in made or i in merged.values()}
+    behind = {i for i in outputs if i not in made or i in merged.values()}
     read = last.keys() | behind | {*merged.values()}
     alone = Counter(carried.values())
     unread = {old: new for old, new in carried.items() if new in made and alone[new] == 1 and not read & {old, new}}
@@ -127,5 +127,5 @@ def crossing(
     """What a region of some pieces takes from the others, which need ``others``, and what it gives to them."""
     own = {number for piece in parts for number in piece.numbers}
     taken = [i for piece in parts for i in needs(book, Piece(piece.numbers, None)) if i not in own]
-    given = [i for needed in others for i in needed if i in own]
-    return list(dict.fromkeys(taken)), list(dict.fromkeys([*given, *(i for i in merged if i in own)]))
+    stored = [i for needed in others for i in needed if i in own]
+    return list(dict.fromkeys(taken)), list(dict.fromkeys([*stored, *(i for i in merged if i in own)]))

@@ -9,7 +9,7 @@ from torchfra.compiler.instructions import Code, Lanes
 
 def gathered(
     lanes: Lanes, name: str, place: int, value: bool, size: int, taken: Sequence[int], passed: Sequence[int],
-    given: Sequence[int], own: int,
+    stored: Sequence[int], own: int,
 ) -> tuple[list[str], set[str]]:  # fmt: skip
     """The functions ``guarded`` and ``flush`` of a region, and what they declare.
 
@@ -24,7 +24,7 @@ def gathered(
         size: places of the region.
         taken: places that it takes from a pack's own.
         passed: those from what packs have together.
-        given: those that it gives.
+        stored: those that it stores.
         own: how many places are a pack's own; the others are behind them.
     """
     if lanes.width == 1:
@@ -33,14 +33,14 @@ def gathered(
             code.do(f"call void @{name.format('region')}(ptr %s)")
         code.do("ret void")
         return [code.text()], code.declared
-    tables = {kind: f"{name.format(kind)}" for kind in ("taken", "passed", "given")}
+    tables = {kind: f"{name.format(kind)}" for kind in ("taken", "passed", "stored")}
     texts = [
         _table(tables["taken"], taken),
         _table(tables["passed"], [k - own for k in passed]),
-        _table(tables["given"], given),
+        _table(tables["stored"], stored),
     ]
     guarded = _guarded(lanes, name, place, value, tables, len(taken), len(passed), own)
-    flush = _flush(lanes, name, tables["given"], len(given))
+    flush = _flush(lanes, name, tables["stored"], len(stored))
     return [*texts, guarded.text(), flush.text()], guarded.declared | flush.declared
 
 
@@ -50,9 +50,9 @@ def _table(name: str, places: Sequence[int]) -> str:
 
 
 def _truth(code: Code, number: str, value: bool) -> str:
-    whole = code.new(f"bitcast {code.numbers} {number} to {code.wholes}")
+    integer = code.new(f"bitcast {code.numbers} {number} to {code.integers}")
     zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-    return code.new(f"icmp {'ne' if value else 'eq'} {code.wholes} {whole}, {zero}")
+    return code.new(f"icmp {'ne' if value else 'eq'} {code.integers} {integer}, {zero}")
 
 
 def _state(code: Code) -> tuple[str, str]:
@@ -61,14 +61,14 @@ def _state(code: Code) -> tuple[str, str]:
 
 
 def _packs(code: Code, number: str) -> tuple[str, str, str]:
-    """Of a waiting pack: where the address of its places is, its lanes, and their places in the region."""
+    """Three addresses of a waiting pack: of the pointer to its places, its lanes, and their places in the region."""
     width = code.lanes.width
     pointers, lanes = code.at("%state", "i64", 8), code.at("%state", "i64", 8 + width)
-    return code.at(pointers, "ptr", number), code.at(lanes, "i64", number), code.at("%places", code.wholes, number)
+    return code.at(pointers, "ptr", number), code.at(lanes, "i64", number), code.at("%places", code.integers, number)
 
 
 def _moved(code: Code, kind: str) -> Callable[[str, str], str]:
-    """What gives in each lane what is in that lane of another value whose number is given."""
+    """What gives in each lane what is in that lane of another value at that number."""
     lanes = code.lanes
     name = {("avx512", 64): "llvm.x86.avx512.permvar.df.512", ("avx512", 32): "llvm.x86.avx512.permvar.sf.512"}.get(
         (lanes.registers, lanes.bits)
@@ -76,7 +76,7 @@ def _moved(code: Code, kind: str) -> Callable[[str, str], str]:
 
     def moved(value: str, index: str) -> str:
         if name:
-            return code.call(code.numbers, name, (code.numbers, value), (code.wholes, index))
+            return code.call(code.numbers, name, (code.numbers, value), (code.integers, index))
         if lanes.registers == "avx2":
             if lanes.bits == 32:
                 return code.call("<8 x float>", "llvm.x86.avx2.permps", ("<8 x float>", value), ("<8 x i32>", index))
@@ -88,7 +88,7 @@ def _moved(code: Code, kind: str) -> Callable[[str, str], str]:
             return code.new(f"bitcast <8 x float> {found} to <4 x double>")
         result = "poison"
         for k in range(lanes.width):
-            which = code.new(f"extractelement {code.wholes} {index}, i64 {k}")
+            which = code.new(f"extractelement {code.integers} {index}, i64 {k}")
             inside = code.new(f"and i{lanes.bits} {which}, {lanes.width - 1}")
             one = code.new(f"extractelement {code.numbers} {value}, i{lanes.bits} {inside}")
             result = code.new(f"insertelement {code.numbers} {result}, {lanes.scalar} {one}, i64 {k}")
@@ -106,7 +106,7 @@ def _flush(lanes: Lanes, name: str, table: str, count: int) -> Code:
         code.do(f"call void @{name.format('region')}(ptr %together)")
         with code.loop(code.load("i64", sources)) as x:
             pointer, which, places = _packs(code, x)
-            to, index = code.load("ptr", pointer), code.load(code.wholes, places, lanes.size)
+            to, index = code.load("ptr", pointer), code.load(code.integers, places, lanes.size)
             lanes_given = code.new(f"trunc i64 {code.load('i64', which)} to {bits}")
             mask = code.new(f"bitcast {bits} {lanes_given} to {code.truths}")
             with code.loop(count) as i:
@@ -136,7 +136,7 @@ def _guarded(
     width, bits = lanes.width, f"i{lanes.width}"
     moved = _moved(code, "f")
     count_at, sources_at = _state(code)
-    buffer = code.place(code.wholes)
+    buffer = code.place(code.integers)
     waits = _truth(code, code.load(code.numbers, code.at("%s", code.numbers, place), lanes.size), value)
     first = code.which(waits)
     before = code.block
@@ -151,22 +151,22 @@ def _guarded(
     # The numbers of the lanes that wait, side by side; and in each of these how many come before it.
     first_waiting = code.call(bits, f"llvm.cttz.{bits}", (bits, "%waiting"), ("i1", "true"))
     each = code.new(f"zext {bits} {first_waiting} to i{lanes.bits}")
-    code.store(code.wholes, code.spread(f"i{lanes.bits}", each), buffer, lanes.size)
-    kind, whole = f"v{width}i{lanes.bits}", code.wholes
-    code.call("void", f"llvm.masked.compressstore.{kind}.p0", (whole, code.lane), ("ptr", buffer), (code.truths, mask))
-    packed = code.new(f"bitcast {whole} {code.load(whole, buffer, lanes.size)} to {code.numbers}")
-    code.store(whole, code.lane, buffer, lanes.size)
+    code.store(code.integers, code.spread(f"i{lanes.bits}", each), buffer, lanes.size)
+    kind, type = f"v{width}i{lanes.bits}", code.integers
+    code.call("void", f"llvm.masked.compressstore.{kind}.p0", (type, code.lane), ("ptr", buffer), (code.truths, mask))
+    packed = code.new(f"bitcast {type} {code.load(type, buffer, lanes.size)} to {code.numbers}")
+    code.store(type, code.lane, buffer, lanes.size)
     rank = code.call(
-        whole, f"llvm.masked.expandload.{kind}.p0", ("ptr", buffer), (code.truths, mask), (whole, "zeroinitializer")
+        type, f"llvm.masked.expandload.{kind}.p0", ("ptr", buffer), (code.truths, mask), (type, "zeroinitializer")
     )
     narrow = count if lanes.bits == 64 else code.new(f"trunc i64 {count} to i32")
     counts = code.spread(f"i{lanes.bits}", narrow)
-    room = code.new(f"sub {whole} {code.every(f'i{lanes.bits}', str(width))}, {counts}")
-    fits = code.new(f"icmp slt {whole} {rank}, {room}")
+    room = code.new(f"sub {type} {code.every(f'i{lanes.bits}', str(width))}, {counts}")
+    fits = code.new(f"icmp slt {type} {rank}, {room}")
     now = code.new(f"and {bits} {code.which(fits)}, %waiting")
-    free = code.new(f"icmp sge {whole} {code.lane}, {counts}")
-    index = code.new(f"sub {whole} {code.lane}, {counts}")
-    places = code.new(f"bitcast {code.numbers} {moved(packed, index)} to {whole}")
+    free = code.new(f"icmp sge {type} {code.lane}, {counts}")
+    index = code.new(f"sub {type} {code.lane}, {counts}")
+    places = code.new(f"bitcast {code.numbers} {moved(packed, index)} to {type}")
 
     def gather(table: str, number: int, values: str, to: str) -> None:
         with code.loop(number) as i:
@@ -184,7 +184,7 @@ def _guarded(
     pointer, which, at = _packs(code, sources)
     code.store("ptr", "%s", pointer)
     code.store("i64", code.new(f"zext {bits} {now} to i64"), which)
-    code.store(whole, code.new(f"add {whole} {rank}, {counts}"), at, lanes.size)
+    code.store(type, code.new(f"add {type} {rank}, {counts}"), at, lanes.size)
     code.store("i64", code.op("add", sources, "1"), sources_at)
     took = code.call(bits, f"llvm.ctpop.{bits}", (bits, now))
     after = code.op("add", count, code.new(f"zext {bits} {took} to i64"))

@@ -27,7 +27,7 @@ class Lanes(NamedTuple):
 
     @property
     def bits(self) -> int:
-        """Of a number."""
+        """Bits of a number."""
         return 8 * self.dtype.itemsize
 
     @property
@@ -61,7 +61,7 @@ class Code:
 
     def __init__(self, lanes: Lanes, head: str, how: str = "noinline nounwind") -> None:
         self.lanes, self._head, self._how = lanes, head, how
-        self.numbers, self.truths, self.wholes = lanes.of(lanes.scalar), lanes.of("i1"), lanes.of(f"i{lanes.bits}")
+        self.numbers, self.truths, self.integers = lanes.of(lanes.scalar), lanes.of("i1"), lanes.of(f"i{lanes.bits}")
         self.lines: list[str] = []
         self.places: list[str] = []
         self.block, self._count = "entry", 0
@@ -111,7 +111,7 @@ class Code:
         return self.new(f"getelementptr inbounds {type}, ptr {start}, i64 {at}, i32 {number}")
 
     def load(self, type: str, address: str, align: int = 8) -> str:
-        """What lies there."""
+        """The value that lies there."""
         return self.new(f"load {type}, ptr {address}, align {align}")
 
     def store(self, type: str, value: str, address: str, align: int = 8) -> None:
@@ -166,7 +166,7 @@ class Code:
         return self.every(self.lanes.scalar, literal(value, self.lanes.bits))
 
     def spread(self, scalar: str, value: str) -> str:
-        """What one scalar is in each lane."""
+        """A vector with one scalar in each lane."""
         if self.lanes.width == 1:
             return value
         type = self.lanes.of(scalar)
@@ -246,16 +246,16 @@ class Number:
         return self.compared("ogt", other)
 
     def equals(self, other: Number | float) -> Truth:
-        """Where both are the same number."""
+        """Truth values: whether both are the same number."""
         return self.compared("oeq", other)
 
     def compared(self, how: str, other: Number | float) -> Truth:
-        """Where a comparison of LLVM holds."""
+        """Truth values of a comparison of LLVM."""
         return Truth(self.code, self.code.new(f"fcmp {how} {self.code.numbers} {self.name}, {self._of(other)}"))
 
-    def whole(self) -> Whole:
+    def integer(self) -> Integer:
         """Its bits."""
-        return Whole(self.code, self.code.new(f"bitcast {self.code.numbers} {self.name} to {self.code.wholes}"))
+        return Integer(self.code, self.code.new(f"bitcast {self.code.numbers} {self.name} to {self.code.integers}"))
 
 
 class Truth:
@@ -283,46 +283,46 @@ class Truth:
         return Number(code, code.new(f"select {code.truths} {self.name}, {kind} {names[0]}, {kind} {names[1]}"))
 
 
-class Whole:
+class Integer:
     """A whole number in each lane, of as many bits as a number."""
 
     def __init__(self, code: Code, name: str) -> None:
         self.code, self.name = code, name
 
-    def _with(self, op: str, other: Whole | int) -> Whole:
+    def _with(self, op: str, other: Integer | int) -> Integer:
         code = self.code
-        value = other.name if isinstance(other, Whole) else code.every(f"i{code.lanes.bits}", str(other))
-        return Whole(code, code.new(f"{op} {code.wholes} {self.name}, {value}"))
+        value = other.name if isinstance(other, Integer) else code.every(f"i{code.lanes.bits}", str(other))
+        return Integer(code, code.new(f"{op} {code.integers} {self.name}, {value}"))
 
-    def __add__(self, other: Whole | int) -> Whole:
+    def __add__(self, other: Integer | int) -> Integer:
         return self._with("add", other)
 
-    def __sub__(self, other: Whole | int) -> Whole:
+    def __sub__(self, other: Integer | int) -> Integer:
         return self._with("sub", other)
 
-    def __and__(self, other: Whole | int) -> Whole:
+    def __and__(self, other: Integer | int) -> Integer:
         return self._with("and", other)
 
-    def __or__(self, other: Whole | int) -> Whole:
+    def __or__(self, other: Integer | int) -> Integer:
         return self._with("or", other)
 
-    def __lshift__(self, bits: int) -> Whole:
+    def __lshift__(self, bits: int) -> Integer:
         return self._with("shl", bits)
 
-    def __rshift__(self, bits: int) -> Whole:
+    def __rshift__(self, bits: int) -> Integer:
         return self._with("ashr", bits)
 
     def negative(self) -> Truth:
-        """Where it is below 0."""
+        """Truth values: whether it is below 0."""
         code = self.code
         zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-        return Truth(code, code.new(f"icmp slt {code.wholes} {self.name}, {zero}"))
+        return Truth(code, code.new(f"icmp slt {code.integers} {self.name}, {zero}"))
 
     def number(self) -> Number:
         """The number whose bits these are."""
-        return Number(self.code, self.code.new(f"bitcast {self.code.wholes} {self.name} to {self.code.numbers}"))
+        return Number(self.code, self.code.new(f"bitcast {self.code.integers} {self.name} to {self.code.numbers}"))
 
 
-def phi(code: Code, type: str, ways: Sequence[tuple[str, str]]) -> str:
+def phi(code: Code, type: str, incoming: Sequence[tuple[str, str]]) -> str:
     """A value that depends on the block before: values and blocks."""
-    return code.new(f"phi {type} {', '.join(f'[ {value}, %{block} ]' for value, block in ways)}")
+    return code.new(f"phi {type} {', '.join(f'[ {value}, %{block} ]' for value, block in incoming)}")

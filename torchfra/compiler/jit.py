@@ -26,7 +26,7 @@ compiled = 0
 _FORM = "objects, each behind its length"
 """What a kept kernel is.  It is part of its name: LLVM ends the process when it reads anything else."""
 _LEVEL = 1
-"""Of optimisation: more of it takes 1.4 times as long, for kernels that are no faster."""
+"""Level of optimisation: the next one takes 1.4 times as long, for kernels that are no faster."""
 _loaded: dict[str, Any] = {}
 """By key, what holds the code of a kernel: as long as the process, since its functions may be called at any time."""
 _LOADING = threading.Lock()
@@ -44,14 +44,14 @@ def load(source: str) -> Any:
     return _function(source, "run", None, [*[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2])
 
 
-def load_whole(source: str) -> Any:
-    """The function ``whole`` of a source, which runs whole tracks.
+def load_tracks(source: str) -> Any:
+    """The function ``filter_tracks`` of a source, which runs whole tracks.
 
     Raises:
         CompileError: it does not compile.
     """
     arguments = [ctypes.c_void_p, *[ctypes.c_int64] * 2, ctypes.c_int, *[ctypes.c_void_p] * 3, ctypes.c_int64]
-    return _function(source, "whole", ctypes.c_int, arguments)
+    return _function(source, "filter_tracks", ctypes.c_int, arguments)
 
 
 def _function(source: str, name: str, result: Any, arguments: list[Any]) -> Any:
@@ -97,8 +97,8 @@ _PARALLEL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ui
 
 def _machine() -> Any:
     llvm = binding()
-    # Where code and its constants lie in memory is not known before: on x86 addresses must be whole.  On ARM llvmlite
-    # keeps both together.
+    # Where code and its constants lie in memory is not known before: on x86 addresses need all their bits.  On ARM
+    # llvmlite keeps both together.
     x86 = platform.machine().lower() in ("x86_64", "amd64")
     reach = {"reloc": "static", "codemodel": "large"} if x86 else {"reloc": "pic", "codemodel": "default"}
     return llvm.Target.from_default_triple().create_target_machine(

@@ -9,30 +9,30 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchfra.compiler.ends import PRIOR, Ends
-from torchfra.compiler.ends_back import after_back
+from torchfra.compiler.boundary import PRIOR, Boundary
+from torchfra.compiler.boundary_gradient import after_back
 from torchfra.compiler.guards import guard, savable
 from torchfra.compiler.program import Program, Ready, batch_first, strided
 from torchfra.compiler.source import Port
-from torchfra.compiler.whole import Whole
+from torchfra.compiler.track_kernel import TrackKernel
 
 Compiler = Callable[..., Program | None]
 """From ``"after"``, ``"backwards"`` or ``"begin"``, and the arguments of what makes it, to a part of the gradient
 pass."""
-_WAYS = 8
+_PASSES = 8
 """Gradient passes that are remembered for records that have gradients, which may lie in memory in several ways."""
 
 
 class Learning:
-    """Like a ``Whole``, whose results have gradients.
+    """Like a ``TrackKernel``, whose results have gradients.
 
     Args:
-        whole: all steps, which remember the state before each, and both ends.
+        kernel: all steps, which remember the state before each, and what comes before and after them.
         steps: these steps.
-        ends: around them.
+        boundary: what comes before and after these steps.
         compiler: see there.
         batch: of the tracks.
-        given: a prior, and what the steps read besides the state, as calls give them.
+        arguments: a prior, and what the steps read besides the state, as calls give them.
         full: what the steps read, with the batch.
 
     Raises:
@@ -40,56 +40,57 @@ class Learning:
     """
 
     def __init__(
-        self, whole: Whole, steps: Ready, ends: Ends, compiler: Compiler, batch: torch.Size, given: Sequence[Tensor],
-        full: Sequence[Tensor],
+        self, kernel: TrackKernel, steps: Ready, boundary: Boundary, compiler: Compiler, batch: torch.Size,
+        arguments: Sequence[Tensor], full: Sequence[Tensor],
     ) -> None:  # fmt: skip
-        self.whole, self.steps, self.ends, self.compiler, self.batch = whole, steps, ends, compiler, batch
-        self.made, self.places, self.states, inputs = whole.made, whole.places, len(ends.sizes), ends.step.inputs
-        self.prior = [_form(x.expand(batch + x.shape[-event:])) for event, x in enumerate(given[:2], 1)]
+        self.kernel, self.steps, self.boundary, self.compiler, self.batch = kernel, steps, boundary, compiler, batch
+        self.made, self.places, self.states = kernel.made, kernel.places, len(boundary.sizes)
+        inputs = boundary.step.inputs
+        self.prior = [_form(x.expand(batch + x.shape[-event:])) for event, x in enumerate(arguments[:2], 1)]
         self.full, self.values = list(map(_form, full)), [k for k, kind in enumerate(inputs.values()) if kind.value]
         self.names = (*PRIOR, *inputs)
-        self.needed = [name for name, x in zip(self.names, given, strict=True) if x.requires_grad]
+        self.needed = [name for name, x in zip(self.names, arguments, strict=True) if x.requires_grad]
         self.like = steps.like[self.states : len(steps.like) - self.states]
-        self.late = [port - 2 * self.states - len(inputs) for port in ends.settled]
+        self.late = [port - 2 * self.states - len(inputs) for port in boundary.late]
         events = [x.shape[len(batch) + 1 :] for x in self.like]
         self._ports = [Port([0] * event.numel(), event, timed=True) for event in events]
-        self._ways: dict[tuple[int, ...], list[_Way]] = {}
+        self._passes: dict[tuple[int, ...], list[_BackwardPass]] = {}
         needed = [name for name in self.needed if name in inputs]
         self.needs_of_prior = tuple(name for name in self.needed if name not in inputs)
         self.stay = tuple(name for name in needed if not inputs[name].timed)
         self.timed = tuple(name for name in needed if inputs[name].timed)
         # Now, not in the midst of a gradient pass, is the time to find out what cannot be done.
         compiler("begin", self.stay, self.needs_of_prior)
-        after_back(ends, self.stay, [k for k in self.late if self.like[k].is_floating_point()])
+        after_back(boundary, self.stay, [k for k in self.late if self.like[k].is_floating_point()])
 
     def __call__(self, tensors: Sequence[Tensor]) -> tuple[list[Tensor], bool]:
-        """As of a ``Whole``."""
+        """Filters whole tracks: see ``TrackKernel``."""
         sound, *written = _Learned.apply(self, *map(savable, tensors))  # type: ignore[no-untyped-call]
         return written, sound
 
     def back(self, saved: Sequence[Tensor], grads: Sequence[Tensor | None]) -> list[Tensor | None]:
-        """Gradients of what a call was given, from those of the records.
+        """Gradients of the arguments of a call, from those of the records.
 
         Args:
-            saved: what it was given, the state before each step, and the memory of the state after the last.
+            saved: its arguments, the state before each step, and the memory of the state after the last.
             grads: of the records.
         """
         rank, tracks, pairs = len(self.batch), self.steps.tracks, zip(grads, self._ports, strict=True)
         graded = {k: strided(g, port, rank, tracks)[0] for k, (g, port) in enumerate(pairs) if g is not None}
         if not graded:
             return [None] * len(self.names)
-        ways = self._ways.setdefault(tuple(graded), [])
-        way = next((way for way in ways if way.fit(*graded.values())), None)
-        if way is None:
-            way = _Way(self, graded)
-            self._ways[tuple(graded)] = [way, *ways[: _WAYS - 1]]
-        return way(saved, list(graded.values()))
+        passes = self._passes.setdefault(tuple(graded), [])
+        one = next((one for one in passes if one.fit(*graded.values())), None)
+        if one is None:
+            one = _BackwardPass(self, graded)
+            self._passes[tuple(graded)] = [one, *passes[: _PASSES - 1]]
+        return one(saved, list(graded.values()))
 
 
 class _Learned(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, learning: Learning, *tensors: Tensor) -> tuple[Any, ...]:
-        written, sound, room = learning.whole.run(tensors)
+        written, sound, room = learning.kernel.run(tensors)
         first = len(learning.like)
         last = first + learning.states
         records, begun, each = written[:first], written[first:last], written[last:]
@@ -108,17 +109,17 @@ class _Learned(torch.autograd.Function):
         return (None, *learning.back(ctx.saved_tensors, grads[: len(learning.like)]))
 
 
-class _Way:
+class _BackwardPass:
     """The gradient pass of one form, of the records ``graded``: through the end, the steps, the beginning."""
 
     def __init__(self, of: Learning, graded: dict[int, Tensor]) -> None:
-        self._of, self.fit, kinds = of, guard([*graded.values()]), of.ends.step.inputs
+        self._of, self.fit, kinds = of, guard([*graded.values()]), of.boundary.step.inputs
         self._late, self._time = [k for k, place in enumerate(graded) if place in of.late], len(of.batch)
         self._count = of.states + len(of.stay)
         grads, values = [*graded.values()], [of.full[k] for k in of.values]
-        last, late = self._unknown([(n,) for n in of.ends.sizes]), tuple([*graded][k] for k in self._late)
-        self._after = self._part("after", (of.stay, late), [*values, *last, *self._ends(grads)])
-        begun = [*(x.shape for x in of.ends.step.zero), *(kinds[name].shape for name in of.stay)]
+        last, late = self._unknown([(n,) for n in of.boundary.sizes]), tuple([*graded][k] for k in self._late)
+        self._after = self._part("after", (of.stay, late), [*values, *last, *self._last_gradients(grads)])
+        begun = [*(x.shape for x in of.boundary.step.zero), *(kinds[name].shape for name in of.stay)]
         self._zero = [torch.zeros((), dtype=of.like[0].dtype).expand(of.batch + shape) for shape in begun]
         state = self._zero if self._after is None else self._after.like
         path, has = of.steps.like[len(of.steps.like) - of.states :], tuple(k in graded for k in range(len(of.like)))
@@ -137,13 +138,13 @@ class _Way:
         return [batch_first(torch.empty((*x, *of.batch), dtype=like, device="meta"), len(of.batch)) for x in shapes]
 
     def _part(self, kind: str, how: tuple[Any, ...], reads: Sequence[Tensor], steps: int = 1) -> Any:
-        """A part of the way for what it reads here, ``Ready``; None if there is nothing to do."""
+        """A part of the one for what it reads here, ``Ready``; None if there is nothing to do."""
         program = self._of.compiler(kind, *how)
         ready = program and program.ready(self._of.batch, steps, reads)
         assert program is None or ready is not None  # nothing is copied: all is new, or kernels have read it before
         return ready
 
-    def _ends(self, grads: Sequence[Tensor]) -> list[Tensor]:
+    def _last_gradients(self, grads: Sequence[Tensor]) -> list[Tensor]:
         """Gradients of what the last step has left open."""
         return [grads[k].select(self._time, -1) for k in self._late]
 
@@ -152,13 +153,13 @@ class _Way:
         return [_later(g, self._time) if k in self._late else g for k, g in enumerate(grads)]
 
     def __call__(self, saved: Sequence[Tensor], grads: Sequence[Tensor]) -> list[Tensor | None]:
-        """Gradients of what a call was given: see ``Learning.back``."""
+        """Gradients of the arguments of a call: see ``Learning.back``."""
         of, known = self._of, len(self._of.names)
         prior, inputs, path, room = saved[:2], saved[2:known], saved[known:-1], saved[-1].data_ptr()
         values, state = [inputs[k] for k in of.values], self._zero
         if self._after is not None:
-            first, last = map(Tensor.data_ptr, values), map(Tensor.data_ptr, self._ends(grads))
-            state = self._after.at([*first, *(room + place for place in of.whole.after), *last])
+            first, last = map(Tensor.data_ptr, values), map(Tensor.data_ptr, self._last_gradients(grads))
+            state = self._after.at([*first, *(room + place for place in of.kernel.after), *last])
         made = self._steps((*state, *inputs, *path, *self._pulls(grads)))
         state, timed = made[: self._count], made[self._count :]
         sums = state[of.states :] if self._begin is None else self._begin((*values, *prior, *state))
@@ -173,7 +174,7 @@ def _form(x: Tensor) -> Tensor:
 
 
 def _later(x: Tensor, time: int) -> Tensor:
-    """The same one step later, and 0 at first."""
+    """The tensor one step later, with 0 at the first step."""
     # Kernels have to be able to read it; what is copied most quickly lies like the original.
     inner = torch.empty((*x.shape[time:], *x.shape[:time]), dtype=x.dtype, device=x.device)
     moved, steps = torch.empty_like(x) if x.is_contiguous() else batch_first(inner, time), x.shape[time]

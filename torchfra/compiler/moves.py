@@ -35,7 +35,7 @@ MOVES = _overloads(
 """Operations that only move entries, or put zeros between them."""
 
 INDEXED = _overloads(aten.index, aten.index_select, aten.gather)
-"""Those of them that move entries to where another tensor says, which must be known."""
+"""Operations among these whose indices come from another tensor, which must be known."""
 
 SHAPES = _overloads(
     aten.zeros_like, aten.ones_like, aten.full_like, aten.empty_like,

@@ -19,7 +19,7 @@ KEYWORDS = {
     "thread_local", "throw", "true", "typedef", "typeid", "typename", "union", "unsigned", "using", "virtual",
     "void", "volatile", "wchar_t", "xor", "xor_eq",
 }  # fmt: skip
-"""Of C++; some are Python's too."""
+"""Keywords of C++, some of which Python has too."""
 _MACROS = {"assert", "errno", "linux", "major", "minor", "std", "unix"}
 _FILES = ("template.cpp", "narrow.cpp", "cuda.cpp")
 

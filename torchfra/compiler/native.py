@@ -51,8 +51,8 @@ class Native:
         return len(self._step.stores)
 
     def _function(self, name: str, args: Sequence[str], result: str = "void") -> Code:
-        given = ", ".join(f"ptr noalias {arg}" for arg in args)
-        return Code(self.lanes, f"define internal {result} @{self._name}{name}({given})")
+        parameters = ", ".join(f"ptr noalias {arg}" for arg in args)
+        return Code(self.lanes, f"define internal {result} @{self._name}{name}({parameters})")
 
     def _done(self, code: Code) -> None:
         if not code.lines or not code.lines[-1].startswith("ret"):
@@ -154,7 +154,7 @@ class Native:
     ) -> str:
         """The function that computes pieces for the tracks that need them; returns its name."""
         numbers, own = crossing(self._book, parts, others, self.plan.merged), self._frame.own
-        taken, given = ([self._frame.places[i] for i in group] for group in numbers)
+        taken, stored = ([self._frame.places[i] for i in group] for group in numbers)
         region = self._function(f"region{start}", ("%s",))
         for name in names:
             region.do(f"call void @{self._name}{name}(ptr %s)")
@@ -162,7 +162,7 @@ class Native:
         mask, value = guard
         texts, declared = gathered(
             self.lanes, f"{self._name}{{}}{start}", self._frame.places[mask], value, self._frame.size,
-            [k for k in taken if k < own], [k for k in taken if k >= own], given, own,
+            [k for k in taken if k < own], [k for k in taken if k >= own], stored, own,
         )  # fmt: skip
         self.texts += texts
         self.declared |= declared
@@ -178,7 +178,7 @@ class Native:
         at = code.place(BLOCK, many)
         if self.plan.many:
             together, state = code.place(code.numbers, own + passing), code.place("i64", 8 + 2 * width)
-            memory = f"ptr {together}, ptr {state}, ptr {code.place(code.wholes, width)}"
+            memory = f"ptr {together}, ptr {state}, ptr {code.place(code.integers, width)}"
             code.store("i64", "0", state)
             code.store("i64", "0", code.at(state, "i64", 1))
         more = code.op("add", "%lanes", width - 1)
@@ -197,11 +197,11 @@ class Native:
                 "%out": "%out",
             }
 
-        def call(name: str, args: Sequence[str], given: dict[str, str]) -> None:
-            code.do(f"call void @{self._name}{name}({', '.join(f'ptr {given[arg]}' for arg in args)})")
+        def call(name: str, args: Sequence[str], arguments: dict[str, str]) -> None:
+            code.do(f"call void @{self._name}{name}({', '.join(f'ptr {arguments[arg]}' for arg in args)})")
 
         with code.loop(packs) as p:
-            given = of(p)
+            arguments = of(p)
             done = code.op("mul", p, width)
             rest = code.op("sub", "%lanes", done)
             full = code.new(f"icmp sge i64 {rest}, {width}")
@@ -211,10 +211,10 @@ class Native:
                 ("i64", "0"), ("i64", "0"), ("i8", code.new(f"select i1 {full}, i8 %past, i8 0")),
             ]  # fmt: skip
             for number, (type, value) in enumerate(fields):
-                code.store(type, value, code.field(BLOCK, given["%at"], number))
-            call("begin", ("%s", "%left", "%in", "%at"), given)
+                code.store(type, value, code.field(BLOCK, arguments["%at"], number))
+            call("begin", ("%s", "%left", "%in", "%at"), arguments)
             for number in range(len(self.plan.before)):
-                call(f"before{number}", ("%s", "%in", "%at"), given)
+                call(f"before{number}", ("%s", "%in", "%at"), arguments)
         with code.loop("%steps") as k:
             time = k
             if self._backwards:
@@ -230,31 +230,31 @@ class Native:
             for names, region in calls:
                 if region is None or not self.plan.many:
                     with code.loop(packs) as p:
-                        given = of(p)
+                        arguments = of(p)
                         if self.plan.packs > 1:
                             chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
-                            given["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
+                            arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
                         for name in names:
-                            call(name, _ALWAYS, given)
+                            call(name, _ALWAYS, arguments)
                         if region is not None:
-                            code.do(f"call void @{self._name}guarded{region}(ptr {given['%s']})")
+                            code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']})")
                 else:
                     # What a region takes is gathered behind what is computed for all, while that is in the first cache.
                     with code.loop(packs) as p:
-                        given = of(p)
+                        arguments = of(p)
                         chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
-                        given["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
+                        arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
                         for name in names:
-                            call(name, _ALWAYS, given)
-                        code.do(f"call void @{self._name}guarded{region}(ptr {given['%s']}, ptr {aside}, {memory})")
+                            call(name, _ALWAYS, arguments)
+                        code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']}, ptr {aside}, {memory})")
                     code.do(f"call void @{self._name}flush{region}({memory})")
         some = code.new("icmp sgt i64 %steps, 0")
         with code.loop(packs) as p:
-            given = of(p)
+            arguments = of(p)
             with code.where(some):
-                call("last", ("%s", "%out", "%at"), given)
+                call("last", ("%s", "%out", "%at"), arguments)
             code.store("i64", "0", code.field(BLOCK, at, 2, p))
-            call("end", ("%s", "%left", "%out", "%at"), given)
+            call("end", ("%s", "%left", "%out", "%at"), arguments)
         self._done(code)
 
 
@@ -344,11 +344,11 @@ class _Body:
     def _call(self, number: int, args: Sequence[int]) -> None:
         """A call of a routine; what is known of it then is where its results are."""
         code, routine = self.code, self._book.calls[number]
-        given = code.place(code.numbers, max(len(args), 1))
+        arguments = code.place(code.numbers, max(len(args), 1))
         for k, arg in enumerate(args):
-            code.store(code.numbers, self.value(arg), code.at(given, code.numbers, k), code.lanes.size)
+            code.store(code.numbers, self.value(arg), code.at(arguments, code.numbers, k), code.lanes.size)
         self.known[number] = code.place(code.numbers, max(len(routine.outputs), 1))
-        code.do(f"call void @{self._of._name}{routine.name}(ptr {given}, ptr {self.known[number]})")
+        code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {self.known[number]})")
 
     def take(self, number: int, piece: Piece | None = None) -> None:
         """Takes a value from its place, unless it is a constant."""
@@ -370,14 +370,14 @@ class _Body:
     def kept_truth(self, value: str) -> str:
         """A truth value as numbers: all bits where it holds."""
         code = self.code
-        whole = code.new(f"sext {code.truths} {value} to {code.wholes}")
-        return code.new(f"bitcast {code.wholes} {whole} to {code.numbers}")
+        integer = code.new(f"sext {code.truths} {value} to {code.integers}")
+        return code.new(f"bitcast {code.integers} {integer} to {code.numbers}")
 
     def _truth_of(self, value: str) -> str:
         return code_of_truth(self.code, value)
 
     def _place(self, number: int, piece: Piece | None) -> str:
-        """Where a value is; regions have all places side by side."""
+        """The place of a value; regions have all places side by side."""
         place, own = self._frame.places.get(number), self._frame.own
         if place is None:
             return self.code.at("%left", self.code.numbers, self._frame.left[number])
@@ -409,7 +409,7 @@ class _Body:
 
 
 def code_of_truth(code: Code, value: str) -> str:
-    """Where a number in a place stands for true."""
-    whole = code.new(f"bitcast {code.numbers} {value} to {code.wholes}")
+    """Truth values: whether a number in a place stands for true."""
+    integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
     zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-    return code.new(f"icmp ne {code.wholes} {whole}, {zero}")
+    return code.new(f"icmp ne {code.integers} {integer}, {zero}")

@@ -34,7 +34,7 @@ _COUNT = itertools.count()
 
 
 class Calls:
-    """The calls of a filter that ``torch.compile`` has seen, by name: it has its guards on attributes."""
+    """The calls of a filter that ``torch.compile`` has traced, by name: it has its guards on attributes."""
 
 
 class Call(nn.Module):
@@ -43,7 +43,7 @@ class Call(nn.Module):
     Args:
         f: the filter.
         method: ``"forward"`` or ``"smooth"``.
-        names: of the tensors that are given after ``z``, ``mean``, ``scale_tril`` and ``dt``.
+        names: of the tensors that come after ``z``, ``mean``, ``scale_tril`` and ``dt``.
         options: of the method.
     """
 
@@ -70,12 +70,12 @@ class Call(nn.Module):
     def estimate(self, tensors: Sequence[Tensor]) -> Estimate:
         """What the method returns."""
         z, mean, root, dt, *rest = tensors
-        given = dict(zip(self.names, rest, strict=True))
-        made: Estimate = getattr(self.filter, self.method)(z, Gaussian(mean, root), dt=dt, **given, **self.options)
+        named = dict(zip(self.names, rest, strict=True))
+        made: Estimate = getattr(self.filter, self.method)(z, Gaussian(mean, root), dt=dt, **named, **self.options)
         return made
 
     def batch(self, tensors: Sequence[Tensor]) -> torch.Size:
-        """The batch of tracks, of whose numbers none is looked at.
+        """The batch of tracks, of whose numbers none is read.
 
         Raises:
             ValueError: a shape that does not fit.
@@ -195,9 +195,9 @@ def whole_tracks_gradient(
     """Gradients of the tensors and values that are ``needed``, from those of the estimate in these ``places``."""
     call = _CALLS[name]
     with torch.inference_mode(False), torch.enable_grad():  # the former takes autograd back into an operation
-        given = [x.detach() for x in (*tensors, *values)]
-        wanted = [given[i].requires_grad_() for i in needed]
-        written = flatten(call.of(given[len(tensors) :], lambda: call.estimate(given[: len(tensors)])))
+        inputs = [x.detach() for x in (*tensors, *values)]
+        wanted = [inputs[i].requires_grad_() for i in needed]
+        written = flatten(call.of(inputs[len(tensors) :], lambda: call.estimate(inputs[: len(tensors)])))
         pulls = {i: grad for i, grad in zip(places, grads, strict=True) if written[i].requires_grad}
         if not pulls:
             return [torch.zeros_like(x, memory_format=torch.contiguous_format) for x in wanted]
@@ -209,8 +209,8 @@ def whole_tracks_gradient(
 def _(
     name: str, tensors: list[Tensor], values: list[Tensor], grads: list[Tensor], places: list[int], needed: list[int]
 ) -> list[Tensor]:
-    given = [*tensors, *values]
-    return [torch.empty_like(given[i], memory_format=torch.contiguous_format) for i in needed]
+    inputs = [*tensors, *values]
+    return [torch.empty_like(inputs[i], memory_format=torch.contiguous_format) for i in needed]
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: list[Tensor]) -> None:
@@ -221,14 +221,14 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: list[Tensor]) -> None:
 
 
 def _back(ctx: Any, grads: list[Tensor | None]) -> tuple[None, list[Tensor | None], list[Tensor | None]]:
-    given = ctx.saved_tensors
+    inputs = ctx.saved_tensors
     needed = [i for i, x in enumerate(itertools.chain(*ctx.needs_input_grad[1:])) if x]
     places = [i for i, grad in enumerate(grads) if grad is not None]
-    tensors, values = given[: ctx.count], given[ctx.count :]
+    tensors, values = inputs[: ctx.count], inputs[ctx.count :]
     found = whole_tracks_gradient(ctx.name, list(tensors), list(values), [grads[i] for i in places], places, needed)
     every = dict(zip(needed, found, strict=True))
-    whole = [every.get(i) for i in range(len(given))]
-    return None, whole[: ctx.count], whole[ctx.count :]
+    gradients = [every.get(i) for i in range(len(inputs))]
+    return None, gradients[: ctx.count], gradients[ctx.count :]
 
 
 whole_tracks.register_autograd(_back, setup_context=_setup)

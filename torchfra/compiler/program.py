@@ -141,7 +141,7 @@ class Ready:
         return self.at(map(Tensor.data_ptr, tensors))
 
     def at(self, addresses: Iterable[int]) -> list[Tensor]:
-        """The same of what lies there."""
+        """Runs on tensors at these addresses."""
         written = self._new()
         table = self.table[:]  # each thread its own
         table[::4] = array("q", [*addresses, *map(Tensor.data_ptr, written)])

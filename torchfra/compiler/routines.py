@@ -110,7 +110,7 @@ def _batch(ranks: Sequence[int], tensors: Sequence[Tensor]) -> torch.Size:
 
 
 def _unknown(book: Expressions, numbers: Iterable[int]) -> list[int]:
-    """Those of them that are no constants, each once."""
+    """The numbers that are no constants, each once."""
     return list(dict.fromkeys(i for i in numbers if i not in book.values))
 
 
@@ -166,10 +166,10 @@ def texts(book: Expressions, live: Iterable[int]) -> dict[str, list[str]]:
 def _lines(routine: Routine) -> list[str]:
     book, computed = routine.book, set(routine.live)
     lines = [f"const V {called(book, i)} = a[{k}];" for k, i in enumerate(routine.inputs)]
-    told = ""
+    named = ""
     for number in routine.live:
-        if book.origin[number] not in ("", told):
-            told = book.origin[number]
-            lines.append(f"// {told}")
+        if book.origin[number] not in ("", named):
+            named = book.origin[number]
+            lines.append(f"// {named}")
         lines += statement(book, number)
     return lines + [f"r[{k}] = {called(book, i)};" for k, i in enumerate(routine.outputs) if i in computed]

@@ -14,14 +14,14 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
-from torchfra.compiler.ends import Ends
-from torchfra.compiler.ends_back import after_back, begin_back
+from torchfra.compiler.boundary import Boundary
+from torchfra.compiler.boundary_gradient import after_back, begin_back
 from torchfra.compiler.guards import savable
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import BUILDING, Program, Ready, batch_first
 from torchfra.compiler.source import Scan
 from torchfra.compiler.step import Step
-from torchfra.compiler.whole import Whole, at_both_ends, load
+from torchfra.compiler.track_kernel import TrackKernel, load, track_kernel
 from torchfra.linalg.tracing import has_tangents
 from torchfra.tree import flatten, unflatten
 
@@ -40,9 +40,9 @@ class Kernels:
     def __init__(self, step: Step) -> None:
         self.step = step
         self._programs: dict[Hashable, Program | None] = {}
-        self._ends: Ends | None = None
+        self._boundary: Boundary | None = None
         self._refused = set[bool]()
-        self._wholes: dict[bool, Any] = {}
+        self._track_functions: dict[bool, Any] = {}
         self._making = threading.Lock()
 
     def forwards(self, batch: torch.Size, device: torch.device, remembers: bool = False) -> Program:
@@ -70,37 +70,39 @@ class Kernels:
                     self._programs[name] = None if scan is None else Program(scan, narrow, device)
         return self._programs[name]
 
-    def whole(
-        self, ready: Ready, batch: torch.Size, given: Sequence[Tensor], full: Sequence[Tensor],
-        ends: Callable[[Step], Ends],
-    ) -> Whole | Learning | None:  # fmt: skip
+    def tracks(
+        self, ready: Ready, batch: torch.Size, arguments: Sequence[Tensor], full: Sequence[Tensor],
+        boundary: Callable[[Step], Boundary],
+    ) -> TrackKernel | Learning | None:  # fmt: skip
         """The steps, and all before and after them, in one call; None where that cannot be.
 
         Args:
-            ready: the steps, which write the state before each where something ``given`` needs a gradient.
+            ready: the steps, which write the state before each where something of the ``arguments`` needs a gradient.
             batch: of the tracks.
-            given: mean and root of a prior, and what the steps read besides the state.
+            arguments: mean and root of a prior, and what the steps read besides the state.
             full: the same of the steps, with the batch.
-            ends: what comes before and after the steps, always the same.
+            boundary: what comes before and after the steps, always the same.
         """
-        learns = has_gradient(given)
+        learns = has_gradient(arguments)
         if learns in self._refused or not hasattr(ready.run, "argtypes"):
             return None  # in the latter case it is no function of C but one that starts a GPU
         try:
             with BUILDING, torch.inference_mode(False):
-                made = self._ends = self._ends or ends(self.step)
-            if learns not in self._wholes:
-                self._wholes[learns] = load(made, len(self.step.zero) if learns else 0)
-            whole = at_both_ends(ready, made, self._wholes[learns], batch, given[:2], learns)
-            return Learning(whole, ready, made, self._way_back, batch, given, full) if whole and learns else whole
+                made = self._boundary = self._boundary or boundary(self.step)
+            if learns not in self._track_functions:
+                self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
+            kernel = track_kernel(ready, made, self._track_functions[learns], batch, arguments[:2], learns)
+            if kernel is None or not learns:
+                return kernel
+            return Learning(kernel, ready, made, self._backward, batch, arguments, full)
         except NotImplementedError:
             self._refused.add(learns)
             return None
 
-    def _way_back(self, kind: str, *how: Any) -> Program | None:
+    def _backward(self, kind: str, *how: Any) -> Program | None:
         """A part of the gradient pass of whole tracks on the CPU: see ``Learning``."""
         around: dict[str, Callable[..., Scan | None]] = {"after": after_back, "begin": begin_back}
-        make = partial(around[kind], self._ends) if kind in around else getattr(self.step, kind)
+        make = partial(around[kind], self._boundary) if kind in around else getattr(self.step, kind)
         return self._compiled((kind, _CPU, False, *how), partial(make, *how))
 
     def remembers(self, batch: torch.Size, steps: int) -> bool:
@@ -132,24 +134,24 @@ class Kernels:
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
         elif has_gradient((*state, *inputs)):
             remembers = checkpoint is None and self.remembers(batch, steps)
-            whole = remembers or self.step.last_first
-            length = steps if whole else checkpoint or math.isqrt((truncate or steps) - 1) + 1
+            all_kept = remembers or self.step.last_first
+            length = steps if all_kept else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
-            given = map(savable, (*state, *inputs))
-            done = _Run.apply(self, batch, starts, truncate, remembers, *given)  # type: ignore[no-untyped-call]
+            saved = map(savable, (*state, *inputs))
+            done = _Run.apply(self, batch, starts, truncate, remembers, *saved)  # type: ignore[no-untyped-call]
         else:
             done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
         rest = iter([batch_first(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
 
-    def _with_tangents(self, batch: torch.Size, steps: int, given: Sequence[Any]) -> list[Tensor]:
+    def _with_tangents(self, batch: torch.Size, steps: int, duals: Sequence[Any]) -> list[Tensor]:
         """What the kernel writes of dual numbers: pairs of a value, and a derivative or None."""
         count, names = len(self.step.zero), list(self.step.inputs)
-        values = [x.primal for x in given]
-        along = {name: x.tangent for name, x in zip(names, given[count:], strict=True) if x.tangent is not None}
-        ways = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in given[:count]]
+        values = [x.primal for x in duals]
+        along = {name: x.tangent for name, x in zip(names, duals[count:], strict=True) if x.tangent is not None}
+        tangents = [torch.zeros_like(x.primal) if x.tangent is None else x.tangent for x in duals[:count]]
         program = self.program("tangent", values[-1].device, tuple(along))
-        done = program(batch, steps, (*values[:count], *ways, *values[count:], *along.values()))
+        done = program(batch, steps, (*values[:count], *tangents, *values[count:], *along.values()))
         kept = 2 * count + len(flatten(self.step.record))
         plain, rates = done[:count] + done[2 * count : kept], iter(done[count : 2 * count] + done[kept:])
         return [forward_ad.make_dual(x, next(rates)) if x.is_floating_point() else x for x in plain]

@@ -12,7 +12,7 @@ CALL = "{ i64, i64, i64, ptr, ptr, i64 }"
 PART = "; another part\n"
 """Between the parts of a module."""
 _LINES = 8000
-"""Of a part, about."""
+"""Lines of a part, about."""
 
 
 def called(code: Code, values: Sequence[tuple[str, str]]) -> str:
@@ -65,8 +65,8 @@ def kernel(lanes: Lanes, block: str, packs: int, written: int, most: int) -> tup
     run = Code(lanes, "define void @run(i64 %tracks, i64 %steps, i32 %threads, ptr %in, ptr %out)", "nounwind")
     with run.where(run.new("icmp sgt i64 %tracks, 0")):
         count = run.new("sext i32 %threads to i64")
-        given = ("i64", "%tracks"), ("i64", "%steps"), ("i64", count), ("ptr", "%in"), ("ptr", "%out")
-        on_threads(run, called(run, given), "%threads", "share")
+        arguments = ("i64", "%tracks"), ("i64", "%steps"), ("i64", count), ("ptr", "%in"), ("ptr", "%out")
+        on_threads(run, called(run, arguments), "%threads", "share")
     run.do("ret void")
     return [one.text(), taken("share"), run.text()], one.declared | run.declared
 

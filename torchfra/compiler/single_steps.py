@@ -29,19 +29,19 @@ class ReadyStep:
 
     Args:
         ready: the kernel.
-        given: a state, data and values like those to come.
+        inputs: a state, data and values like those to come.
         made: the state and the record that the kernel writes, of one track.
     """
 
-    def __init__(self, ready: Ready, given: tuple[Any, Data, tuple[Tensor, ...]], made: Any) -> None:
+    def __init__(self, ready: Ready, inputs: tuple[Any, Data, tuple[Tensor, ...]], made: Any) -> None:
         self.run, self.made = ready, unflattener(made)
-        self._leaves = flattener(given)
-        self._fit = guard(flatten(given))
+        self._leaves = flattener(inputs)
+        self._fit = guard(flatten(inputs))
 
-    def tensors(self, *given: Any) -> tuple[Tensor, ...] | None:
+    def tensors(self, *inputs: Any) -> tuple[Tensor, ...] | None:
         """What the kernel reads; None for tensors of another form."""
         try:
-            leaves = self._leaves(given)
+            leaves = self._leaves(inputs)
         except (IndexError, TypeError):  # another structure
             return None
         return leaves if leaves is not None and self._fit(*leaves) else None

@@ -24,7 +24,7 @@ from torchfra.compiler.writer import Writer
 SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""
 THREADS = 128
-"""Of a block on a GPU."""
+"""Threads of a block on a GPU."""
 _PIECE, _LONG = 6000, 20_000
 """Expressions of a function there, about; and those of a step whose functions are called: one of all takes too long to
 compile."""
@@ -36,7 +36,7 @@ class Port:
 
     ids: list[int]
     shape: torch.Size
-    """Of the entries of a track (and step)."""
+    """Shape of the entries of a track (and step)."""
     timed: bool = False
     """Whether each step has its own entries."""
     packed: bool = False
@@ -121,8 +121,8 @@ class Scan:
         live = self.live()
         varying, stores, same = self._varying(live), self._stores(), self._same(live)
         carried = {i: j for i, j in self._carried().items() if i not in same}
-        ends = [*carried.values(), *(i for i, _ in stores)]
-        book, live = with_choices_last(*with_quotients(self.book, live, varying, ends), varying, ends)
+        outputs = [*carried.values(), *(i for i, _ in stores)]
+        book, live = with_choices_last(*with_quotients(self.book, live, varying, outputs), varying, outputs)
         return Step(
             book,
             live,

@@ -181,9 +181,9 @@ class Step:
 
     def tangent(self, along: Sequence[str]) -> Scan:
         """Filters, and carries derivatives along a direction of the state and of these inputs: see ``tangents``."""
-        whole = self._trace(self.zero, Expressions()) if self._large else self._plain
+        every = self._trace(self.zero, Expressions()) if self._large else self._plain
         return tangent(
-            self._scan(whole, self._kept_ports(whole)), [k for k, name in enumerate(self.inputs) if name in along]
+            self._scan(every, self._kept_ports(every)), [k for k, name in enumerate(self.inputs) if name in along]
         )
 
     def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
@@ -242,14 +242,14 @@ def pullback(
 ) -> list[Entries]:
     """Gradients of the sources, from those of the outputs."""
     follows = [(x, g) for x, g in zip(outputs, gradients, strict=True) if x.requires_grad]
-    ends, pulls = zip(*follows, strict=True)
-    pulled = torch.autograd.grad(ends, sources, pulls, allow_unused=True)
+    results, pulls = zip(*follows, strict=True)
+    pulled = torch.autograd.grad(results, sources, pulls, allow_unused=True)
     return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
 
 
-def _paths(tree: Any, whole: str) -> list[str]:
+def _paths(tree: Any, root: str) -> list[str]:
     """Where the tensors of a tree are, for their names."""
-    return [f"{whole}.{path}".rstrip(".") if path[:4] in ("", "part") else path for path, _ in paths(tree)]
+    return [f"{root}.{path}".rstrip(".") if path[:4] in ("", "part") else path for path, _ in paths(tree)]
 
 
 def _name(book: Expressions, names: Sequence[str], tensors: Sequence[Entries]) -> None:

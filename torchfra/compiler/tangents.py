@@ -26,11 +26,11 @@ def tangent(scan: Scan, moving: Sequence[int]) -> Scan:
     """
     book = scan.book.copied()
     reads = [scan.reads[k] for k in moving]
-    ways = [
+    directions = [
         replace(port, ids=[ZERO if i == ZERO else book.input() for i in port.ids]) for port in (*scan.carry, *reads)
     ]
-    seeds = {i: j for port, way in zip((*scan.carry, *reads), ways, strict=True)
-             for i, j in zip(port.ids, way.ids, strict=True) if i != ZERO}  # fmt: skip
+    seeds = {i: j for port, direction in zip((*scan.carry, *reads), directions, strict=True)
+             for i, j in zip(port.ids, direction.ids, strict=True) if i != ZERO}  # fmt: skip
     found = tangents(book, scan.live(), seeds)
 
     def rates(ports: Sequence[Port]) -> list[Port]:
@@ -40,9 +40,9 @@ def tangent(scan: Scan, moving: Sequence[int]) -> Scan:
     return replace(
         scan,
         book=book,
-        carry=scan.carry + ways[:count],
+        carry=scan.carry + directions[:count],
         after=scan.after + rates(scan.after),
-        reads=scan.reads + ways[count:],
+        reads=scan.reads + directions[count:],
         writes=scan.writes + rates(numbers),
     )
 
@@ -135,4 +135,4 @@ _SLOPES: dict[str, tuple[Callable[..., int], ...]] = {
     "hypot": (lambda w, y, a, b: w.div(a, y), lambda w, y, a, b: w.div(b, y)),
     "pow": (lambda w, y, a, b: w.mul(b, w.pow(a, w.sub(b, 1.0))), lambda w, y, a, b: w.mul(y, w.log(a))),
 }
-"""Of an operation's result in each of its arguments: from the writer, the result and the arguments."""
+"""Partial derivatives of an operation by each argument: functions of the writer, the result and the arguments."""

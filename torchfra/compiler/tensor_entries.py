@@ -81,7 +81,7 @@ class TensorEntries:
         few, many, behind = (code.named(word) for word in ("few", "many", "behind"))
         code.do(f"br i1 {self._full}, label %{many}, label %{few}, !prof !0")
         code.start(many)
-        whole = code.load(code.numbers, where, self._bytes)
+        full = code.load(code.numbers, where, self._bytes)
         code.do(f"br label %{behind}")
         code.start(few)
         part = code.call(
@@ -89,7 +89,7 @@ class TensorEntries:
         )
         code.do(f"br label %{behind}")
         code.start(behind)
-        return phi(code, code.numbers, [(whole, many), (part, few)])
+        return phi(code, code.numbers, [(full, many), (part, few)])
 
     def write(self, entry: int, value: str) -> None:
         """Puts numbers there, past the caches if it is said so: such a store does not read the line first."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.compiler.ends import Ends
+from torchfra.compiler.boundary import Boundary
 from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.step import Step
@@ -35,7 +35,7 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
     return type(like)(state, *(Entries.inputs(book, tuple(targets), dtype) for _ in like[1:]))
 
 
-def ends(step: Step) -> Ends:
+def boundary(step: Step) -> Boundary:
     """From a prior with any root to the first state, and from what has been kept of each step to an estimate."""
 
     def start(f: Any, mean: Tensor, root: Tensor) -> Any:
@@ -46,31 +46,31 @@ def ends(step: Step) -> Ends:
         return estimate
 
     f: Any = step.module
-    return Ends(step, start, finish, f.motion.size, (-1, int(Cause.NONE)))
+    return Boundary(step, start, finish, f.motion.size, (-1, int(Cause.NONE)))
 
 
 @dataclass(frozen=True)
 class Keep:
-    """One step of ``forward``: ``past`` with what the backward pass needs, ``whole`` of scans that are."""
+    """One step of ``forward``: ``past`` with what the backward pass needs, ``complete`` where scans are."""
 
     past: bool = False
-    whole: bool = False
+    complete: bool = False
 
     def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
         """The next state, and what is kept."""
-        return f.keep(state, _frame(f, data, self.whole), past=self.past)
+        return f.keep(state, _frame(f, data, self.complete), past=self.past)
 
 
 @dataclass(frozen=True)
 class Observe:
-    """One step of ``step``, of scans that are ``whole`` or not; ``watched``: with the alarm and the belief."""
+    """One step of ``step``, of scans that are ``complete`` or not; ``watched``: with the alarm and the belief."""
 
-    whole: bool = False
+    complete: bool = False
     watched: bool = False
 
     def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
         """The next state, and the innovation."""
-        frame = _frame(f, data, self.whole)
+        frame = _frame(f, data, self.complete)
         if not self.watched:
             stepped: tuple[Any, Any] = f.observe(state, frame)
             return stepped
@@ -80,19 +80,19 @@ class Observe:
 
 @dataclass(frozen=True)
 class Once:
-    """One step by a function of the filter, a state and a frame, of scans that are ``whole`` or not."""
+    """One step by a function of the filter, a state and a frame, of scans that are ``complete`` or not."""
 
     function: Callable[[Any, Any, Frame], Any]
-    whole: bool = False
+    complete: bool = False
 
     def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
         """What the function gives."""
-        return self.function(f, state, _frame(f, data, self.whole))
+        return self.function(f, state, _frame(f, data, self.complete))
 
 
-def _frame(f: Any, data: dict[str, Tensor], whole: bool) -> Frame:
+def _frame(f: Any, data: dict[str, Tensor], complete: bool) -> Frame:
     """The frame of one step of one track, or scene."""
     measurements = Measurements(**data).as_track(scans=f.scans)
-    (frame,), _ = f._frames(CompleteScans(*measurements) if whole else measurements, int(f.scans))
+    (frame,), _ = f._frames(CompleteScans(*measurements) if complete else measurements, int(f.scans))
     made: Frame = frame
     return made

@@ -24,7 +24,7 @@ def flattener(like: Any) -> Callable[[Any], tuple[Tensor, ...] | None]:
 
 
 def unflattener(like: Any, places: Iterable[int] | None = None) -> Callable[[Sequence[Tensor]], Any]:
-    """``unflatten`` for trees of this form alone, faster, written likewise; tensors may be in other ``places``."""
+    """``unflatten`` for trees of this form alone, faster, as written code; tensors may be in other ``places``."""
     known: list[Any] = []
     place = itertools.count() if places is None else iter(places)
 
@@ -53,7 +53,7 @@ def _places(tree: Any, at: str) -> Iterator[tuple[str, Any]]:
 
 
 def late(tree: Any) -> list[bool]:
-    """Of each tensor of a tree whether it is part of something ``Late``."""
+    """For each tensor of a tree whether it is part of something ``Late``."""
     if isinstance(tree, tuple):
         return [isinstance(tree, Late) or part for branch in tree for part in late(branch)]
     return [False] if isinstance(tree, Tensor) else []

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.compiler import traced
-from torchfra.compiler.backward import Given, retreat
+from torchfra.compiler.backward import BackwardInputs, retreat
 from torchfra.compiler.copies import frozen
 from torchfra.compiler.program import Program
 from torchfra.compiler.run import Kernels, has_gradient
@@ -36,7 +36,7 @@ class _Value(NamedTuple):
     event: int
     """Dimensions behind the batch."""
     alone: int
-    """The same where each target is a track, as on the backward pass of scans."""
+    """Dimensions behind the batch where each target is a track, as on the backward pass of scans."""
 
     @property
     def part(self) -> dict[str, Any]:
@@ -51,9 +51,9 @@ class Plan(NamedTuple):
     kernels: Kernels
     batch: torch.Size
     shapes: list[torch.Size]
-    """Of what a kernel is given: leaves of the state, data, values, all with the full batch."""
+    """What a kernel reads: leaves of the state, data, values, all with the full batch."""
     dtypes: list[torch.dtype]
-    """Of the same."""
+    """Dtypes of these tensors."""
     counts: bool
     """Whether some of what is kept of a step are whole numbers."""
     device: torch.device
@@ -61,7 +61,7 @@ class Plan(NamedTuple):
 
     @property
     def forwards(self) -> Program:
-        """What filters."""
+        """The kernel of the forward pass."""
         return self.kernels.forwards(self.batch, self.device)
 
 
@@ -126,7 +126,7 @@ class Version:
 
     def plan(
         self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
-        back: Given | None = None,
+        back: BackwardInputs | None = None,
     ) -> Plan:  # fmt: skip
         """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
         first, events = flatten(state)[0], self._events if back is None else back.events
@@ -156,7 +156,7 @@ class Version:
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
         return Plan(kernels, batch, shapes, dtypes, counts, first.device)
 
-    def _read_for(self, back: Given | None) -> list[Tensor]:
+    def _read_for(self, back: BackwardInputs | None) -> list[Tensor]:
         """The values as they are now; with windows, a batch of values gets a dimension of size 1 for them."""
         if back is None or not back.windows:
             return self.read()
@@ -173,28 +173,28 @@ class Version:
             return
         ready = plan.forwards.ready(plan.batch, 1, full)
         if ready is not None:
-            given = state, data, tuple(self.read())
-            self.ready[kind].add(ReadyStep(ready, given, (step.state, step.record)), state, data)
+            inputs = state, data, tuple(self.read())
+            self.ready[kind].add(ReadyStep(ready, inputs, (step.state, step.record)), state, data)
 
     def get_tracks_ready(
         self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool
     ) -> None:
-        """Makes later tracks like these ready, likewise; with a gradient where the gradient pass is ``plain``."""
-        steps, given = data[0].shape[-2], [*(x for x in data if x is not None), *self.read()]
-        tensors, leaves = [*prior, *given], [x.contiguous() for x in flatten(state)]
-        full, kernels, learns = self.full(plan, [*leaves, *given]), plan.kernels, has_gradient(tensors)
+        """Makes later tracks like these ready as well; with a gradient where the gradient pass is ``plain``."""
+        steps, inputs = data[0].shape[-2], [*(x for x in data if x is not None), *self.read()]
+        tensors, leaves = [*prior, *inputs], [x.contiguous() for x in flatten(state)]
+        full, kernels, learns = self.full(plan, [*leaves, *inputs]), plan.kernels, has_gradient(tensors)
         if (
             self._changes(tensors, learns and plain and not past and kernels.remembers(plan.batch, steps))
             or any(x.dtype != plan.dtypes[0] or x.device != plan.device for x in prior)
-            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *given], strict=True))
+            or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *inputs], strict=True))
         ):
             return
         run = kernels.forwards(plan.batch, plan.device, learns).ready(plan.batch, steps, full)
         if run is None:
             return
-        whole = None if past else kernels.whole(run, plan.batch, tensors, full[len(leaves) :], traced.ends)
-        if whole is not None:
-            self.tracks.add(form, WholeTracks(whole, tensors))
+        kernel = None if past else kernels.tracks(run, plan.batch, tensors, full[len(leaves) :], traced.boundary)
+        if kernel is not None:
+            self.tracks.add(form, WholeTracks(kernel, tensors))
         elif not (learns or plan.counts):
             made = kernels.step.state, kernels.step.record
             self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
@@ -217,7 +217,7 @@ class Version:
 
     def run(
         self, plan: Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None,
-        back: Given | None = None,
+        back: BackwardInputs | None = None,
     ) -> tuple[Any, Any]:  # fmt: skip
         """Runs the kernels of a plan on these tensors: the state after all steps, and the record of each."""
         count = len(plan.kernels.step.zero)

@@ -13,8 +13,8 @@ from torchfra.compiler.guards import guard
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import Ready
 from torchfra.compiler.single_steps import is_ordinary, number
+from torchfra.compiler.track_kernel import TrackKernel
 from torchfra.compiler.trees import flattener, unflattener
-from torchfra.compiler.whole import Whole
 from torchfra.gaussian.arguments import check_values
 from torchfra.gaussian.inputs import Measurements
 from torchfra.linalg.triangular import tria
@@ -25,9 +25,9 @@ _FORMS = 16
 _SHORT = 4096
 """Steps of all tracks up to which a form gets ready at its first call: such calls are little but overhead."""
 _OFTEN = 8
-"""Every so many calls a longer form is made ready, unless it is: to compile its ends takes half a second."""
+"""Every so many calls a longer form is made ready, unless it is: to compile its boundary takes half a second."""
 _LEARNING = 256
-"""The same of calls with a gradient, whose ends take one to three seconds and save one to three milliseconds each."""
+"""The same of calls with a gradient, whose boundary takes one to three seconds and saves one to three milliseconds."""
 _COUNTED = 256
 """How many longer forms are counted."""
 
@@ -61,19 +61,19 @@ class WholeTracks:
     """Tracks of one form whose beginning and end are part of a kernel too.
 
     Args:
-        whole: the kernel.
+        kernel: of whole tracks.
         tensors: as of ``ReadyTracks``.
     """
 
-    def __init__(self, whole: Whole | Learning, tensors: Sequence[Tensor]) -> None:
-        self._whole = whole
-        tree = whole.made._replace(failure=Failure(*tensors[:2]))
-        self._made = unflattener(tree, [*whole.places, -2, -1])
+    def __init__(self, kernel: TrackKernel | Learning, tensors: Sequence[Tensor]) -> None:
+        self._kernel = kernel
+        tree = kernel.made._replace(failure=Failure(*tensors[:2]))
+        self._made = unflattener(tree, [*kernel.places, -2, -1])
         self.fit = guard(tensors)
 
     def __call__(self, begin: Callable[[Gaussian], Any], tensors: Sequence[Tensor]) -> Estimate:
         """What ``forward`` returns, but for the causes of failures: the failure is None where there may be any."""
-        written, sound = self._whole(tensors)
+        written, sound = self._kernel(tensors)
         made: Estimate = self._made(written)
         return made if sound else made._replace(failure=None)
 

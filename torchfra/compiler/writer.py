@@ -59,7 +59,7 @@ class Writer:
         late: list[str] = []
         opened: dict[str, str] = {}
         known = set(piece.numbers)
-        told = ""
+        named = ""
         for number in piece.numbers:
             access = self._step.loads.get(number)
             for arg in self._book.nodes[number][1]:
@@ -68,9 +68,9 @@ class Writer:
                     known.add(arg)
             if access is None:
                 origin = self._book.origin[number]
-                if origin not in ("", told):
+                if origin not in ("", named):
                     body.append(f"// {origin}")
-                    told = origin
+                    named = origin
                 body += statement(self._book, number)
             else:
                 opened[access.name] = access.opened
@@ -97,7 +97,7 @@ class Writer:
         return f"{self._place(number)} = {f'kept({name})' if self._book.is_bool(number) else name};"
 
     def _place(self, number: int) -> str:
-        """Where a value is."""
+        """The place of a value."""
         place = self._frame.places.get(number)
         return f"left[{self._frame.left[number]}]" if place is None else f"s[{place}]"
 

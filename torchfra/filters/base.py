@@ -569,13 +569,13 @@ class Filter(nn.Module, Generic[S]):
         if args or options:
             super().compile(*args, **options)
         else:
+            from torchfra.compiler.background import InBackground
             from torchfra.compiler.engine import Compiled
             from torchfra.compiler.llvm import is_installed, missing
-            from torchfra.compiler.meanwhile import Meanwhile
 
             if not is_installed():
                 missing()
-            self.engine = Compiled(INTERPRETED) if wait else Meanwhile(INTERPRETED)
+            self.engine = Compiled(INTERPRETED) if wait else InBackground(INTERPRETED)
         return self
 
     # ------------------------------------------------------------ to run a filter, for engines

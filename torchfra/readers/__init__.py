@@ -10,8 +10,8 @@ A file is one of these, gzipped or not (but for the last):
 - Parquet and Feather (extra).
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
-altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``Told`` names
-others, by their numbers from 1 on where there is no header.
+altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``ReadOptions``
+names others, by their numbers from 1 on where there is no header.
 So read are the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
 of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
@@ -36,21 +36,21 @@ piece by piece, so that a few packed bytes do not fill the memory.
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.flyable import flyable
 from torchfra.readers.grid import resample
+from torchfra.readers.options import ReadOptions
 from torchfra.readers.range_files import range_folders, read_ranges
 from torchfra.readers.ranges import RangeGrid, RangeRecording
 from torchfra.readers.reading import read
 from torchfra.readers.recording import Origin, Recording, Source
 from torchfra.readers.sample_files import samples
-from torchfra.readers.told import Told
 
 __all__ = [
     "MAX_BYTES",
     "Origin",
     "RangeGrid",
     "RangeRecording",
+    "ReadOptions",
     "Recording",
     "Source",
-    "Told",
     "flyable",
     "range_folders",
     "read",

@@ -21,7 +21,7 @@ _BATCHES = (2, 3)
 
 
 def is_arrow(start: bytes) -> bool:
-    """Whether a file begins so."""
+    """Whether a file begins as Parquet or Arrow does."""
     return start[:4] == b"PAR1" or start[:6] == b"ARROW1"
 
 

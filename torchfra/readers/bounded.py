@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
 MAX_BYTES = 2**30
-"""Bytes of text that a file may hold, unless told otherwise."""
+"""Bytes of text that a file may hold, unless another bound is set."""
 BYTES_OF_A_ROW = 64
 """What a row counts for at least: about what it takes up in memory."""
 BYTES_OF_A_TEXT = 2**12

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
+from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import PARTS, found, plain, unit
 from torchfra.readers.spelling import SINCE_1970 as DATED
@@ -27,7 +28,6 @@ from torchfra.readers.times import (
     seconds_of,
     written,
 )
-from torchfra.readers.told import Told
 
 YEAR_1980 = 315_532_800.0
 """Seconds since 1970; nothing was recorded before."""
@@ -51,7 +51,7 @@ class Clock:
     """How a column tells the time."""
 
     columns: tuple[str, ...]
-    """One; or those of a date and of a time of the day."""
+    """One column, or two: the date and the time of the day."""
     kind: Kind
     form: str
     """How it is written: ``Source.time``."""
@@ -116,24 +116,24 @@ class Clock:
         return not self.since_1970, per_second(self.form) > 0
 
 
-def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
+def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
     """The column of times, and those that are times too and are not used.
 
     Args:
         head: of the table.
-        told: by the caller.
+        options: of the caller.
 
     Raises:
         LookupError: there is none.
         ValueError: its times are not understood.
     """
-    _check_parts(head, told)
-    if told.time is not None:
-        return _dated(_clock(told.time, head, told), head), []
+    _check_parts(head, options)
+    if options.time is not None:
+        return _dated(_clock(options.time, head, options), head), []
     candidates, clocks, refusals = found(head.names, "time"), list[Clock](), list[ValueError]()
     for name in candidates:
         try:
-            clocks.append(_dated(_clock(name, head, told), head))
+            clocks.append(_dated(_clock(name, head, options), head))
         except ValueError as error:
             refusals.append(error)
     if not clocks:
@@ -146,7 +146,7 @@ def clock_of(head: Head, told: Told) -> tuple[Clock, list[str]]:
     return best, [name for name in candidates if name not in best.columns]
 
 
-def _check_parts(head: Head, told: Told) -> None:
+def _check_parts(head: Head, options: ReadOptions) -> None:
     """Refuses times in several columns: years, months and others, or hours, minutes and seconds.
 
     Raises:
@@ -155,27 +155,27 @@ def _check_parts(head: Head, told: Told) -> None:
     parts = [name for name in head.names if "".join(plain(name).split("utc")) in PARTS]
     smaller = {plain(name).removeprefix("utc").rstrip("s") for name in parts} & {"minute", "min", "hour"}
     others = [name for name in found(head.names, "time") if name not in parts and name not in found(head.names, "date")]
-    if told.time is None and len(parts) > 1 and smaller and not others:
+    if options.time is None and len(parts) > 1 and smaller and not others:
         raise ValueError(
             f"expected whole times in one column, received parts in {listed(parts)}: join them, such as to "
             "2024-05-06 10:31:00 or to 10:31:00"
         )
 
 
-def _clock(name: str, head: Head, told: Told) -> Clock:
+def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     """How a column tells the time.
 
     Raises:
-        ValueError: it cannot be told.
+        ValueError: it is not clear.
     """
     column = head.cells(name)
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Clock((name,), INSTANT, "iso", True)
     some = [cell for cell in column if isinstance(cell, str | int | float | np.generic) and cell == cell]
     some = [cell for cell in some if not isinstance(cell, str) or cell.strip()]
-    if told.time_format is not None:
-        return _told_clock(name, told.time_format, head)
-    if told.time is None and plain(name) in _OF_THE_WEEK and (weeks := found(head.names, "week")):
+    if options.time_format is not None:
+        return _clock_of_form(name, options.time_format, head)
+    if options.time is None and plain(name) in _OF_THE_WEEK and (weeks := found(head.names, "week")):
         return _gps_clock(weeks[0], name, "gps_ms" if unit(name) == "ms" else "gps")
     if plain(name) in FRAMES:
         raise ValueError(
@@ -187,7 +187,7 @@ def _clock(name: str, head: Head, told: Told) -> Clock:
         return clock
     if len(some) and not len(values) and plain(name) in DATED:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
-    return _numeric(name, values, told)
+    return _numeric(name, values, options)
 
 
 def _text_clock(columns: tuple[str, ...], some: Sequence[Any], day_first: bool) -> Clock | None:
@@ -213,8 +213,8 @@ def _text_kind(form: str, example: str) -> Kind:
     return Kind(f"a time such as {example.strip()[:40]}", limit=math.inf, per_unit=1e3, form=form)
 
 
-def _told_clock(name: str, form: str, head: Head) -> Clock:
-    """A column in a form that is told; with the one of the date before it, where only both are of this form.
+def _clock_of_form(name: str, form: str, head: Head) -> Clock:
+    """A column in a form that is named; with the one of the date before it, where only both are of this form.
 
     Raises:
         ValueError: there is no column of weeks beside what of a week has passed.
@@ -244,7 +244,7 @@ def _gps_clock(week: str, name: str, form: str) -> Clock:
     return Clock((week, name), replace(_text_kind(form, "2300 345600.0"), joined=(week, name)), form, True)
 
 
-def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
+def _numeric(name: str, values: NDArray[np.float64], options: ReadOptions) -> Clock:
     """The unit of numbers: by the end of the name if it can be, or by their size since 1970; or seconds since a start.
 
     Raises:
@@ -254,7 +254,7 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
     for form, count in SINCE_1970.items():
         fits = (values >= YEAR_1980 * count) & (values < _YEAR_2286 * count)
         fitting[form] = (fits.sum(), fits[:1].any())
-    ending = unit(name, asked=told.time == name)
+    ending = unit(name, asked=options.time == name)
     if ending in SINCE_1970 and len(values) and np.abs(values).max() < _YEAR_2286 * PER_SECOND[ending]:
         fitting = {ending: fitting[ending]}  # 1.2e9 us are 1200 s, although as seconds they are of 2008
     form = max(fitting, key=lambda form: fitting[form])
@@ -262,7 +262,7 @@ def _numeric(name: str, values: NDArray[np.float64], told: Told) -> Clock:
         return Clock((name,), _unit_kind(form, True), form, True)
     if ending in PER_SECOND:
         return Clock((name,), _unit_kind(ending, False), ending, False)
-    if told.time is None and plain(name) in DATED and len(values) > 1:
+    if options.time is None and plain(name) in DATED and len(values) > 1:
         least, most = values.min(), values.max()
         raise ValueError(
             f"column {name}: expected times since 1970, received {least:.15g} to {most:.15g}, which looks like "
@@ -325,7 +325,7 @@ def _is_danish(head: Head) -> bool:
 
 
 def _values(cells: Sequence[Any]) -> NDArray[np.float64]:
-    """Those of the cells that are numbers."""
+    """The cells that hold numbers, as numbers."""
     values = []
     for cell in cells:
         with suppress(TypeError, ValueError, OverflowError):

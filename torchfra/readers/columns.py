@@ -23,7 +23,7 @@ Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
-"""Of these signs ``float`` makes decimal numbers or nothing."""
+"""Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
@@ -32,7 +32,7 @@ short = _SHORT.repr
 
 
 class Head(NamedTuple):
-    """How a table begins, from which it is told what its columns hold."""
+    """How a table begins, which shows what its columns hold."""
 
     names: list[str]
     """Of all columns."""
@@ -61,9 +61,9 @@ class Kind:
     zero: float = 0.0
     """What they are where nothing has passed yet."""
     between: tuple[float, float] = (math.inf, math.inf)
-    """Sizes that are not right, the ends excluded."""
+    """A number strictly between these two is refused."""
     advice: str = ""
-    """What the error message says of a number that is too large, or between those."""
+    """What the error message adds where a number is too large or in the refused interval."""
     decimal: str = "."
     """What parts a number from its decimals."""
     form: str = ""

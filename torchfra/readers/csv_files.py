@@ -14,9 +14,9 @@ from typing import Any
 from torchfra.readers.bounded import Rows
 from torchfra.readers.columns import Cells, Head, number
 from torchfra.readers.guesses import looks_like
+from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
 from torchfra.readers.spelling import is_header
-from torchfra.readers.told import Told
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -28,14 +28,19 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 
 
 def csv_sheet(
-    file: Any, told: Told | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str = UTF_8
+    file: Any,
+    options: ReadOptions | None,
+    headers: str,
+    repairs: Counter[str] | None,
+    max_bytes: int,
+    encoding: str = UTF_8,
 ) -> Sheet:
     """The rows of a file.
 
     Args:
         file: open for reading.
-        told: by the caller, who may name columns by their numbers, from 1 on, where there is no header; None where no
-            columns are told.
+        options: of the caller, who may name columns by their numbers, from 1 on, where there is no header; None where
+            no columns are named.
         headers: beginning of the error message where there is no header.
         repairs: see ``tables.read_table``.
         max_bytes: of text.
@@ -45,11 +50,11 @@ def csv_sheet(
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
-    sign = _begin(rows, told or Told())
+    sign = _begin(rows, options or ReadOptions())
     said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
     said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     try:
-        if _numbered(rows, sign, told, headers):
+        if _numbered(rows, sign, options, headers):
             said.append("no header: columns by their numbers")
         rows.start(sign)
         names = _header(rows.first(), headers)
@@ -69,7 +74,7 @@ def _wide(head: bytes) -> str:
     return ""
 
 
-def _begin(rows: Rows, told: Told) -> str:
+def _begin(rows: Rows, options: ReadOptions) -> str:
     """Leaves out the comments in front of the header, and finds out what separates cells.
 
     A comment that says what the columns are is the header where the line after it is none.
@@ -82,7 +87,7 @@ def _begin(rows: Rows, told: Told) -> str:
     text = text[stated.end() if stated else start :]
     first = _LINE.match(text)
     line_of_names = first[0] if first else text
-    signs = [told.sign] if told.sign else [stated[1]] if stated else _likely(line_of_names)
+    signs = [options.sign] if options.sign else [stated[1]] if stated else _likely(line_of_names)
     for comment in reversed(comments):
         for sign in signs:
             names = _split(comment.lstrip(' \t"#%/'), sign)
@@ -94,7 +99,7 @@ def _begin(rows: Rows, told: Told) -> str:
     return next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])
 
 
-def _numbered(rows: Rows, sign: str, told: Told | None, headers: str) -> bool:
+def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
     """Puts numbers of the columns in front as their header, if there is none and the caller names columns so.
 
     Raises:
@@ -103,7 +108,7 @@ def _numbered(rows: Rows, sign: str, told: Told | None, headers: str) -> bool:
     first = list(
         islice(csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " "), 1)
     )
-    cells, asked = first[0] if first else [], {*told.columns().values()} if told else set()
+    cells, asked = first[0] if first else [], {*options.columns().values()} if options else set()
     if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:
         return False
     names = [str(i + 1) for i in range(len(cells))]
@@ -111,7 +116,7 @@ def _numbered(rows: Rows, sign: str, told: Told | None, headers: str) -> bool:
         several = [_split(line, sign) for line in islice(io.StringIO(rows.head), _GUESSED_FROM)]
         full = [row for row in several if len(row) == len(names)]
         head = Head(names, lambda name: [row[int(name) - 1] for row in full])
-        raise ValueError(f"{headers}; received {listed(cells)}{looks_like(head) if told else ''}")
+        raise ValueError(f"{headers}; received {listed(cells)}{looks_like(head) if options else ''}")
     rows.head = sign.join(names) + "\n" + rows.head
     return True
 
@@ -174,7 +179,7 @@ def _header(row: list[str], headers: str) -> list[str]:
 
 
 def _cells(cells: list[str], place: dict[str, int], name: str) -> list[str]:
-    """Of a column, out of those of rows one after the other."""
+    """The cells of one column, out of the cells of all rows in one list."""
     return cells[place[name] :: len(place)]
 
 

@@ -23,7 +23,7 @@ from torchfra.readers.tables import naming
 _ROWS = 2**18
 """Of a file that are in memory at a time."""
 _HEAD = 1000
-"""Rows by which it is told what columns hold."""
+"""Rows that show what columns hold."""
 
 
 class File(NamedTuple):
@@ -52,11 +52,11 @@ class DataSet:
     """The files of a data set, and what their columns hold."""
 
     files: tuple[File, ...]
-    """In the order of their names."""
+    """The files, in the order of their names."""
     reader: SheetReader
     """Reads some of the rows."""
     schema: Any
-    """Of the columns that are read: types that hold those of all files."""
+    """The columns that are read, with types into which the types of all files fit."""
     id: str
     """The column that says which target a row is of."""
 
@@ -133,7 +133,7 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
 
     Args:
         path: of the file or the folder.
-        words: what the files do not say: see ``Told``.
+        words: what the files do not say: see ``ReadOptions``.
 
     Raises:
         ValueError: there are no rows, a file is damaged or has other columns than the first one, or no column says
@@ -186,7 +186,7 @@ def _footer(path: Path) -> int:
 
 
 def _paths(path: Path) -> list[Path]:
-    """Those of the files of a data set in the order of their names."""
+    """The files of a data set, in the order of their names."""
     if not path.is_dir():
         return [path]
     every = (file.relative_to(path) for file in path.rglob("*.parquet"))

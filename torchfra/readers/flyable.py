@@ -155,7 +155,7 @@ def _arc_length(path: Array) -> Array:
 
 
 def _knots(time: Array) -> Array:
-    """The times, and others between those that are more than ``_KNOT`` apart."""
+    """The times, with further ones wherever two are more than ``_KNOT`` apart."""
     parts = np.ceil(np.diff(time) / _KNOT - 1e-6).astype(int).clip(1)
     place = np.arange(parts.sum()) - np.repeat(parts.cumsum() - parts, parts)
     return np.append(np.repeat(time[:-1], parts) + place * np.repeat(np.diff(time) / parts, parts), time[-1])
@@ -167,7 +167,7 @@ def _legs(position: Array) -> Array:
 
 
 def running_median(values: Array, width: int) -> Array:
-    """``(k,)`` medians of so many values around each."""
+    """``(k,)`` the median of the ``width`` values around each value."""
     if not len(values):
         return values
     around = np.pad(values, width // 2, mode="edge")

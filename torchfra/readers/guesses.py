@@ -11,9 +11,9 @@ import numpy as np
 
 from torchfra.readers.clocks import FRAMES, days_of
 from torchfra.readers.columns import Array, Head, number
+from torchfra.readers.options import METRES
 from torchfra.readers.spelling import found, plain, unit
 from torchfra.readers.times import form_of
-from torchfra.readers.told import METRES
 
 _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
 """A latitude or longitude to 10 m or better."""

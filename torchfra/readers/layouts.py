@@ -15,6 +15,7 @@ from torchfra.readers.columns import Head, Kind, number
 from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.noises import noise_of
+from torchfra.readers.options import METRES, ReadOptions
 from torchfra.readers.placeholders import PLACEHOLDERS
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
@@ -32,7 +33,6 @@ from torchfra.readers.spelling import (
     unit,
 )  # fmt: skip
 from torchfra.readers.tables import HEADERS, Wanted
-from torchfra.readers.told import METRES, Told
 from torchfra.suggestions import meant
 
 _LIMITS = {"latitude": 90.0, "longitude": 180.0}
@@ -45,7 +45,7 @@ _SIDE = re.compile(
 )
 """Names of columns that say on which side of the equator or of Greenwich a fix is."""
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
-"""Of aircraft, as these send them; OpenSky has baroaltitude and geoaltitude in metres."""
+"""Columns that hold feet, as aircraft send them; baroaltitude and geoaltitude of OpenSky hold metres."""
 
 _PRIVATE = ("call", "update", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
@@ -91,29 +91,29 @@ class Layout:
         return "latitude" in self.columns
 
 
-def layout_of(head: Head, told: Told, name: str) -> Layout:
+def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     """What the columns of a file hold.
 
     Args:
         head: of its table.
-        told: by the caller.
+        options: of the caller.
         name: of the file.
 
     Raises:
         ValueError: columns that are needed are missing, or the times are not understood.
     """
-    asked = told.columns()
+    asked = options.columns()
     if absent := [column for column in asked.values() if column not in head.names]:
         close = meant(absent[0], head.names)
         raise ValueError(f"expected a column {listed(absent)}, received {listed(head.names)}{close}")
     columns = _places(head, asked)
-    comma = told.decimal == "," or (told.decimal is None and head.commas and _has_commas(head, columns))
+    comma = options.decimal == "," or (options.decimal is None and head.commas and _has_commas(head, columns))
     if comma:
         head = head._replace(cells=_with_points(head), said=(*head.said, "decimal commas"))
-    clock, unused = _clock(head, told, columns)
+    clock, unused = _clock(head, options, columns)
     word = _word(head)
     columns |= _labels(head, asked, word)
-    length = _length(columns, told, word, head)
+    length = _length(columns, options, word, head)
     noise = noise_of(head, asked, 1.0 if "latitude" in columns else length, word == "ship")
     wanted: Wanted = {clock.column: clock.kind}
     wanted |= {column: _kind(role, columns, head, length, word) for role, column in columns.items()}
@@ -128,7 +128,7 @@ def layout_of(head: Head, told: Told, name: str) -> Layout:
     others = f"; not {listed(unused)} (--time takes another)" if unused else ""
     lines = (
         *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
-        *_said(columns, length, told, wanted), *_sides_said(sides), *noise.said,
+        *_said(columns, length, options, wanted), *_sides_said(sides), *noise.said,
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
@@ -162,11 +162,11 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
     return degrees
 
 
-def _clock(head: Head, told: Told, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
+def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
     """See ``clock_of``; the coordinates are none, whatever they are called."""
-    names = [name for name in head.names if name not in columns.values() or name == told.time]
+    names = [name for name in head.names if name not in columns.values() or name == options.time]
     try:
-        return clock_of(head._replace(names=names), told)
+        return clock_of(head._replace(names=names), options)
     except LookupError:
         guess = looks_like(head, columns.values())
         raise ValueError(f"{HEADERS}; missing time, received {listed(head.names)}{guess}") from None
@@ -203,7 +203,7 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
 
 
 def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:
-    """Those of the columns that may say which target a row is of, the one whose values part equal times first."""
+    """The columns that may name the target of a row; the one that separates rows of equal times comes first."""
     times = list(zip(*(_texts(head, [name]) for name in clock.columns), strict=False))
     if len(set(times)) == len(times):  # there is nothing to part, however many columns there are
         return ()
@@ -234,7 +234,7 @@ def _is_whole(head: Head, name: str | None, digits: int) -> bool:
     return max(map(len, whole), default=0) >= digits and len(whole) == len(texts)
 
 
-def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> float:
+def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: Head) -> float:
     """Metres in the unit of x, y and z, or of altitudes.
 
     Raises:
@@ -246,13 +246,13 @@ def _length(columns: Mapping[str, str], told: Told, word: str, head: Head) -> fl
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
     ends = {column: unit(column, asked=True) or "" for column in lengths}
     units = [METRES[ending] for ending in ends.values() if ending in METRES]
-    if not told.units and len({*units}) > 1:
+    if not options.units and len({*units}) > 1:
         raise ValueError(f"expected one unit of lengths, received {listed(ends)}: convert one, or leave it out")
-    if not told.units and (short := [column for column in lengths if plain(column).endswith("nm")]):
+    if not options.units and (short := [column for column in lengths if plain(column).endswith("nm")]):
         raise ValueError(f"column {short[0]}: nm are nautical miles or nanometres: say --units nmi, or another")
     feet = word == "aircraft" and plain(columns.get("altitude", "")) in _ALTITUDES_IN_FEET
-    if told.units or units:
-        return METRES[told.units] if told.units else units[0]
+    if options.units or units:
+        return METRES[options.units] if options.units else units[0]
     if plain(columns.get("z", "")) in FLIGHT_LEVELS:
         raise ValueError(f"z: expected heights in the unit of x and y, received flight levels in {columns['z']}")
     if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
@@ -284,7 +284,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
 
 
 def _some_degrees(head: Head, name: str) -> list[float]:
-    """Those of the cells that are numbers, with a letter of a side or without."""
+    """The cells that hold degrees, with or without a letter of the hemisphere."""
     values = []
     for text in _texts(head, [name]):
         with suppress(ValueError):
@@ -320,7 +320,7 @@ def _with_points(head: Head) -> Callable[[str], list[Any]]:
     return lambda name: [cell.replace(",", ".") if isinstance(cell, str) else cell for cell in head.cells(name)]
 
 
-def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted) -> list[str]:
+def _said(columns: Mapping[str, str], length: float, options: ReadOptions, wanted: Wanted) -> list[str]:
     """Lines on positions and targets."""
     unit_said = _LENGTHS[length]
     places = [columns[role] for role in ("latitude", "longitude", "x", "y", "z") if role in columns]
@@ -332,7 +332,7 @@ def _said(columns: Mapping[str, str], length: float, told: Told, wanted: Wanted)
     lines = [f"position: {', '.join(places)}{how}"]
     if "altitude" in columns:
         lines.append(
-            f"altitude: {columns['altitude']}, in {unit_said}" + ("" if told.units else "; --units takes others")
+            f"altitude: {columns['altitude']}, in {unit_said}" + ("" if options.units else "; --units takes others")
         )
     marks = [columns[role] for role in MARKS if role in columns]
     lines += [f"marks of outliers: {listed(marks)}"] if marks else []

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from torchfra.readers.columns import Array, Head, Kind, word_of
+from torchfra.readers.options import METRES
 from torchfra.readers.spelling import found, plain
 from torchfra.readers.spelling import unit as unit_of
-from torchfra.readers.told import METRES
 
 RANGE_ERROR = 5.0
 """Standard deviation of the range to a satellite (UERE) that is assumed where a file has an HDOP, m."""

@@ -12,7 +12,7 @@ PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, -32768.0)
 _ISOLATED = 0.5
 """Share of a placeholder from which on nothing else is found, so that it is none of the numbers that are measured."""
 _ENOUGH = 25
-"""Numbers beside a placeholder from which on it can be told from them; among fewer any may have been measured."""
+"""Numbers beside a placeholder from which on it differs from them for sure; among fewer any may have been measured."""
 _NULL_ISLAND = 1.0
 """Degrees around 0, 0 within which nothing else is found, where that is no place."""
 

@@ -16,7 +16,7 @@ from torchfra.readers.sheets import listed
 from torchfra.readers.tables import Table, Wanted
 
 Columns: TypeAlias = dict[str, str]
-"""What the columns of a table are called, by what they hold: of ``_NAMES`` those that are there."""
+"""Names of the columns of a table, by the key of ``_NAMES`` that says what they hold."""
 HEADERS = "expected a header with t,range[,anchor][,x,y[,z]]; or t,x,y[,z]; or anchor,x,y[,z], separated by commas"
 _NAMES = {
     "time": ("stamp", "timestamp", "t", "time"),

@@ -12,12 +12,12 @@ from torchfra.geodesy import to_enu
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Head
 from torchfra.readers.layouts import Layout, layout_of
+from torchfra.readers.options import ReadOptions, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import possible
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
-from torchfra.readers.told import Told, told
 
 
 def read(
@@ -36,7 +36,7 @@ def read(
         max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a name for 4096, a byte of
             JSON for 24 and of XML for 32.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of
             memory.
-        words: what the file does not say or says wrongly: see ``Told``.
+        words: what the file does not say or says wrongly: see ``ReadOptions``.
 
     Returns:
         The recordings, sorted by name, all about the same origin.
@@ -46,10 +46,10 @@ def read(
             can have moved so.
         ImportError: what reads the format is not installed.
     """
-    path, asked = Path(path), told(words)
+    path, options = Path(path), read_options(words)
     with naming(path):
-        chosen = _Choice(asked, path.name)
-        table = read_table(path, chosen, max_bytes=max_bytes, told=asked)
+        chosen = _Choice(options, path.name)
+        table = read_table(path, chosen, max_bytes=max_bytes, options=options)
         return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
@@ -61,7 +61,7 @@ def read_sheet(
     Raises:
         ValueError: see ``read``.
     """
-    chosen = _Choice(told(words), name)
+    chosen = _Choice(read_options(words), name)
     with naming(name):
         return _recordings(table_of(sheet, chosen, max_bytes), chosen, origin, name)
 
@@ -70,23 +70,23 @@ class SheetReader:
     """Reads sheets whose columns all hold what those of the first do, such as parts of a data set.
 
     Args:
-        first: one or more of its rows, by which it is told what columns hold.
+        first: one or more of its rows, that show what columns hold.
         name: of the data set.
-        words: see ``Told``.
+        words: see ``ReadOptions``.
 
     Raises:
         ValueError: the columns are not understood.
     """
 
     def __init__(self, first: Sheet, name: str, **words: str | None) -> None:
-        self._chosen = _Choice(told(words), name)
+        self._chosen = _Choice(read_options(words), name)
         _, cells = next(iter(first.parts))
         self._wanted = self._chosen(head_of(first, cells)[0])
 
     @property
-    def told(self) -> Told:
+    def options(self) -> ReadOptions:
         """What a caller says of them."""
-        return self._chosen.asked
+        return self._chosen.options
 
     @property
     def layout(self) -> Layout:
@@ -113,12 +113,12 @@ class SheetReader:
 class _Choice:
     """Chooses the columns of a table, and keeps what they mean."""
 
-    def __init__(self, asked: Told, name: str) -> None:
-        self.asked, self.name = asked, name
+    def __init__(self, options: ReadOptions, name: str) -> None:
+        self.options, self.name = options, name
         self.layout: Layout | None = None
 
     def __call__(self, head: Head) -> Wanted:
-        self.layout = layout_of(head, self.asked, self.name)
+        self.layout = layout_of(head, self.options, self.name)
         return self.layout.wanted
 
 
@@ -136,7 +136,7 @@ def _recordings(
         origin = _origin(targets[0], origin)
     origins = [_origin(target, None) if layout.degrees and apart else origin for target in targets]
     recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
-    good = recordings if chosen.asked.time_format else possible(recordings, layout)
+    good = recordings if chosen.options.time_format else possible(recordings, layout)
     return sorted(good, key=lambda recording: recording.name)
 
 

@@ -36,7 +36,7 @@ def in_words(repairs: Mapping[str, int]) -> str:
 
 
 def _singular(what: str) -> str:
-    """Of the first word that ends in s."""
+    """The text with its first word that ends in s in the singular."""
     return re.sub(r"s(?= |$)", "", what, count=1)
 
 

@@ -15,14 +15,15 @@ from torchfra.readers.times import PER_SECOND, SINCE_1970, per_second
 _MANY = 25
 """Fixes from which on a track is judged."""
 _SHORTEST = 1.0
-"""Seconds that so many fixes last."""
+"""Seconds that such a track lasts at least."""
 _FASTEST = 5000.0
 """Speed that half of the steps stay below, m/s."""
 _FASTEST_SHIP = 150.0
-"""The same of ships; aircraft that search and rescue have numbers that begin as ``_RESCUE``."""
+"""Speed that half of the steps of a ship stay below, m/s; numbers of aircraft of search and rescue begin with
+``_RESCUE``."""
 _RESCUE = "111"
 _ACROSS = 30.0
-"""Seconds over which speeds are taken, so that noise does not count."""
+"""Speeds are means over so many seconds, so that noise does not count."""
 _USUAL = (0.05, 1000.0)
 """Speeds of what is tracked, m/s."""
 

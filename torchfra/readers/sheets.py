@@ -38,7 +38,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def repeated(names: Iterable[str]) -> str:
-    """Those that come twice, for an error message; "" if none does."""
+    """The names that come twice, for an error message; "" if none does."""
     return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
 
 
@@ -55,11 +55,11 @@ def whole_text(file: Any, max_bytes: int, what: str) -> str:
     return str(data.decode("utf-8-sig"))
 
 
-def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...] = (), *, json: bool = False) -> Sheet:
+def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:
     """A sheet of columns that are all there, without those that are empty."""
     full = {name: cells for name, cells in columns.items() if any(cell not in (None, "") for cell in cells)}
     rows = len(next(iter(columns.values()), []))
-    return Sheet(list(full), [(rows, full.__getitem__)], said, json=json)
+    return Sheet(list(full), [(rows, full.__getitem__)], said)
 
 
 def needs(package: str, what: str) -> ImportError:

@@ -56,7 +56,7 @@ def smoothed(
 
 
 def differences(time: Array, order: int) -> Array:
-    """Coefficients ``(k - order, order + 1)`` of the derivatives at the middle of so many neighbours."""
+    """Coefficients ``(k - order, order + 1)`` of the derivative of this order, from ``order + 1`` neighbours."""
     rows: Array = np.ones((len(time), 1))
     for degree in range(1, order + 1):
         longer = np.pad(rows[1:], ((0, 0), (1, 0))) - np.pad(rows[:-1], ((0, 0), (0, 1)))

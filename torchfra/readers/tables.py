@@ -21,9 +21,9 @@ from torchfra.readers.columns import Array, Cells, Head, Kind, joined, numbers, 
 from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
+from torchfra.readers.options import ReadOptions
 from torchfra.readers.pairs import pair_of, parted
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.told import Told
 from torchfra.readers.xml_files import is_xml, xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
@@ -63,7 +63,7 @@ def read_table(
     headers: str = HEADERS,
     repairs: Counter[str] | None = None,
     max_bytes: int = MAX_BYTES,
-    told: Told | None = None,
+    options: ReadOptions | None = None,
 ) -> Table:
     """Columns of a file.
 
@@ -74,7 +74,7 @@ def read_table(
         repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
             refuses them, and tables without rows.
         max_bytes: of text; a row counts for 64 bytes or more, a name for 4096, a byte of JSON for 24 and of XML for 32.
-        told: how cells are written.
+        options: how cells are written.
 
     Raises:
         ValueError: the file is empty, broken, too large or of no known format.
@@ -84,7 +84,7 @@ def read_table(
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
-            sheet = _sheet(file, path, told, headers, repairs, max_bytes, encoding)
+            sheet = _sheet(file, path, options, headers, repairs, max_bytes, encoding)
             return table_of(sheet, choose, max_bytes)
 
     try:
@@ -109,7 +109,13 @@ def _is_text(path: Path, max_bytes: int) -> bool:
 
 
 def _sheet(
-    file: Any, path: Path, told: Told | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str
+    file: Any,
+    path: Path,
+    options: ReadOptions | None,
+    headers: str,
+    repairs: Counter[str] | None,
+    max_bytes: int,
+    encoding: str,
 ) -> Sheet:
     """The rows of a file by its ending, or else by how it begins."""
     suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
@@ -122,7 +128,7 @@ def _sheet(
         return xml_sheet(file, max_bytes)
     if is_nmea(start, suffix):
         return nmea_sheet(file, max_bytes)
-    return csv_sheet(file, told, headers, repairs, max_bytes, encoding)
+    return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
 
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:

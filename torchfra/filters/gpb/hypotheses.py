@@ -184,9 +184,9 @@ def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypoth
     return state
 
 
-def batch_first(values: Tensor, axis: int, count: int = 3) -> Tensor:
-    """Values that differ along one of ``count`` axes alone, with that axis last: ``(..., R)`` or ``(..., 2)``."""
-    return _behind(values, (axis,), count, 0)
+def batch_first(values: Tensor, axis: int) -> Tensor:
+    """Values that differ along one of three axes alone, with that axis last: ``(..., R)`` or ``(..., 2)``."""
+    return _behind(values, (axis,), 3, 0)
 
 
 def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:

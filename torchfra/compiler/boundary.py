@@ -16,7 +16,7 @@ from torchfra.compiler.processor import lanes_of
 from torchfra.compiler.refusals import refusals_of
 from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.step import Step, carried
-from torchfra.compiler.whole_native import Look, Places, whole
+from torchfra.compiler.track_native import Checked, Places, track_module
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, map_tensors, unflatten
 
@@ -25,8 +25,8 @@ LAST = "state after the last step"
 """Names that no input has, whose names are paths."""
 
 
-class Both(NamedTuple):
-    """Both ends of a track, on entries of one book."""
+class Traced(NamedTuple):
+    """What comes before and after the steps of a track, on entries of one book."""
 
     book: Expressions
     inputs: dict[str, Entries]
@@ -39,19 +39,19 @@ class Both(NamedTuple):
     """What becomes of them."""
 
 
-_LOOKS = 3, 0, 1
+_CHECKED = 3, 0, 1
 """Numbers of the tensors that say whether all is finite: the scores of all steps, others of the last."""
 
 
-class Ends:
-    """The two ends of a track, traced once like the step between them.
+class Boundary:
+    """What comes before the first step of a track and after its last, traced once like the step between them.
 
     Args:
         step: one of many.
         begin: the state before the first, from the module and the mean and any root of a prior.
         finish: what becomes of the records of all steps, from the module, the state after the last and the records.
         size: of a state.
-        each: whole numbers that every track is given besides.
+        each: whole numbers that every track has besides.
 
     Raises:
         NotImplementedError: an operation that kernels do not have; or ``finish`` does more than to end what is late.
@@ -61,7 +61,7 @@ class Ends:
         self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int,
         each: Sequence[int] = (),
     ) -> None:  # fmt: skip
-        self.step, self._ways, self._size, self.each = step, (begin, finish), size, each
+        self.step, self._functions, self._size, self.each = step, (begin, finish), size, each
         at = self.traced()
         begun, self.made = [entry_ids(x) for x in at.begun], at.made
         self._book, self.values = at.book, [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
@@ -75,13 +75,13 @@ class Ends:
         self._reads = [*nothing * len(states), *values, *states, *nothing * len(steps)]
         self._prior = list(map(entry_ids, at.prior))
 
-    def traced(self, *differentiable: str) -> Both:
-        """Both ends on entries of a new book, which have derivatives in what is named.
+    def traced(self, *differentiable: str) -> Traced:
+        """Both parts on entries of a new book, which have derivatives in what is named.
 
         That is inputs by name, those of the ``PRIOR``, and ``LAST``, the state after the last step.
         """
         book, step = Expressions(), self.step
-        inputs, (begin, finish) = step.unknown(book), self._ways
+        inputs, (begin, finish) = step.unknown(book), self._functions
         prior = [Entries.inputs(book, (self._size,) * event, step.dtype) for event in (1, 2)]
         after = carried(book, step.zero, step.dtype)
         for name, tensors in [
@@ -97,7 +97,7 @@ class Ends:
         with refusals_of(type(module).__name__), elementary(), torch.set_grad_enabled(bool(differentiable)):
             begun = [as_entries(book, x) for x in flatten(begin(module, *prior))]
             made = finish(module, unflatten(step.state, iter(after)), steps)
-        return Both(book, inputs, prior, begun, after, steps, made)
+        return Traced(book, inputs, prior, begun, after, steps, made)
 
     def _two_steps(self, book: Expressions, like: Tensor) -> Tensor:
         """Unknown, of two steps."""
@@ -116,18 +116,18 @@ class Ends:
         """
         halves = [_halves(ids) for ids in steps]
         self.places: list[int] = []
-        self.settled: dict[int, tuple[list[int], bool]] = {}
+        self.late: dict[int, tuple[list[int], bool]] = {}
         for x in flatten(self.made):
             now, then = _halves(entry_ids(as_entries(self._book, x)))
             place = next((k for k, half in enumerate(halves) if now and now in half), None)
             if place is None or (now == halves[place][0]) != (then == halves[place][1]):
                 raise NotImplementedError("compile: finish does more than to end what comes late")
             if now == halves[place][1]:
-                self.settled[first + place] = then, x.dtype == torch.bool
+                self.late[first + place] = then, x.dtype == torch.bool
             self.places.append(place)
 
     def source(self, remembered: int = 0) -> str:
-        """The module, whose function is ``whole``.
+        """The module, whose function is ``filter_tracks``.
 
         Args:
             remembered: how many more tensors the steps write behind their records.
@@ -141,24 +141,25 @@ class Ends:
         ]
         after = states + len(step.inputs)
         first = after + states
-        last = [_port(ids, truth=truth) for ids, truth in self.settled.values()]
+        last = [_port(ids, truth=truth) for ids, truth in self.late.values()]
         begin = Scan(self._book, [], [], reads, list(map(_port, self._begun)), dtype=step.dtype)
         finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
         made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
-        given = [range(prior, len(reads)), range(states, after), range(first, prior), range(end, end + len(self.each))]
+        ends = (prior, len(reads)), (states, after), (first, prior), (end, end + len(self.each))
+        arguments = itertools.chain(*(range(*pair) for pair in ends))
         lanes = lanes_of(step.dtype)
         places = Places(
             [*range(states), *range(after, first)],
-            list(itertools.chain(*given)),
-            [(port, 1 if late.truth else step.dtype.itemsize) for port, late in zip(self.settled, last, strict=True)],
+            list(arguments),
+            [(port, 1 if late.truth else step.dtype.itemsize) for port, late in zip(self.late, last, strict=True)],
             [
-                Look(port, port in self.settled, made[k].numel() // 2, always=k == _LOOKS[0])
-                for k in _LOOKS
+                Checked(port, port in self.late, made[k].numel() // 2, always=k == _CHECKED[0])
+                for k in _CHECKED
                 for port in [first + self.places[k]]
             ],
             self.each, after, len(reads), end + len(self.each),
         )  # fmt: skip
-        return whole(lanes, begin.native(lanes, "begin_"), finish.native(lanes, "finish_"), places)
+        return track_module(lanes, begin.native(lanes, "begin_"), finish.native(lanes, "finish_"), places)
 
 
 def _halves(ids: list[int]) -> tuple[list[int], list[int]]:

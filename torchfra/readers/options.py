@@ -14,7 +14,7 @@ _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
 
 
 @dataclass(frozen=True)
-class Told:
+class ReadOptions:
     """Names of columns, and how their cells are written; None where the file is to tell."""
 
     time: str | None = None
@@ -83,13 +83,13 @@ class Told:
             raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, received {value!r}")
 
 
-def told(words: dict[str, str | None]) -> Told:
+def read_options(words: dict[str, str | None]) -> ReadOptions:
     """What a caller says by keyword.
 
     Raises:
         ValueError: an unknown keyword, or a value out of its range.
     """
-    known = [field.name for field in fields(Told)]
+    known = [field.name for field in fields(ReadOptions)]
     if unknown := [word for word in words if word not in known]:
         raise ValueError(f"{unknown[0]}: expected one of {', '.join(known)}")
-    return Told(**words)
+    return ReadOptions(**words)

@@ -11,7 +11,7 @@ from torchfra.compiler.sharing import called, fields, module, on_threads, taken
 from torchfra.compiler.tensor_entries import PORT, functions
 
 
-class Look(NamedTuple):
+class Checked(NamedTuple):
     """A tensor that says whether all is finite.
 
     Args:
@@ -32,31 +32,31 @@ class Places(NamedTuple):
 
     Args:
         states: ports of states, which lie in one room, so many bytes from its start as their ports say.
-        given: ports whose addresses come with a call.
-        settled: ports of what the last step leaves open, with the bytes of an entry.
-        looks: tensors that say whether all is finite.
+        arguments: ports whose addresses come with a call.
+        late: ports of what the last step leaves open, with the bytes of an entry.
+        checks: tensors that say whether all is finite.
         each: whole numbers that are the same for all tracks; they come last.
         after: the first port that the steps write.
-        last: the first of those of what is settled.
+        last: the first of those of what comes a step late.
         ports: how many there are.
     """
 
     states: list[int]
-    given: list[int]
-    settled: list[tuple[int, int]]
-    looks: list[Look]
+    arguments: list[int]
+    late: list[tuple[int, int]]
+    checks: list[Checked]
     each: Sequence[int]
     after: int
     last: int
     ports: int
 
 
-def whole(lanes: Lanes, begin: Native, finish: Native, at: Places) -> str:
-    """The module whose function ``whole`` filters whole tracks; it returns whether what ends each of them is finite.
+def track_module(lanes: Lanes, begin: Native, finish: Native, at: Places) -> str:
+    """The module whose function ``filter_tracks`` filters whole tracks; it returns whether the end of each is finite.
 
     It takes the kernel of the steps, how many tracks, steps and threads, the ports of the kernel, the prior, the last
-    entries of what is settled late and whole numbers; their addresses, but those of states, and the room of these; and
-    how many tracks begin differently.
+    entries of what comes a step late and integers; their addresses, but those of states, and the room of these; and how
+    many tracks begin differently.
     """
     begun, finished = _begun(lanes, begin), _finished(lanes, finish, at)
     run = _run(lanes, at)
@@ -78,24 +78,24 @@ def whole(lanes: Lanes, begin: Native, finish: Native, at: Places) -> str:
 
 def _run(lanes: Lanes, at: Places) -> Code:
     head = "ptr %run, i64 %tracks, i64 %steps, i32 %threads, ptr %like, ptr %places, ptr %room, i64 %begun"
-    code = Code(lanes, f"define i32 @whole({head})", "nounwind")
+    code = Code(lanes, f"define i32 @filter_tracks({head})", "nounwind")
     ports, sound = code.place(PORT, at.ports), code.place("i32")
     for k in range(at.ports):
         for field, type in enumerate(("ptr", "i64", "i64", "i64")):
             code.store(type, code.load(type, code.field(PORT, "%like", field, k)), code.field(PORT, ports, field, k))
-    for k, port in enumerate(at.given):
+    for k, port in enumerate(at.arguments):
         code.store("ptr", code.load("ptr", code.at("%places", "ptr", k)), code.field(PORT, ports, 0, port))
     for port in at.states:
         data = code.field(PORT, ports, 0, port)
         code.store("ptr", code.at("%room", "i8", code.load("i64", data)), data)
-    for k, (port, size) in enumerate(at.settled, at.last):
+    for k, (port, size) in enumerate(at.late, at.last):
         first, time = (
             code.load("ptr", code.field(PORT, ports, 0, port)),
             code.load("i64", code.field(PORT, ports, 2, port)),
         )
         behind = code.op("mul", code.op("mul", "%steps", time), size)
         code.store("ptr", code.at(first, "i8", behind), code.field(PORT, ports, 0, k))
-    for k, number in enumerate(at.each, at.last + len(at.settled)):
+    for k, number in enumerate(at.each, at.last + len(at.late)):
         to = code.load("ptr", code.field(PORT, ports, 0, k))
         with code.loop("%tracks") as track:
             code.store("i64", str(number), code.at(to, "i64", track))
@@ -152,12 +152,12 @@ def _finished(lanes: Lanes, finish: Native, at: Places) -> Code:
     with code.loop(last, first, size) as k:
         count = _block(code, finish, k, last, size, ports)
         full = code.op("mul", code.op("sdiv", count, width), width)
-        for look in at.looks:
+        for check in at.checks:
             data, _, time, entry = (
-                code.load("i64" if f else "ptr", code.field(PORT, ports, f, look.port)) for f in range(4)
+                code.load("i64" if f else "ptr", code.field(PORT, ports, f, check.port)) for f in range(4)
             )
-            with code.loop(steps, "0" if look.always else final) as step, code.loop(look.entries) as number:
-                row = code.op("mul", code.op("add", step, int(look.late)), time)
+            with code.loop(steps, "0" if check.always else final) as step, code.loop(check.entries) as number:
+                row = code.op("mul", code.op("add", step, int(check.late)), time)
                 place = code.op("add", code.op("add", row, code.op("mul", number, entry)), k)
                 start = code.at(data, lanes.scalar, place)
                 with code.loop(full, 0, width) as track:
