@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel, filter_forward
+from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
 _COARSE, _FINE = 8, 1.2
@@ -167,9 +167,12 @@ def _fits(
 
     rows = model.of_rows(lambda x: repeated(x[looked_at]))
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = filter_forward(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), rows)
+    every = steps(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), rows)
+    log_likelihood, outlier = (
+        torch.stack(x) for x in zip(*((s.log_likelihood, s.outlier) for s in every), strict=True)
+    )
     seen = (~tried.missing).to(sigma)
-    sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
+    sums = torch.stack([log_likelihood * seen, outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
     return fit, wrong, seen
 
