@@ -361,6 +361,34 @@ def test_what_fixes_hardly_tell_of_sigma_is_said(count, dt, said):
     assert clean_tracks([recording], sigma=5.0)[0].found.doubt == ""
 
 
+def laps():
+    """A racing car 20 times a second that brakes by 30 m/s^2 and turns by 14 to 18: the recording, the truth."""
+    rng, time = np.random.default_rng(3), 0.05 * np.arange(1200)
+    speed = np.interp(time, [0, 15, 16, 25, 27, 60], [70, 70, 40, 40, 60, 60])
+    turn = np.where((time > 15) & (time < 25), 0.35, np.where(time > 40, 0.3, 0.0))
+    heading = np.cumsum(0.05 * turn)
+    truth = np.cumsum(0.05 * speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1), 0)
+    return Recording("car", time, truth + 0.3 * rng.standard_normal(truth.shape), None, {}), truth
+
+
+def test_a_car_that_is_measured_often_brakes_and_turns_as_hard_as_one_that_is_not():
+    recording, truth = laps()
+    (cleaned,) = clean_tracks([recording])
+    assert not (cleaned.flag == "outlier").any()
+    before, after = (np.square(z - truth).mean() for z in (recording.position, cleaned.position))
+    assert after < 0.4**2 * before
+
+
+def test_a_gull_every_five_minutes_hardly_tells_sigma():
+    rng, kept, velocity = np.random.default_rng(5), np.exp(-5 / 900), [np.zeros(2)]
+    for _ in range(12_000):
+        velocity.append(kept * velocity[-1] + 4.0 * np.sqrt(1 - kept**2) * rng.standard_normal(2))
+    position = np.cumsum(5.0 * np.stack(velocity), 0)[::60] + 15.0 * rng.standard_normal((201, 2))
+    time = 300.0 * np.arange(201)
+    (cleaned,) = clean_tracks([Recording("gull", time, position, None, {}, source=Source(word="animal"))])
+    assert cleaned.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+
+
 def test_a_ship_that_goes_straight_is_known_better_than_its_fixes_hours_apart():
     rng, time = np.random.default_rng(7), 7200.0 * np.arange(60)
     truth = np.stack([8.0 * time, 0.0 * time], 1)

@@ -145,6 +145,7 @@ def test_the_chain_of_levels_is_the_exponential_of_its_rates_whatever_q_is_told(
     levels = levels_up_to(hardest, fastest, gap, 7, q)
     restart, duration = levels.log_restart.exp()[:, 0], levels.duration[:, 0]
     rates = (restart - torch.eye(7)) / duration.unsqueeze(1)
-    lasts, follows = levels.chain.over(gap.unsqueeze(0))
-    whole = lasts[0, :, 0].exp().diag() + follows[0, 0]
+    each = torch.eye(7, dtype=torch.float64)
+    lasts, follow = levels.chain.over(gap.expand(7, 1), each.unsqueeze(-1))
+    whole = lasts[0, :, 0].exp().diag() + follow[..., 0]
     torch.testing.assert_close(whole, torch.matrix_exp(rates * period), rtol=0, atol=1e-8)

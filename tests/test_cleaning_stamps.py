@@ -166,7 +166,10 @@ def test_bands_hold_where_times_are_cut(std):
     done = clean_tracks([recording for recording, _ in several])
     held = [np.abs(one.position - truth) < one.std for one, (_, truth) in zip(done, several, strict=True)]
     assert 0.6 < np.mean(held) < 0.9
-    assert all("Times are taken as cut to whole seconds" in " ".join(one.found.said) for one in done)
+    assert all(
+        "Times are taken as cut to whole seconds, not as rounded (--no-repair)" in " ".join(one.found.said)
+        for one in done
+    )
 
 
 def test_path_and_fixes_are_half_a_second_apart_where_times_are_cut():

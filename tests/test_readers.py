@@ -93,6 +93,19 @@ def test_columns_say_the_same_as_records(write: Write) -> None:
     assert (one.name, one.origin) == (other.name, other.origin)
 
 
+def test_where_a_phone_has_been_is_read_from_its_records(write):
+    rows = [
+        {"timestampMs": str(1000 * (START + k)), "latitudeE7": 470000000 + 100 * k, "longitudeE7": 80000000,
+         "accuracy": 8, "altitude": 500 + k}
+        for k in range(4)
+    ]  # fmt: skip
+    track = only(write("Records.json", {"locations": rows}))
+    assert track.origin == (47.0, 8.0, 500.0)
+    np.testing.assert_allclose(track.position[:, 1], 1.1118 * np.arange(4), rtol=1e-3)
+    np.testing.assert_allclose(track.position[:, 2], np.arange(4), atol=1e-3)
+    np.testing.assert_array_equal(track.time, START + np.arange(4.0))
+
+
 @pytest.mark.parametrize(
     "text",
     ["2020-09-13T12:26:40", "2020-09-13T12:26:40.000Z", "2020-09-13 12:26:40+00:00", "2020-09-13T14:26:40+02:00"],
@@ -264,6 +277,7 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.csv.gz", "", "empty file"),
         ("a.json", "[]", "expected rows, received none"),
         ("a.json", "{}", "expected rows, received none"),
+        ("a.json", '{"places": [{}]}', "expected rows, received none"),
         ("a.json", "[{}]", "expected rows, received none"),
         ("a.csv", "t,x,y\n", "expected rows, received none under the columns t, x, y"),
         ("a.json", '[{"timestamp": 1', "expected JSON"),

@@ -28,9 +28,9 @@ from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
-_FEW, _SURER, _OPEN = 10, 0.9, 0.5
-"""Fixes below which sigma is a guess; the share of its standard deviation above which an estimate is no surer than its
-fix alone, so that others tell nothing of it; and the share of sigma below which one may be that is not ruled out."""
+_FEW, _SURER, _OPEN = 10, 0.75, 0.5
+"""Fixes below which sigma is a guess; the share of its standard deviation above which an estimate is hardly surer than
+its fix alone, so that others tell little of it; and the share of sigma below which one may be that is not ruled out."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
 """What a track may do to its own work; all else is a mistake of the program and is raised."""
 

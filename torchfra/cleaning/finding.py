@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel, filter_forward
+from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
 _COARSE, _FINE = 8, 1.2
@@ -40,6 +40,8 @@ _SLOWEST = 1e-5
 """Least density of the process noise, m^2/s^3."""
 _STILL = 0.1
 """How far the least process noise may move a target between two fixes, m."""
+_HELD = 1.0
+"""Seconds for which a target holds its hardest acceleration at least, however often it is measured."""
 _LASTING = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _SLOW, _GAPS = 0.03, 3.0
@@ -77,7 +79,8 @@ def levels_up_to(
 ) -> Levels:  # fmt: skip
     """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
 
-    Over a long period these are no larger than the speed ``fastest (B,)`` m/s.  Without that limit a target whose fixes
+    Such a change lasts for a second at least: of a car that is measured 20 times a second it takes many periods.  Over
+    a long period changes are no larger than the speed ``fastest (B,)`` m/s.  Without that limit a target whose fixes
     come every two hours could be anywhere after each, and no fix an outlier.
 
     Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.  Over a period in
@@ -85,7 +88,8 @@ def levels_up_to(
     leave in the mean changes little from one period to the next: where none lasts as long, each is for some periods.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
-    top = (acceleration.square() * period).minimum(fastest.square() / period).clamp_min(10 * _SLOWEST)
+    held = acceleration.square() * period.clamp_min(_HELD)
+    top = held.minimum(fastest.square() / period).clamp_min(10 * _SLOWEST)
     least = (3 * _STILL**2 / period**3).clamp_max(_SLOWEST)
     slow = torch.where(period > _LASTING[0], _SLOW**2 / period, least)
     density = torch.cat([least.unsqueeze(0), (slow * (top / slow) ** place)[1:]])
@@ -167,9 +171,12 @@ def _fits(
 
     rows = model.of_rows(lambda x: repeated(x[looked_at]))
     tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
-    found = filter_forward(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), rows)
+    every = steps(tried, Levels(*(repeated(x[:, looked_at]) for x in levels)), rows)
+    log_likelihood, outlier = (
+        torch.stack(x) for x in zip(*((s.log_likelihood, s.outlier) for s in every), strict=True)
+    )
     seen = (~tried.missing).to(sigma)
-    sums = torch.stack([found.log_likelihood * seen, found.outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
+    sums = torch.stack([log_likelihood * seen, outlier * seen, seen]).sum(1).unflatten(-1, (count, -1))
     fit, wrong, seen = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[looked_at], sums)[..., owner]
     return fit, wrong, seen
 

@@ -10,7 +10,7 @@ step.  On one axis both filters are the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import torch
@@ -90,21 +90,23 @@ class Chain(NamedTuple):
     duration: Tensor
     """``(J, B)`` mean time that a level lasts, s."""
     rates: Tensor
-    """``(B, J)`` 1/s at which the modes of the chain decay."""
+    """``(J, B)`` 1/s at which the modes of the chain decay."""
     begun: Tensor
-    """``(B, J, J)``, ``[was, mode]``."""
+    """``(J, J, B)``, ``[was, mode]``."""
     ended: Tensor
-    """``(B, J, J)``, ``[mode, now]``; ``begun exp(-rates gap) ended`` is what the chain says over a gap."""
+    """``(J, J, B)``, ``[mode, now]``; ``begun exp(-rates gap) ended`` is what the chain says over a gap."""
 
-    def over(self, gap: Tensor) -> tuple[Tensor, Tensor]:
-        """Logs ``(n, J, B)`` of how likely levels last for gaps ``(n, B)``, and ``(n, B, J, J)`` what follows others.
+    def over(self, gap: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """What becomes of levels of the weights ``(n, J, B)`` over gaps ``(n, B)``.
 
-        That is the probability that a level has ended, once or several times, and which is there then.
+        Returns:
+            Logs ``(n, J, B)`` of how likely each lasts; and how likely levels have ended, once or several times, and
+            each is there then, ``(n, J, B)``.
         """
-        lasts = -gap.unsqueeze(1) / self.duration
-        decayed = torch.exp(-gap.unsqueeze(-1) * self.rates).unsqueeze(-2)
-        follows = (self.begun * decayed) @ self.ended - lasts.exp().movedim(1, -1).diag_embed()
-        return lasts, follows.clamp_min(_LEAST)
+        gap = gap.unsqueeze(1)
+        lasts = -gap / self.duration
+        modes = _times(weights, self.begun) * torch.exp(-gap * self.rates)
+        return lasts, (_times(modes, self.ended) - weights * lasts.exp()).clamp_min(_LEAST)
 
 
 class Levels(NamedTuple):
@@ -129,11 +131,12 @@ class Levels(NamedTuple):
         ``G = (restart - I) / duration`` is the same with time reversed, so that ``s G / s`` is symmetric, with the
         roots ``s`` of the shares.
         """
-        restart, root = self.log_restart.exp().T, (0.5 * self.log_share.log_softmax(0)).exp().T
+        restart, root = self.log_restart.exp().T, (0.5 * self.log_share.log_softmax(0)).exp()
         scaled = (restart / self.duration.T).sqrt()
         generator = scaled.unsqueeze(-1) * scaled.unsqueeze(-2) - (1 / self.duration.T).diag_embed()
         values, vectors = torch.linalg.eigh(generator)
-        return Chain(self.duration, -values, vectors / root.unsqueeze(-1), vectors.mT * root.unsqueeze(-2))
+        begun = vectors.permute(1, 2, 0) / root.unsqueeze(1)
+        return Chain(self.duration, -values.T, begun, vectors.permute(2, 1, 0) * root)
 
 
 class Fixes(NamedTuple):
@@ -189,10 +192,10 @@ class Predictions(NamedTuple):
 class Step(NamedTuple):
     """What the filter says of a step."""
 
-    prediction: Belief
-    """``(J, B)`` of each level."""
-    log_levels: Tensor
-    """``(J, B)`` logs of the probabilities of the levels before the fix."""
+    ahead: Belief
+    """``(2, J, B)`` before the fix, if the one before was clean and if it was an outlier."""
+    log_ahead: Tensor
+    """``(2, J, B)`` logs of the probabilities of these."""
     prior_outlier: Tensor
     outlier: Tensor
     log_likelihood: Tensor
@@ -202,12 +205,29 @@ class Step(NamedTuple):
     log_weights: Tensor
     """``(2, J, B)`` of these."""
 
+    @property
+    def prediction(self) -> Belief:
+        """``(J, B)`` of each level before the fix."""
+        share = (self.log_ahead[1] - self.log_ahead[0]).sigmoid()
+        return _pair(share, _entry(self.ahead, 0), _entry(self.ahead, 1))
+
+    @property
+    def log_levels(self) -> Tensor:
+        """``(J, B)`` logs of the probabilities of the levels before the fix."""
+        return torch.logaddexp(self.log_ahead[0], self.log_ahead[1])
+
 
 def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
     """The filter: predictions of every step."""
-    beliefs, *rest = zip(*((step.prediction, *step[1:5]) for step in steps(fixes, levels, model)), strict=True)
-    parts = [torch.stack(x, 1 if i < 2 else 0) for i, x in enumerate(zip(*beliefs, strict=True))]
-    return Predictions(Belief(*parts), *map(torch.stack, rest))
+    return predicted(steps(fixes, levels, model))
+
+
+def predicted(every: Iterable[Step]) -> Predictions:
+    """Predictions of all steps."""
+    beliefs, *rest = zip(*((step.prediction, step.log_levels, *step[2:5]) for step in every), strict=True)
+    return Predictions(
+        Belief(*(torch.stack(x, -3) for x in zip(*beliefs, strict=True))), *(torch.stack(x) for x in rest)
+    )
 
 
 def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterator[Step]:
@@ -229,10 +249,11 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
             mixed, log_weights = switched(belief, log_weights, chain, elapsed.unsqueeze(0))
             belief = _predicted(mixed, levels.q, elapsed)
         prior_outlier = model.begins + outlier * (model.lasts - model.begins)
-        prediction = _pair((log_weights[1] - log_weights[0]).sigmoid(), _entry(belief, 0), _entry(belief, 1))
-        of_level = torch.logaddexp(log_weights[0], log_weights[1])
         clean, log_density = corrected(belief, z, variance, missing, model)
-        log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, levels.q, elapsed, variance, model)
+        if model.same_offset:
+            log_density[1, 1] = _again(
+                log_density[1, 1], _entry(belief, 1), z - last, levels.q, elapsed, variance, model
+            )
         joint = log_chain + log_weights + log_density  # (2, 2, J, B): now, before
         share = (joint[:, 1] - joint[:, 0]).sigmoid()
         after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
@@ -243,7 +264,7 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
         ahead: State = belief, log_weights, outlier, last
         state, known = (now, now) if not missing.any() else (_where(missing, x, now) for x in (state, ahead))
         log_likelihood = torch.where(missing, 0.0, log_likelihood)
-        yield Step(prediction, of_level, prior_outlier, state[2], log_likelihood, *known[:2])
+        yield Step(belief, ahead[1], prior_outlier, state[2], log_likelihood, *known[:2])
 
 
 def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
@@ -257,11 +278,10 @@ def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tenso
 
 def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> tuple[Belief, Tensor]:
     """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
-    lasts, follows = chain.over(gap)
+    lasts, follow = chain.over(gap, log_weights.exp())
     ends = torch.log(-torch.expm1(lasts)).clamp_min(-700.0)  # over no time none does
     common, _ = merged(log_weights + ends, belief, 1)
-    weights = log_weights.exp().movedim(1, -1).unsqueeze(-2)
-    stayed, restarted = log_weights + lasts, (weights @ follows).squeeze(-2).movedim(-1, 1).log()
+    stayed, restarted = log_weights + lasts, follow.log()
     every = Belief(*(x.unsqueeze(-2) for x in common))
     return _pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
 
@@ -349,9 +369,7 @@ def _again(
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
     wide = 2 * variance + elapsed.square() * x.vv - q * (2 / 3 * elapsed**3)  # the velocity was surer before
     squared = d * _over_axes(residual, residual)
-    same = (math.log(model.same_offset) if model.same_offset else -math.inf) - 0.5 * (
-        squared / wide + d * (wide.log() + _LOG_TWO_PI)
-    )
+    same = math.log(model.same_offset) - 0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
     other = log_density + math.log1p(-model.same_offset)
     return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same))
 
@@ -366,12 +384,11 @@ def _where(missing: Tensor, before: State, now: State) -> State:
 def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:
     """The Gaussian with the moments of two, the second of weight ``share``."""
     dp, dv, spread = b.position - a.position, b.velocity - a.velocity, share * (1 - share)
-    return Belief(
-        a.position + share * dp, a.velocity + share * dv,
-        a.pp + share * (b.pp - a.pp) + spread * _over_axes(dp, dp),
-        a.pv + share * (b.pv - a.pv) + spread * _over_axes(dp, dv),
-        a.vv + share * (b.vv - a.vv) + spread * _over_axes(dv, dv),
-    )  # fmt: skip
+    position, velocity, pp, pv, vv = (torch.lerp(one, other, share) for one, other in zip(a, b, strict=True))
+    pp, pv, vv = (
+        torch.addcmul(x, spread, _over_axes(one, other)) for x, one, other in ((pp, dp, dp), (pv, dp, dv), (vv, dv, dv))
+    )
+    return Belief(position, velocity, pp, pv, vv)
 
 
 def _entry(x: Belief, i: int) -> Belief:
@@ -381,7 +398,12 @@ def _entry(x: Belief, i: int) -> Belief:
 
 def _over_axes(a: Tensor, b: Tensor) -> Tensor:
     """The mean product of ``(d, ...)``."""
-    return (a * b).sum(0) / len(a)
+    return (a * b).sum(0) * (1.0 / len(a))
+
+
+def _times(x: Tensor, matrix: Tensor) -> Tensor:
+    """Products of ``(n, J, B)`` and ``(J, K, B)``; far faster than matrices of eight rows for each of many ``B``."""
+    return (x.unsqueeze(2) * matrix).sum(1)
 
 
 def _shares(log_weights: Tensor, dim: int) -> tuple[Tensor, Tensor]:

@@ -97,7 +97,10 @@ def earlier(one: Cleaned) -> Cleaned:
     back = np.eye(2 * d)
     back[:d, d:] = -_HALF * np.eye(d)
     usual = metres(_HALF * float(np.nanmedian(np.linalg.norm(one.velocity[:, :2], axis=1))))
-    said = f"Times are taken as cut to whole seconds: the path is {_HALF:g} s behind the fixes ({usual} in the median)"
+    said = (
+        "Times are taken as cut to whole seconds, not as rounded (--no-repair): "
+        f"the path is {_HALF:g} s behind the fixes ({usual} in the median)"
+    )
     return replace(one, mean=one.mean @ back.T, covariance=back @ one.covariance @ back.T, behind=_HALF,
                    found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
 

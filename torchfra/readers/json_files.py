@@ -61,6 +61,8 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
             return list(lists), len(next(iter(lists.values()))), lists.__getitem__
+        if len(lists) == 1 and all(isinstance(one, dict) for one in next(iter(lists.values()))):
+            return _columns(next(iter(lists.values())))  # records under one name, as "locations" of a phone
         columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
         keys = list(dict.fromkeys(key for column in columns.values() for key in column))
         return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys]
