@@ -22,7 +22,7 @@ _OPERATORS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq"}
 _LONG = 20_000
 """Expressions from which on a step calls the functions of ``SHARED``, where a shorter one has them written out: LLVM
-then takes three quarters of the time, and a step 1.01 to 1.03 times as long."""
+then takes three quarters of the time, and a step 1.02 to 1.04 times as long."""
 
 
 class Native:
