@@ -9,7 +9,7 @@ import pytest
 import torch
 from test_compile import close
 
-from torchfra import presets, scenarios
+from torchfra import presets, scenarios, tree
 from torchfra.compiler import jit
 from torchfra.compiler.program import BUILDING
 from torchfra.compiler.step import Step
@@ -58,6 +58,25 @@ def test_it_answers_interpreted_first_and_compiled_later(tracks, gate):
     later = f(tracks.z, tracks.prior, u=tracks.u)
     close(later, expected)
     assert not torch.equal(later.mean, expected.mean)  # another order of sums
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
+@torch.no_grad()
+def test_the_backward_pass_is_made_while_the_filter_compiles(dtype, tracks, monkeypatch):
+    scenario, load, both, loaded = scenarios.bearings_outliers(), jit.load, threading.Barrier(2), []
+
+    def at_once(source):
+        loaded.append(source)
+        both.wait(300)  # breaks where one is compiled after the other
+        return load(source)
+
+    monkeypatch.setattr(jit, "load", at_once)
+    plain = presets.imm_srckf(scenario.bank, scenario.sensor)
+    f = copy.deepcopy(plain).compile()
+    z, prior, u = tree.map_tensors(lambda x: x.to(dtype), (tracks.z[:, :5], tracks.prior, tracks.u[:5]))
+    tolerance = 1e-8 if dtype == torch.float64 else 0.1  # models amplify rounding
+    close(f.smooth(z, prior, u=u), plain.smooth(z, prior, u=u), tolerance)
+    assert len({*loaded}) == len(loaded) == 2
 
 
 @torch.no_grad()

@@ -5,9 +5,17 @@ import math
 import pytest
 import torch
 
+from torchfra.compiler import native
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program, batch_first
 from torchfra.compiler.source import Port, Scan
+
+
+@pytest.fixture(params=[native._LONG, 0], ids=["written out", "called"], autouse=True)
+def long(request, monkeypatch):
+    """Steps of more expressions call functions that are written once."""
+    monkeypatch.setattr(native, "_LONG", request.param)
+    return request.param
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
@@ -40,6 +48,16 @@ def test_exponentials_and_logarithms_are_right_up_to_the_ends_of_their_ranges(na
     x = torch.cat([special, -special, exponents, exponents.exp(), around])
     close_to = {"rtol": 4 * info.eps, "atol": 2 * info.tiny * info.eps, "equal_nan": True}  # 2 of the smallest number
     torch.testing.assert_close(kernel(name, x), getattr(torch, name)(x), **close_to)
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_a_long_step_has_each_function_once_and_a_short_one_at_each_use(narrow, long):
+    book = Expressions()
+    inputs = [book.input() for _ in range(4)]
+    ends = [book.apply("exp", i) for i in inputs] + [book.apply("atan2", *inputs[:2])]
+    ports = [[Port(numbers, torch.Size([len(numbers)]))] for numbers in (inputs, ends)]
+    source = Scan(book, [], [], *ports).source(narrow)
+    assert [source.count(f"@one_{name}(") for name in ("exp", "atan2")] == ([1 + 4, 1 + 1] if long == 0 else [0, 0])
 
 
 def kernel(name, *tensors):

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from torchfra.compiler.instructions import Code, Integer, Number, Truth, phi
+from torchfra.compiler.instructions import Code, Integer, Lanes, Number, Truth, phi
 
 
 def applied(code: Code, name: str, args: Sequence[str]) -> str:
@@ -242,3 +242,15 @@ def _log(x: Number) -> Number:
 _WRITTEN: dict[str, Callable[..., Number]] = {
     "max": _largest, "min": _smallest, "norm": _norm, "atan2": _atan2, "exp": _exp, "log": _log,
 }  # fmt: skip
+
+SHARED = {"atan2": 2, "exp": 1, "log": 1}
+"""Functions of many instructions that a long step calls, and their arguments: written once for all of its uses."""
+
+
+def function(lanes: Lanes, name: str, of: str) -> Code:
+    """A function of ``SHARED`` by itself, to be called by ``name``."""
+    numbers = lanes.of(lanes.scalar)
+    args = [f"%x{k}" for k in range(SHARED[of])]
+    code = Code(lanes, f"define internal {numbers} @{name}({', '.join(f'{numbers} {arg}' for arg in args)})")
+    code.do(f"ret {numbers} {applied(code, of, args)}")
+    return code

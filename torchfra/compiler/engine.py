@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -17,12 +19,13 @@ from torchfra.compiler.program import BUILDING
 from torchfra.compiler.run import has_gradient
 from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, number
 from torchfra.compiler.source import SCALARS
+from torchfra.compiler.trees import late
 from torchfra.compiler.version import Plan, Version
 from torchfra.compiler.whole_tracks import form_of, seconds_of
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
-from torchfra.tree import flatten, map_tensors
+from torchfra.tree import flatten, map_tensors, unflatten
 from torchfra.types import Estimate, Gaussian
 
 _VERSIONS = 4
@@ -133,6 +136,9 @@ class Compiled:
             scanned: tuple[Any, Any] = self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
             return scanned
         now, plan, data = self._plan(f, state, measurements, past)
+        first = past and plan.kernels.is_new and plan.device.type == "cpu" and not f.scans
+        if first and not has_gradient([*flatten((state, data)), *now.read()]):
+            threading.Thread(target=self._make_backward, args=(f, plan, measurements), daemon=True).start()
         steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
         state, kept = now.run(plan, steps, state, data, checkpoint, truncate)
         # The batch is that of scenes: time comes behind the targets of each.
@@ -161,11 +167,30 @@ class Compiled:
         return of_windows(parts, rank, lag)
 
     def _back(self, f: Any, back: BackwardInputs) -> Any:
-        now = self._now(f)
-        data, timed = list(back.data.values()), list(back.timed.values())
-        with BUILDING:
-            plan = now.plan(back.advance, back.state, data, timed, back)
+        now, plan, data = self._plan_back(f, back)
         return now.run(plan, back.steps, back.state, data, back=back)[1]
+
+    def _plan_back(self, f: Any, back: BackwardInputs) -> tuple[Version, Plan, list[Tensor]]:
+        """The same as ``_plan`` of a backward pass."""
+        now, data, timed = self._now(f), list(back.data.values()), list(back.timed.values())
+        with BUILDING:
+            return now, now.plan(back.advance, back.state, data, timed, back), data
+
+    def _make_backward(self, f: Any, plan: Plan, measurements: Measurements) -> None:
+        """Makes the kernel of the backward pass, from zeros for what the filter will keep of two steps of a track.
+
+        It is traced while LLVM compiles the filter.  An error comes again in the call that needs the kernel.
+        """
+        step, rank = plan.kernels.step, len(plan.batch)
+        leaves = zip(flatten(step.record), late(step.record), strict=True)
+        record = [torch.zeros(*(1,) * rank, 2 + more, *x.shape, dtype=x.dtype) for x, more in leaves]
+        state = map_tensors(lambda x: torch.zeros(*(1,) * rank, *x.shape, dtype=step.dtype), step.state)
+        with suppress(Exception), torch.no_grad():
+            kept = unflatten(step.record, iter(record))
+            estimate = f.estimate_of(state, kept)
+            past = f.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, kept.past)
+            back = self._plan_back(f, backward_inputs(f, past, None, measurements, rank))[1]
+            back.kernels.forwards(torch.Size([2]), plan.device)
 
     def once(
         self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements

@@ -45,6 +45,11 @@ class Kernels:
         self._track_functions: dict[bool, Any] = {}
         self._making = threading.Lock()
 
+    @property
+    def is_new(self) -> bool:
+        """Whether it has no programs yet."""
+        return not self._programs
+
     def forwards(self, batch: torch.Size, device: torch.device, remembers: bool = False) -> Program:
         """What filters a batch of this shape; a single step of one track has a program of its own, for its speed."""
         how = (True,) if remembers else ()
