@@ -14,7 +14,9 @@ from test_compile import both, close
 from torchfra.compiler import schedule
 from torchfra.compiler.expressions import ZERO, Expressions, Routine
 from torchfra.compiler.frame import frame, needs
+from torchfra.compiler.masked import with_masked
 from torchfra.compiler.merges import with_merged
+from torchfra.compiler.plan import Plan
 from torchfra.compiler.program import Program
 from torchfra.compiler.schedule import Piece, cut, pieces
 from torchfra.compiler.source import Port, Scan
@@ -170,6 +172,56 @@ def test_a_choice_is_the_other_value_until_a_region_puts_its_result_there(small)
     assert layout.places[yes] == layout.places[chosen]
 
 
+def a_masked_step(value):
+    """A step whose product is 0 unless the condition has this value: the book, its inputs, mask, product and end."""
+    book = Expressions()
+    x, y = book.input(), book.input()
+    mask = book.apply("lt", x, y)
+    gradient = book.apply("select", mask, *((x, ZERO) if value else (ZERO, x)))
+    product = book.apply("mul", book.apply("neg", gradient), book.apply("mul", y, y))
+    total = book.apply("add", book.apply("sub", product, gradient), y)
+    return book, (x, y), mask, product, total
+
+
+@pytest.mark.parametrize("value", [True, False])
+def test_what_is_zero_unless_a_condition_holds_is_guarded(small, value):
+    book, inputs, mask, product, total = a_masked_step(value)
+    live = book.needed([total])
+    assert all(part.guard is None for part in pieces(book, live, [total]))
+    new, order = with_masked(book, live, [(mask, value)], [total])
+    guards = {i: part.guard for part in pieces(new, order, [total]) for i in part.numbers}
+    assert guards[product] == (mask, value)
+    assert guards[total] is None
+    for numbers in ((0.5, 2.0), (2.0, 0.5)):
+        values = dict(zip(inputs, numbers, strict=True))
+        assert evaluated(new, {**values}, order)[total] == evaluated(book, {**values}, live)[total]
+
+
+def test_what_is_zero_unless_a_common_condition_holds_stays_as_it_is():
+    book, _, _, _, total = a_masked_step(True)
+    live = book.needed([total])
+    assert with_masked(book, live, [], [total]) == (book, live)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 10**9), st.lists(st.floats(-2, 2), min_size=7, max_size=7))
+def test_masking_changes_no_value(seed, inputs):
+    draw = random.Random(seed)
+    book, carried, _, read, written = random_step(seed)
+    truths = [i for i in book.truths if i not in book.values]
+    rare = [(draw.choice(truths), draw.random() < 0.5) for _ in range(3)]
+    known = [i for i in range(len(book.nodes)) if not book.is_bool(i) and i not in book.calls]
+    numbers = [book.apply("select", mask, *((i, ZERO) if value else (ZERO, i)))
+               for mask, value in rare for i in draw.choices(known, k=3)]  # fmt: skip
+    for _ in range(30):
+        numbers.append(book.apply(draw.choice(("add", "sub", "mul")), draw.choice(numbers), draw.choice(numbers[-9:])))
+    ends = [*written, *numbers[-9:]]
+    live, values = book.needed(ends), dict(zip([*carried, *read], inputs, strict=True))
+    new, order = with_masked(book, live, rare, ends)
+    found, expected = evaluated(new, {**values}, order), evaluated(book, {**values}, live)
+    assert all(found[i] == expected[i] or not math.isfinite(expected[i]) for i in ends)
+
+
 def test_cutting_keeps_every_expression_and_no_piece_is_long():
     book, *_ = random_step(1, 9000)
     numbers = list(range(len(book.nodes)))
@@ -222,6 +274,19 @@ def test_gradients_through_a_choice_are_the_same(make, tracks):
         g(tracks.z, tracks.prior, u=tracks.u).mean.square().mean().backward()
         gradients.append([p.grad for p in g.parameters()])
     close(*gradients)
+
+
+def test_the_gradient_of_a_branch_is_computed_where_the_branch_is(make, tracks, monkeypatch):
+    shares, source = [], Scan.source
+
+    def planned(scan, narrow=False):
+        shares.append(Plan(scan.step(), narrow).guarded)
+        return source(scan, narrow)
+
+    monkeypatch.setattr(Scan, "source", planned)
+    make("fra", learn=("threshold",)).compile()(tracks.z, tracks.prior, u=tracks.u).mean.sum().backward()
+    assert len(shares) == 2  # the filter and its gradient
+    assert min(shares) > 0.5
 
 
 def test_a_track_that_fails_in_its_branch_leaves_its_neighbours_alone(make, scenario):

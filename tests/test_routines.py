@@ -93,7 +93,7 @@ def test_what_is_zero_for_all_is_not_computed_and_what_is_not_has_a_routine_of_i
     lower = torch.where(torch.ones(4, 8).tril(4) > 0, full.ids, 0)
     matrices = Entries(book, torch.cat([full.ids, lower]), torch.float64)
     with elementary(called_for_each):
-        roots, again = _orthogonalise(matrices), _orthogonalise(matrices)
+        (roots, _), (again, _) = _orthogonalise(matrices), _orthogonalise(matrices)
     routines = [made[0] for made in book.routines.values()]
     assert [len(routine.inputs) for routine in routines] == [4 * 8, 4 * 8 - 6]
     assert routines[0].cost > routines[1].cost

@@ -181,6 +181,13 @@ def test_a_tall_matrix_with_rows_of_zeros_keeps_its_other_rows(way, zeros):
     torch.testing.assert_close(lower @ lower.mT, a @ a.mT)
 
 
+@pytest.mark.parametrize("way", WAYS)
+def test_beside_rows_of_zeros_the_gradient_is_the_same_in_every_way(way):
+    a, weights = random(4, 7), random(4, 4, seed=1).tril()
+    a[[0, 2]] = 0
+    torch.testing.assert_close(WAYS[way](a, weights)[1], with_gradient(a, weights)[1])
+
+
 @pytest.mark.parametrize("power", [-600, 600])
 def test_a_lost_rank_is_seen_at_any_scale(power):
     a, weights = random(4, 7), random(4, 4, seed=1).tril()

@@ -48,8 +48,8 @@ class Plan:
         self.many = bool(self.guarded) and not narrow
         self.frame = frame(self.book, self.before, self.steps, step.carried, ends, self.merged, self.many)
         self.unread = max(1, len({*self.frame.left.values()}))
-        size = 64 * (self.frame.own + self.unread)
-        self.packs = max(1, min(_PACKS, _BYTES // size)) if self.many else 1
+        room = _BYTES // 64 - (self.frame.size - self.frame.own)
+        self.packs = max(1, min(_PACKS, room // (self.frame.own + self.unread))) if self.many else 1
         always = (piece for piece in self.steps if piece.guard is None)
         self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
         self.next = {} if narrow else self._written_next()

@@ -83,25 +83,25 @@ def conditions(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> d
         if op == "select":
             mask, yes, no = args
             needed(mask, where)
-            needed(yes, where | _implied(book, mask, True))
-            needed(no, where | _implied(book, mask, False))
+            needed(yes, where | implied(book, mask, True))
+            needed(no, where | implied(book, mask, False))
         elif op in ("and", "or"):
             first, second = sorted(args)
             needed(first, where)
-            needed(second, where | _implied(book, first, op == "and"))
+            needed(second, where | implied(book, first, op == "and"))
         else:
             for arg in args:
                 needed(arg, where)
     return found
 
 
-def _implied(book: Expressions, number: int, value: bool) -> frozenset[Condition]:
+def implied(book: Expressions, number: int, value: bool) -> frozenset[Condition]:
     """What follows from the value of a truth value, itself included."""
     op, args = book.nodes[number]
     if op == "not":
-        return _implied(book, args[0], not value)
+        return implied(book, args[0], not value)
     parts = args if op == ("and" if value else "or") else ()
-    return frozenset({(number, value)}).union(*(_implied(book, i, value) for i in parts))
+    return frozenset({(number, value)}).union(*(implied(book, i, value) for i in parts))
 
 
 def regions(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -12,10 +12,12 @@ from torchfra.compiler.choices import with_choices_last
 from torchfra.compiler.divisions import with_quotients
 from torchfra.compiler.expressions import ZERO, Expressions
 from torchfra.compiler.instructions import Lanes
+from torchfra.compiler.masked import with_masked
 from torchfra.compiler.native import Native
 from torchfra.compiler.pages import PAST
 from torchfra.compiler.plan import Plan
 from torchfra.compiler.processor import lanes_of
+from torchfra.compiler.schedule import Condition, conditions, regions
 from torchfra.compiler.sharing import kernel, module
 from torchfra.compiler.statements import file, template
 from torchfra.compiler.tensor_entries import functions
@@ -61,6 +63,7 @@ class Scan:
         writes: what each step writes.
         backwards: from the last step to the first.
         dtype: of the arithmetic.
+        rare: conditions that few tracks meet: what is 0 unless they do is computed for those alone.
 
     The kernel reads ``carry`` and ``reads``, and writes ``after`` (once) and ``writes``, in this order.
     """
@@ -72,10 +75,17 @@ class Scan:
     writes: list[Port]
     backwards: bool = False
     dtype: torch.dtype = torch.float64
+    rare: Collection[Condition] = ()
 
     def live(self) -> list[int]:
         """The expressions that are needed, in an order in which they can be computed."""
         return self.book.needed([*self._carried().values(), *(i for port in self.writes for i in port.ids)])
+
+    def regions(self) -> set[Condition]:
+        """The conditions of what only some tracks need."""
+        live, ends = self.live(), [*self._carried().values(), *(i for port in self.writes for i in port.ids)]
+        guards = regions(self.book, live, conditions(self.book, live, ends)).values()
+        return {guard for guard in guards if guard is not None}
 
     def native(self, lanes: Lanes, name: str = "") -> Native:
         """The functions of a block of tracks, in instructions; their names begin with ``name``."""
@@ -118,11 +128,13 @@ class Scan:
     def step(self) -> Step:
         """The step as its writer needs it, without what it need not compute each time."""
         carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
-        live = self.live()
-        varying, stores, same = self._varying(live), self._stores(), self._same(live)
+        stores = self._stores()
+        written = [*self._carried().values(), *(i for i, _ in stores)]
+        book, live = with_masked(self.book, self.live(), self.rare, written)
+        varying, same = self._varying(book, live), self._same(live)
         carried = {i: j for i, j in self._carried().items() if i not in same}
         outputs = [*carried.values(), *(i for i, _ in stores)]
-        book, live = with_choices_last(*with_quotients(self.book, live, varying, outputs), varying, outputs)
+        book, live = with_choices_last(*with_quotients(book, live, varying, outputs), varying, outputs)
         return Step(
             book,
             live,
@@ -145,12 +157,12 @@ class Scan:
         others = {j: i for i, j in sorted(carried.items(), key=lambda pair: pair[0] in read)}
         return {i: others[j] for i, j in carried.items() if i not in read and others[j] != i}
 
-    def _varying(self, live: Sequence[int]) -> set[int]:
+    def _varying(self, book: Expressions, live: Sequence[int]) -> set[int]:
         """The expressions that change from step to step; all others are computed once, before the loop."""
         ports = [*self.carry, *(port for port in self.reads if port.timed)]
         varying = {i for port in ports for i in port.ids if i != ZERO}
         for number in live:
-            if varying.intersection(self.book.nodes[number][1]):
+            if varying.intersection(book.nodes[number][1]):
                 varying.add(number)
         return varying
 

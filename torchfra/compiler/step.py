@@ -208,6 +208,7 @@ class Step:
     def _adjoint(self, graded: Sequence[bool], needed: Sequence[str], book: Expressions, caller: Caller) -> Scan:
         trace = self._trace(self.zero, book, caller, differentiable=True)
         states = len(trace.before)
+        rare = self._scan(trace, _ports(trace.kept)).regions()
         after = carried(book, self.zero, self.dtype)
         kept = [x for x, wanted in zip(trace.kept, graded, strict=True) if wanted]
         grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
@@ -228,6 +229,7 @@ class Step:
             _ports(timed, timed=True),
             backwards=not self.last_first,
             dtype=self.dtype,
+            rare=rare,
         )
 
 

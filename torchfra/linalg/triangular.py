@@ -82,7 +82,7 @@ def _by_rows(a: Tensor) -> bool:
 def _triangularise(a: Tensor) -> Tensor:
     """The fastest of three ways to the same root of ``a``, whose first columns are zero."""
     if _by_rows(a):
-        return _orthogonalise(a)
+        return _orthogonalise(a)[0]
     if not is_traced(a):
         return _reflect(a)
     return -torch.linalg.qr(a.mT, mode="r").R.mT  # type: ignore[no-any-return]  # untyped in torch
@@ -93,9 +93,9 @@ _SMALL = 16
 
 
 @batchwise(2)
-def _orthogonalise(a: Tensor) -> Tensor:
-    """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections."""
-    columns, rest = [], a[..., a.shape[-2] :]
+def _orthogonalise(a: Tensor) -> tuple[Tensor, Tensor]:
+    """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections, and its ``Q^T``."""
+    columns, units, rest = [], [], a[..., a.shape[-2] :]
     for j in range(a.shape[-2]):  # of a tall matrix too: rows without length, as of missing elements, take no direction
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         norm = _norms(row)
@@ -103,7 +103,8 @@ def _orthogonalise(a: Tensor) -> Tensor:
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
-    return torch.cat(columns, -1)
+        units.append(pad(unit, (a.shape[-2], 0)))
+    return torch.cat(columns, -1), torch.cat(units, -2)
 
 
 def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -163,8 +164,8 @@ def _minus_lower(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 class _Tria(torch.autograd.Function):
     """``dL = B - L K`` with ``B = dA Q``, ``Q = A^T L^-T`` and K skew-symmetric, its upper part that of ``L^-1 B``.
 
-    K is the rotation of the columns of Q that keeps L triangular.  A zero pivot takes no part in it: there Q has a zero
-    column and K a zero row.
+    K is the rotation of the columns of Q that keeps L triangular.  A zero pivot takes no part in it: there K has a zero
+    row and a zero column, whatever the column of Q is.
     """
 
     generate_vmap_rule = True
@@ -183,7 +184,7 @@ class _Tria(torch.autograd.Function):
         root, q, nonzero = _pivoted(a, lower)
         grad = grad.tril() * nonzero.unsqueeze(-2)
         rotation = lower.mT @ grad
-        rotation = (rotation.mT - rotation).triu(1) * nonzero.unsqueeze(-1)
+        rotation = (rotation.mT - rotation).triu(1) * (nonzero.unsqueeze(-1) & nonzero.unsqueeze(-2))
         gradient: Tensor = (grad + torch.linalg.solve_triangular(root.mT, rotation, upper=True)) @ q
         return gradient, None
 
@@ -211,7 +212,9 @@ def _pivoted(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
     nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * lower.abs().sum(-1)  # not the norms, which take roots
     root = lower + torch.diag_embed((~nonzero).to(a.dtype))
-    return root, torch.linalg.solve_triangular(root, a, upper=False), nonzero
+    # A kernel has computed the rows of Q^T with L, and keeps each expression once.
+    q = _orthogonalise(a)[1] if is_elementary() else torch.linalg.solve_triangular(root, a, upper=False)
+    return root, q, nonzero
 
 
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:
