@@ -35,6 +35,18 @@ def test_a_target_that_moves_is_confirmed_and_a_buoy_is_not():
     assert ((plain.mean[:, -1, :2] - BUOY).norm(dim=-1) < 5.0).any()
 
 
+def test_a_boat_that_hardly_moves_between_scans_is_confirmed_all_the_same():
+    """At 1 m a scan, with kernels of 2 m, its last measurements explain the next: they are its own, and one thing."""
+    rng = torch.Generator().manual_seed(0)
+    boat = torch.tensor([[1.0 * k, 10.0] for k in range(40)]).double()
+    z = torch.stack([boat, BUOY.expand(40, 2)], 1) + 0.7 * torch.randn(40, 2, 2, generator=rng).double()
+    mean = manager(clutter_map=ClutterMap(2.0, seconds=30.0))(z).mean
+    assert len(mean) == 1
+    since = (~mean[0, :, 0].isnan()).nonzero()[0].item()
+    assert since < 15
+    torch.testing.assert_close(mean[0, since:, :2], boat[since:], atol=5.0, rtol=0)
+
+
 def test_scenes_side_by_side_have_maps_of_their_own():
     targets = manager(clutter_map=ClutterMap(2.0))
     both = targets(torch.stack([scans(1), scans(2)]))
@@ -133,4 +145,4 @@ def test_what_cannot_be_is_said(make, said):
 
 def test_without_a_map_a_state_holds_none():
     assert manager().init().clutter is None
-    assert len(tree.flatten(manager(clutter_map=ClutterMap()).init())) == len(tree.flatten(manager().init())) + 5
+    assert len(tree.flatten(manager(clutter_map=ClutterMap()).init())) == len(tree.flatten(manager().init())) + 10
