@@ -11,6 +11,8 @@ from torch import Tensor, nn
 from torchfra.numbers import as_number
 from torchfra.targets.state import Track, joined, rows
 
+FRAMES = "fixed", "platform"
+"""Where a map may stay: with the positions of targets, or with the sensors."""
 _LEAST = 0.01
 """Weight and probability below which a measurement is forgotten."""
 _REACH = 9.0
@@ -47,10 +49,12 @@ class Mapped(NamedTuple):
     """``(R, S)`` number of scans of each scene and sensor, each times its exponential decay since."""
     claimed: Claimed
     """Those of them that tentative targets have claimed."""
+    frame: Tensor
+    """``(1,)`` number of the frame of all positions in ``FRAMES``."""
 
 
 class ClutterMap(nn.Module):
-    """Learns on line, in a fixed frame, where false measurements recur.
+    """Learns on line where false measurements recur, in a fixed frame or around a platform that moves.
 
     The density of false measurements is the uniform one of a sensor's ``clutter``, and a kernel at each measurement of
     that sensor that was no confirmed target's, over the number of its scans.  It enters the scores of targets, and so
@@ -69,27 +73,32 @@ class ClutterMap(nn.Module):
             kernels confirm sooner what moves, and after some tens of scans what stays too.
         seconds: after which a measurement counts for ``1 / e``.
         scans: number of scans without any measurement with which the map begins: the more, the slower it learns.
+        frame: ``"fixed"`` for what stays where it is, such as land; ``"platform"`` for what goes with the sensors, such
+            as echoes of the own mast or wake: positions are then relative to the first ``dims`` entries of ``u``.
 
     Raises:
-        ValueError: a value that is not finite and above 0.
+        ValueError: a value that is not finite and above 0, or another frame.
 
     Source: Musicki, Suvorova, Morelande & Moran (2005), "Clutter map and target tracking".  Differs: kernels at the
     measurements for cells of a grid; forgetting by the time; what a tentative target has claimed.
     """
 
-    def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0) -> None:
+    def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0, *, frame: str = "fixed") -> None:
         super().__init__()
         for name, value in (("size", size), ("seconds", seconds), ("scans", scans)):
             if not 0 < as_number(value) < math.inf:
                 raise ValueError(f"{name}: expected a finite number above 0, received {value}")
-        self.size, self.seconds, self.scans = float(size), float(seconds), float(scans)
+        if frame not in FRAMES:
+            raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, received {frame!r}")
+        self.size, self.seconds, self.scans, self.frame = float(size), float(seconds), float(scans), frame
 
     def begin(self, scenes: int, sensors: int, position: Tensor) -> Mapped:
         """An empty map; ``position (0, dims)`` sets the dimensions and the dtype."""
         none = torch.zeros(0, dtype=torch.int64, device=position.device)
         weight = position.new_zeros(0)
         claimed = Claimed(position, weight, none, none, none)
-        return Mapped(position, weight, none, none, position.new_zeros(scenes, sensors), claimed)
+        frame = torch.tensor([FRAMES.index(self.frame)], device=position.device)
+        return Mapped(position, weight, none, none, position.new_zeros(scenes, sensors), claimed, frame)
 
     def aged(self, mapped: Mapped, dt: Tensor) -> Mapped:
         """The map ``dt (R,)`` seconds later, without measurements whose weight is less than 1 % by then."""
@@ -98,7 +107,28 @@ class ClutterMap(nn.Module):
         claimed = rows(claimed, claimed.weight > _LEAST)
         mapped = mapped._replace(weight=mapped.weight * left[mapped.scene], scans=mapped.scans * left.unsqueeze(-1))
         position, weight, scene, sensor = rows(mapped[:4], mapped.weight > _LEAST)
-        return Mapped(position, weight, scene, sensor, mapped.scans, claimed)
+        return mapped._replace(position=position, weight=weight, scene=scene, sensor=sensor, claimed=claimed)
+
+    def placed(self, position: Tensor, u: Tensor | None) -> Tensor:
+        """Positions ``(L, dims)`` in the map's frame; ``u (L, k)`` is that of their scans."""
+        if self.frame == "fixed":
+            return position
+        assert u is not None  # as checked before
+        return position - u[:, : position.shape[-1]]
+
+    def check(self, mapped: Mapped, u: Tensor | None, dims: int) -> None:
+        """Checks that a map is of this frame, and that a scan has the place of the platform if it needs it.
+
+        Raises:
+            ValueError: it does not.
+        """
+        if FRAMES[int(mapped.frame)] != self.frame:
+            received = FRAMES[int(mapped.frame)]
+            raise ValueError(f"state: expected a map of clutter in the frame {self.frame!r}, received {received!r}")
+        if self.frame == "platform" and (u is None or u.shape[-1] < dims):
+            received = "none" if u is None else f"{u.shape[-1]} numbers"
+            expected = f"the place of the platform, {dims} numbers, as its map of clutter needs"
+            raise ValueError(f"u: expected {expected}, received {received}")
 
     def density(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int) -> Tensor:
         """Density ``(L,)`` of a sensor's false measurements above the uniform one, per scan, in 1 / m^dims.
@@ -166,7 +196,7 @@ class ClutterMap(nn.Module):
         """
         number = torch.full_like(scene, sensor)
         free = (1 - (association * track.confirmed.unsqueeze(-1)).sum(0)).clamp(0.0, 1.0)
-        new = Mapped(position, free, scene, number, mapped.scans[:0], rows(mapped.claimed, slice(0)))
+        new = Mapped(position, free, scene, number, mapped.scans[:0], rows(mapped.claimed, slice(0)), mapped.frame[:0])
         both: Mapped = joined(mapped, new)
         there = torch.isin(*(x.identity * len(mapped.scans) + x.scene for x in (mapped.claimed, track)))
         i, j = ((association > _LEAST) & ~track.confirmed.unsqueeze(-1)).nonzero().unbind(-1)
@@ -177,7 +207,7 @@ class ClutterMap(nn.Module):
 
     def extra_repr(self) -> str:
         """Its arguments."""
-        return f"size={self.size:g}, seconds={self.seconds:g}, scans={self.scans:g}"
+        return f"size={self.size:g}, seconds={self.seconds:g}, scans={self.scans:g}, frame={self.frame!r}"
 
 
 def _ranges(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:

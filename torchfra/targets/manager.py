@@ -219,6 +219,8 @@ class Targets(nn.Module):
             sensors = state.track.visible.shape[-1]
             raise ValueError(f"state: expected one of {1 + len(self.sensors)} sensors, received one of {sensors}")
         check_place(self.views.get(sensor), scan.u, filter.motion.dims)
+        if self.clutter_map is not None:
+            self.clutter_map.check(state.clutter, scan.u, filter.motion.dims)
         if bool((scan.dt < 0).any()):
             return put_in(self._step, filter.motion, state, scan, sensor)
         now = state._replace(past=())
@@ -239,6 +241,8 @@ class Targets(nn.Module):
         scans = check_scans(self.filter, z, dt, u)
         check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []
+        if self.clutter_map is not None:
+            self.clutter_map.check(state.clutter, scans[0].u, self.filter.motion.dims)
         for scan in scans:
             state = self._step(state, scan, None)
             states.append(state)
@@ -348,6 +352,7 @@ class Targets(nn.Module):
         mapped, excess = clutter_map.aged(state.clutter, scan.dt), scan.z.new_zeros(scan.z.shape[:2])
         if not (filter.sensor.locates and filter.sensor.measures_each_direction):
             return excess, torch.zeros_like(track.score), mapped
+        position = clutter_map.placed(position, None if scan.u is None else scan.u[scene])
         scale = torch.exp(-filter.clutter.in_space(scan.z[scene, j], filter.sensor))
         density = clutter_map.density(mapped, position, scene, sensor)
         excess = excess.index_put((scene, j), torch.log1p(density * scale))
