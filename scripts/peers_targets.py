@@ -6,15 +6,16 @@
     python scripts/peers_targets.py --trackers srckf --hull 60 --link 50 --seed 6 --runs 3
     python scripts/peers_targets.py --trackers srckf --hidden 12 --stitch 20 100 --seed 6 --runs 10
     python scripts/peers_targets.py --trackers srckf --hidden 12 --confirmation existence --misses 0 --visible 60 10
+    python scripts/peers_targets.py --trackers srckf --buoys 15 --map 10 60 --birth one --seed 6 --runs 3
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
 torchfra's also when its score has fallen by the log of 1e-4, or with ``--misses 0`` by its confirmation alone; none is
 told how many there are.  Prints for each tracker
 GOSPA (cutoff 100 m, mean over scans and runs) with the parts of its square, how often a target's track became another
-one and how often a target was lost and found again per run, and milliseconds of the processor per scan, which others
-on the machine disturb least.  Each tracker of
-Stone Soup runs in a process of its own, one after the other.
+one, how often a target was lost and found again and how many tracks were of no target per run, and milliseconds of the
+processor per scan, which others on the machine disturb least.  Each tracker of Stone Soup runs in a process of its own,
+one after the other.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from torchfra.running.atomic_write import write_json
 from torchfra.running.versions import versions
 from torchfra.sensors import Position
 from torchfra.tables import text_table
-from torchfra.targets import SPRT, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint, Visibility
+from torchfra.targets import SPRT, ClutterMap, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint, Visibility
 
 WORKER = Path(__file__).parent / "benchmarks" / "stone_soup.py"
 Q, STD, SPEED, DETECTION, GATE, SIDE = 0.5, 10.0, 15.0, 0.95, 0.999, 2000.0
@@ -86,6 +87,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--hull", type=float, default=0.0, metavar="METRES", help="a target that is measured has four "
                    "detections, anywhere along a hull of that length (default: one, at its place)")  # fmt: skip
     p.add_argument("--link", type=float, metavar="METRES", help="link detections of torchfra's scans up to so far")
+    p.add_argument("--buoys", type=int, default=0, help="things that stay and are measured like targets (default: 0)")
+    p.add_argument("--map", type=float, nargs=2, metavar=("METRES", "SECONDS"), help="a map of clutter with kernels of "
+                   "that size, of torchfra's (default: none)")  # fmt: skip
     p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
     add_json_option(p)
     return p
@@ -106,7 +110,9 @@ def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse
         p.error(f"--hull: expected finite metres of 0 or more, received {options.hull}")
     if options.link is not None and not 0 < options.link < math.inf:
         p.error(f"--link: expected finite metres above 0, received {options.link}")
-    for name in ("stitch", "visible"):
+    if options.buoys < 0:
+        p.error(f"--buoys: expected 0 or more, received {options.buoys}")
+    for name in ("stitch", "visible", "map"):
         if getattr(options, name) is not None and min(getattr(options, name)) <= 0:
             p.error(f"--{name}: expected numbers above 0, received {getattr(options, name)}")
     if options.misses < 0 or (options.misses == 0 and options.confirmation != "existence"):
@@ -159,6 +165,11 @@ def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
     number = rng.poisson(options.clutter, (runs, steps, 1))
     false = rng.uniform(0, SIDE, (runs, steps, number.max(), 2))
     false[np.arange(number.max()) >= number] = np.nan
+    if options.buoys:
+        buoys = rng.uniform(0, SIDE, (runs, 1, options.buoys, 2))
+        buoys = buoys + STD * rng.standard_normal((runs, steps, options.buoys, 2))
+        buoys[rng.random(buoys.shape[:-1]) >= DETECTION] = np.nan
+        false = np.concatenate([false, buoys], 2)
     return torch.from_numpy(truth), torch.from_numpy(np.concatenate([own.swapaxes(1, 2), false], 2))
 
 
@@ -176,6 +187,7 @@ def tracker(name: str, options: argparse.Namespace) -> Targets:
         deletion=Deletion(options.misses, drop=1e-4) if options.misses else None,
         visibility=None if options.visible is None else {None: Visibility(*options.visible)},
         stitching=None if options.stitch is None else Stitching(*options.stitch),
+        clutter_map=None if options.map is None else ClutterMap(*options.map),
         linkage=None if options.link is None else {None: options.link},
     )  # fmt: skip
 
@@ -220,13 +232,15 @@ def scored(name: str, found: list[Tensor], seconds: list[float], truth: Tensor) 
         for part, power in (("distance", 1), ("localisation", 2), ("missed", 2), ("false", 2))
     )
     lives = [metrics.lives(mean, run, position, cutoff=CUTOFF) for mean, run in zip(found, truth, strict=True)]
-    switches, breaks = (
-        statistics.mean(float(getattr(life, part).sum()) for life in lives) for part in ("switches", "breaks")
+    switches, breaks, false_tracks = (
+        statistics.mean(float(getattr(life, part).sum()) for life in lives)
+        for part in ("switches", "breaks", "false_tracks")
     )
     return {
         "tracker": name, "gospa_m": distance,
         **dict(zip(("localisation_m2", "missed_m2", "false_m2"), squares, strict=True)),
-        "switches": switches, "breaks": breaks, "ms_per_scan": 1000 * statistics.median(seconds) / scans,
+        "switches": switches, "breaks": breaks, "false_tracks": false_tracks,
+        "ms_per_scan": 1000 * statistics.median(seconds) / scans,
     }  # fmt: skip
 
 

@@ -35,6 +35,29 @@ def test_a_target_that_moves_is_confirmed_and_a_buoy_is_not():
     assert ((plain.mean[:, -1, :2] - BUOY).norm(dim=-1) < 5.0).any()
 
 
+def test_a_boat_that_hardly_moves_between_scans_is_confirmed_all_the_same():
+    """At 1 m a scan, with kernels of 2 m, its last measurements explain the next: they are its own, and one thing."""
+    rng = torch.Generator().manual_seed(0)
+    boat = torch.tensor([[1.0 * k, 10.0] for k in range(40)]).double()
+    z = torch.stack([boat, BUOY.expand(40, 2)], 1) + 0.7 * torch.randn(40, 2, 2, generator=rng).double()
+    mean = manager(clutter_map=ClutterMap(2.0, seconds=30.0))(z).mean
+    assert len(mean) == 1
+    since = (~mean[0, :, 0].isnan()).nonzero()[0].item()
+    assert since < 15
+    torch.testing.assert_close(mean[0, since:, :2], boat[since:], atol=5.0, rtol=0)
+
+
+def test_what_goes_with_the_platform_is_clutter_in_the_frame_of_the_platform():
+    rng = torch.Generator().manual_seed(1)
+    ferry = torch.tensor([[6.0 * k - 100.0, 30.0] for k in range(30)]).double()
+    z = ferry.unsqueeze(1) + torch.tensor([[12.0, -5.0]]).double() + torch.randn(30, 1, 2, generator=rng).double()
+    found = {
+        frame: manager(clutter_map=ClutterMap(2.0, frame=frame))(z, u=ferry).mean for frame in ("fixed", "platform")
+    }
+    assert len(found["fixed"]) == 1
+    assert len(found["platform"]) == 0
+
+
 def test_scenes_side_by_side_have_maps_of_their_own():
     targets = manager(clutter_map=ClutterMap(2.0))
     both = targets(torch.stack([scans(1), scans(2)]))
@@ -109,6 +132,17 @@ def test_bearings_alone_say_more_of_targets_and_begin_none():
     [
         (lambda: ClutterMap(0.0), "size: expected a finite number above 0, received 0.0"),
         (lambda: ClutterMap(seconds=float("inf")), "seconds: expected a finite number above 0, received inf"),
+        (lambda: ClutterMap(frame="boat"), "frame: expected one of fixed, platform, received 'boat'"),
+        (
+            lambda: manager(clutter_map=ClutterMap(frame="platform"))(scans(0)),
+            "u: expected the place of the platform, 2 numbers, as its map of clutter needs, received none",
+        ),
+        (
+            lambda: manager(clutter_map=ClutterMap()).step(
+                manager(clutter_map=ClutterMap(frame="platform")).init(), scans(0)[0]
+            ),
+            "state: expected a map of clutter in the frame 'fixed', received 'platform'",
+        ),
         (lambda: manager(clutter_map=3.0), "clutter_map: expected a ClutterMap of torchfra.targets, received float"),
         (lambda: FieldOfView(10.0, nearest=20.0), "expected 0 <= nearest < farthest, received 20.0, 10.0"),
         (lambda: FieldOfView(10.0, place=[0.0, float("nan")]), r"place: expected \(dims,\) finite metres"),
@@ -133,4 +167,4 @@ def test_what_cannot_be_is_said(make, said):
 
 def test_without_a_map_a_state_holds_none():
     assert manager().init().clutter is None
-    assert len(tree.flatten(manager(clutter_map=ClutterMap()).init())) == len(tree.flatten(manager().init())) + 5
+    assert len(tree.flatten(manager(clutter_map=ClutterMap()).init())) == len(tree.flatten(manager().init())) + 11

@@ -33,7 +33,7 @@ def numbers(pattern, text):
 
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 17)]
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 18)]
     assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -209,3 +209,12 @@ def test_who_knows_the_road_knows_better_where_cars_are(capsys):
     assert plain_road < 0.85 * plain
     assert robust_road < 0.85 * robust
     assert 0.7 < numbers(r"dimension +([\d.]+)", text)[-1] < 1.7
+
+
+def test_every_sensor_of_the_harbour_brings_the_boats_nearer(capsys):
+    load("17_a_harbour").main(["--seed", "0"])
+    text = capsys.readouterr().out
+    radar, with_lidar, with_camera = numbers(r"GOSPA ([\d.]+) m", text)
+    assert with_camera < with_lidar < radar < 10.0
+    assert numbers(r"(\d+) false tracks", text) == [0, 0, 0]
+    assert min(numbers(r"followed (\d+) %", text)) > 70

@@ -47,6 +47,7 @@ def manage(
     number, shown = 0, []
     waiting: dict[int, list[Free]] = {0: [], 1: []}  # of each sensor, measurements from which targets may begin
     seen: list[tuple[Array, float, int]] = []  # of the map: a position, its weight, the sensor
+    claims: list[tuple[Array, float, int, Target]] = []  # of the map: what a target has claimed while it was tentative
     counted = [0.0, 0.0]  # scans of each sensor
     over: list[Target] = []  # confirmed targets that were deleted
     for z, look in zip(scans, looks or [{}] * len(scans), strict=True):
@@ -64,6 +65,7 @@ def manage(
                 if nis <= limit:
                     likelihood[j, t] = math.exp(-nis / 2) / (2 * math.pi * math.sqrt(np.linalg.det(S)))
         excess, sensor, false = np.zeros(len(z)), look.get("sensor", 0), np.full(len(z), density)
+        explained = np.zeros(len(targets))
         for s, chain in hide.items():
             for target in targets:
                 target.visible[s] = reached(target.visible[s], dt, **chain)
@@ -87,14 +89,25 @@ def manage(
         if clutter_map is not None:
             left = math.exp(-dt / clutter_map["seconds"])
             seen, counted = [(x, w * left, s) for x, w, s in seen if w * left > 0.01], [n * left for n in counted]
+            claims = [(x, w * left, s, t) for x, w, s, t in claims if w * left > 0.01]
+            size, scans_of = clutter_map["size"], clutter_map["scans"] + counted[sensor]
             for j in range(len(z)):
-                size = clutter_map["size"]
-                of_sensor = [(x, w) for x, w, s in seen if s == sensor]
-                kernels = sum(w * math.exp(-sum((z[j] - x) ** 2) / (2 * size**2)) for x, w in of_sensor)
-                mapped = kernels / (2 * math.pi * size**2) / (clutter_map["scans"] + counted[sensor])
-                excess[j] = math.log((density + mapped) / density)
+                everything = sum(w * kernel(z[j] - x, size) for x, w, s in seen if s == sensor)
+                excess[j] = math.log((density + everything / scans_of) / density)
+                for t, target in enumerate(targets):
+                    own = [(x, w) for x, w, s, of in claims if s == sensor and of is target]
+                    whole = sum(w for _, w in own)
+                    single = whole * kernel(z[j] - sum(w * x for x, w in own) / whole, size) if own else 0.0
+                    others = everything - sum(w * kernel(z[j] - x, size) for x, w in own)
+                    explained[t] += beta[j, t] * math.log((density + (others + single) / scans_of) / density)
             free_of = [1 - sum(beta[j, t] for t, x in enumerate(targets) if x.confirmed) for j in range(len(z))]
             seen += [(z[j], free_of[j], sensor) for j in range(len(z))]
+            claims += [
+                (z[j], min(beta[j, t], free_of[j]), sensor, target)
+                for j in range(len(z))
+                for t, target in enumerate(targets)
+                if beta[j, t] > 0.01 and not target.confirmed
+            ]
             counted[sensor] += 1
         for t, target in enumerate(targets):
             update(target, z, beta[:, t], missed[t], H, R)
@@ -102,7 +115,7 @@ def manage(
             target.since, target.lived = 0.0 if hit else target.since + dt, target.lived + dt
             if "farthest" in look and not hit and np.linalg.norm(target.mean[:2] - look["place"]) > look["farthest"]:
                 continue
-            target.score, target.visible[sensor] = score - beta[:, t] @ excess, 1 - hidden[t]
+            target.score, target.visible[sensor] = score - explained[t], 1 - hidden[t]
             target.best = max(target.best, target.score)
             target.hits.append(hit)
         claimed = beta
@@ -131,6 +144,11 @@ def manage(
             targets, over = stitched(targets, over, found, q, stitch)
         shown.append([replace(t, hits=list(t.hits), visible=list(t.visible)) for t in targets])
     return shown
+
+
+def kernel(gap: Array, size: float) -> float:
+    """The normal density in the plane."""
+    return math.exp(-(gap @ gap) / (2 * size**2)) / (2 * math.pi * size**2)
 
 
 def reached(visible: float, dt: float, seen: float, hidden: float) -> float:

@@ -9,10 +9,29 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.numbers import as_number
-from torchfra.targets.state import joined, rows
+from torchfra.targets.state import Track, joined, rows
 
+FRAMES = "fixed", "platform"
+"""Where a map may stay: with the positions of targets, or with the sensors."""
+_LEAST = 0.01
+"""Weight and probability below which a measurement is forgotten."""
 _REACH = 9.0
 """Radius of a kernel, in standard deviations: its values beyond are less than rounding."""
+
+
+class Claimed(NamedTuple):
+    """``(K,)`` past measurements that targets have claimed while they were tentative."""
+
+    position: Tensor
+    """``(K, dims)`` positions, m."""
+    weight: Tensor
+    """``(K,)`` probability that each was the target's, times its exponential decay since."""
+    scene: Tensor
+    """``(K,)`` number of the scene."""
+    sensor: Tensor
+    """``(K,)`` number of the sensor."""
+    identity: Tensor
+    """``(K,)`` of the target."""
 
 
 class Mapped(NamedTuple):
@@ -28,75 +47,143 @@ class Mapped(NamedTuple):
     """``(K,)`` number of the sensor; 0 for the filter's own."""
     scans: Tensor
     """``(R, S)`` number of scans of each scene and sensor, each times its exponential decay since."""
+    claimed: Claimed
+    """Those of them that tentative targets have claimed."""
+    frame: Tensor
+    """``(1,)`` number of the frame of all positions in ``FRAMES``."""
 
 
 class ClutterMap(nn.Module):
-    """Learns on line, in a fixed frame, where false measurements recur.
+    """Learns on line where false measurements recur, in a fixed frame or around a platform that moves.
 
     The density of false measurements is the uniform one of a sensor's ``clutter``, and a kernel at each measurement of
     that sensor that was no confirmed target's, over the number of its scans.  It enters the scores of targets, and so
     their confirmation and deletion: what stays where it is, is explained by the map as well as by a target, and is not
     confirmed; what moves leaves its own measurements behind.  Which measurement is whose is decided without the map.
 
+    Measurements that a tentative target has claimed itself are to that target no cloud of clutter, but one thing that
+    stays: one kernel at their mean.  With the weight ``w_k`` of measurement ``z_k``, of which the target has claimed
+    ``w_ik``, and the number of scans ``n``, the density that it is scored against is::
+
+        W_i = sum_k w_ik,    m_i = sum_k w_ik z_k / W_i
+        density_i(z) = uniform + [sum_k (w_k - w_ik) N(z; z_k, size^2 I) + W_i N(z; m_i, size^2 I)] / (scans + n)
+
     Args:
         size: standard deviation of a kernel in each direction, m: that of a measured position as it is stated.  Wider
             kernels confirm sooner what moves, and after some tens of scans what stays too.
         seconds: after which a measurement counts for ``1 / e``.
         scans: number of scans without any measurement with which the map begins: the more, the slower it learns.
+        frame: ``"fixed"`` for what stays where it is, such as land; ``"platform"`` for what goes with the sensors, such
+            as echoes of the own mast or wake: positions are then relative to the first ``dims`` entries of ``u``.
 
     Raises:
-        ValueError: a value that is not finite and above 0.
+        ValueError: a value that is not finite and above 0, or another frame.
 
     Source: Musicki, Suvorova, Morelande & Moran (2005), "Clutter map and target tracking".  Differs: kernels at the
-    measurements for cells of a grid; forgetting by the time.
+    measurements for cells of a grid; forgetting by the time; what a tentative target has claimed.
     """
 
-    def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0) -> None:
+    def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0, *, frame: str = "fixed") -> None:
         super().__init__()
         for name, value in (("size", size), ("seconds", seconds), ("scans", scans)):
             if not 0 < as_number(value) < math.inf:
                 raise ValueError(f"{name}: expected a finite number above 0, received {value}")
-        self.size, self.seconds, self.scans = float(size), float(seconds), float(scans)
+        if frame not in FRAMES:
+            raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, received {frame!r}")
+        self.size, self.seconds, self.scans, self.frame = float(size), float(seconds), float(scans), frame
 
     def begin(self, scenes: int, sensors: int, position: Tensor) -> Mapped:
         """An empty map; ``position (0, dims)`` sets the dimensions and the dtype."""
         none = torch.zeros(0, dtype=torch.int64, device=position.device)
-        return Mapped(position, position.new_zeros(0), none, none, position.new_zeros(scenes, sensors))
+        weight = position.new_zeros(0)
+        claimed = Claimed(position, weight, none, none, none)
+        frame = torch.tensor([FRAMES.index(self.frame)], device=position.device)
+        return Mapped(position, weight, none, none, position.new_zeros(scenes, sensors), claimed, frame)
 
     def aged(self, mapped: Mapped, dt: Tensor) -> Mapped:
         """The map ``dt (R,)`` seconds later, without measurements whose weight is less than 1 % by then."""
         left = torch.exp(-dt / self.seconds)
+        claimed = mapped.claimed._replace(weight=mapped.claimed.weight * left[mapped.claimed.scene])
+        claimed = rows(claimed, claimed.weight > _LEAST)
         mapped = mapped._replace(weight=mapped.weight * left[mapped.scene], scans=mapped.scans * left.unsqueeze(-1))
-        position, weight, scene, sensor = rows(mapped[:4], mapped.weight > 0.01)
-        return Mapped(position, weight, scene, sensor, mapped.scans)
+        position, weight, scene, sensor = rows(mapped[:4], mapped.weight > _LEAST)
+        return mapped._replace(position=position, weight=weight, scene=scene, sensor=sensor, claimed=claimed)
 
-    def log_excess(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, log_uniform: Tensor) -> Tensor:
-        """Log ``(L,)`` of a sensor's density of false measurements at positions ``(L, dims)`` over its uniform one.
+    def placed(self, position: Tensor, u: Tensor | None) -> Tensor:
+        """Positions ``(L, dims)`` in the map's frame; ``u (L, k)`` is that of their scans."""
+        if self.frame == "fixed":
+            return position
+        assert u is not None  # as checked before
+        return position - u[:, : position.shape[-1]]
+
+    def check(self, mapped: Mapped, u: Tensor | None, dims: int) -> None:
+        """Checks that a map is of this frame, and that a scan has the place of the platform if it needs it.
+
+        Raises:
+            ValueError: it does not.
+        """
+        if FRAMES[int(mapped.frame)] != self.frame:
+            received = FRAMES[int(mapped.frame)]
+            raise ValueError(f"state: expected a map of clutter in the frame {self.frame!r}, received {received!r}")
+        if self.frame == "platform" and (u is None or u.shape[-1] < dims):
+            received = "none" if u is None else f"{u.shape[-1]} numbers"
+            expected = f"the place of the platform, {dims} numbers, as its map of clutter needs"
+            raise ValueError(f"u: expected {expected}, received {received}")
+
+    def density(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int) -> Tensor:
+        """Density ``(L,)`` of a sensor's false measurements above the uniform one, per scan, in 1 / m^dims.
 
         Args:
             mapped: the map.
-            position: m.
+            position: ``(L, dims)`` m.
             scene: ``(L,)``.
             sensor: number.
-            log_uniform: ``(L,)`` log of the uniform density per scan, in 1 / m^dims.
         """
         place, weight, of = rows(mapped[:3], mapped.sensor == sensor)
-        query, near = self._near(position[:, 0], place[:, 0])
-        squared = (position[query] - place[near]).square().sum(-1) / self.size**2
-        kernel = torch.exp(-0.5 * squared) / (self.size * math.sqrt(2 * math.pi)) ** position.shape[-1]
+        ordered, order = place[:, 0].sort()
+        low, high = (torch.searchsorted(ordered, position[:, 0] + side * _REACH * self.size) for side in (-1, 1))
+        query, near = _ranges(low, high)
+        near = order[near]
+        kernel = self._kernel(position[query] - place[near])
         kernel = torch.where(scene[query] == of[near], weight[near] * kernel, 0.0)
-        there = position.new_zeros(len(position)).index_add(0, query, kernel)
-        return torch.log1p(there / (self.scans + mapped.scans[scene, sensor]) * torch.exp(-log_uniform))
+        return self._per_scan(mapped, scene, sensor, position.new_zeros(len(position)).index_add(0, query, kernel))
 
-    def _near(self, at: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-        """Indices of pairs of a coordinate ``at (L,)`` and one of ``places (K,)`` that are within a kernel's radius."""
-        ordered, order = places.sort()
-        low, high = (torch.searchsorted(ordered, at + side * _REACH * self.size) for side in (-1, 1))
-        count = high - low
-        query = torch.arange(len(at), device=at.device).repeat_interleave(count)
-        return query, order[low[query] + torch.arange(len(query), device=at.device) - (count.cumsum(0) - count)[query]]
+    def correction(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, identity: Tensor) -> Tensor:
+        """What is added ``(P,)`` to the density for a target, whose own measurements are one thing that stays.
 
-    def learned(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, free: Tensor) -> Mapped:
+        Args:
+            mapped: the map.
+            position: ``(P, dims)`` m.
+            scene: ``(P,)``.
+            sensor: number.
+            identity: ``(P,)`` of the target.
+        """
+        own = rows(mapped.claimed, mapped.claimed.sensor == sensor)
+        scenes = len(mapped.scans)
+        ordered, order = (own.identity * scenes + own.scene).sort()
+        key = identity * scenes + scene
+        low, high = (torch.searchsorted(ordered, key, right=right) for right in (False, True))
+        query, member = _ranges(low, high)
+        place, weight = rows(own[:2], order[member])
+        nothing = position.new_zeros(len(position))
+        cloud = nothing.index_add(0, query, weight * self._kernel(position[query] - place))
+        whole = nothing.index_add(0, query, weight)
+        mean = torch.zeros_like(position).index_add(0, query, weight.unsqueeze(-1) * place)
+        mean = mean / torch.where(whole > 0, whole, 1.0).unsqueeze(-1)
+        return self._per_scan(mapped, scene, sensor, whole * self._kernel(position - mean) - cloud)
+
+    def _kernel(self, gap: Tensor) -> Tensor:
+        """The normal density ``(...)`` of a gap ``(..., dims)``."""
+        squared = (gap / self.size).square().sum(-1)
+        return torch.exp(-0.5 * squared) / (self.size * math.sqrt(2 * math.pi)) ** gap.shape[-1]
+
+    def _per_scan(self, mapped: Mapped, scene: Tensor, sensor: int, kernels: Tensor) -> Tensor:
+        """Sums of kernels ``(...)`` over the number of scans."""
+        return kernels / (self.scans + mapped.scans[scene, sensor])
+
+    def learned(
+        self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, association: Tensor, track: Track
+    ) -> Mapped:
         """The map after a scan of a sensor in every scene.
 
         Args:
@@ -104,13 +191,27 @@ class ClutterMap(nn.Module):
             position: ``(L, dims)`` positions of its measurements, m.
             scene: ``(L,)``.
             sensor: number.
-            free: ``(L,)`` probability that each was no confirmed target's.
+            association: ``(N, L)`` probability that each is a target's.
+            track: of the targets ``(N,)``.
         """
-        now = torch.nn.functional.one_hot(torch.tensor(sensor), mapped.scans.shape[1]).to(mapped.scans)
-        new = Mapped(position, free.clamp(0.0, 1.0), scene, torch.full_like(scene, sensor), mapped.scans[:0])
+        number = torch.full_like(scene, sensor)
+        free = (1 - (association * track.confirmed.unsqueeze(-1)).sum(0)).clamp(0.0, 1.0)
+        new = Mapped(position, free, scene, number, mapped.scans[:0], rows(mapped.claimed, slice(0)), mapped.frame[:0])
         both: Mapped = joined(mapped, new)
-        return both._replace(scans=mapped.scans + now)
+        there = torch.isin(*(x.identity * len(mapped.scans) + x.scene for x in (mapped.claimed, track)))
+        i, j = ((association > _LEAST) & ~track.confirmed.unsqueeze(-1)).nonzero().unbind(-1)
+        share = torch.minimum(association[i, j], free[j])
+        more = Claimed(position[j], share, scene[j], number[j], track.identity[i])
+        now = torch.nn.functional.one_hot(torch.tensor(sensor), mapped.scans.shape[1]).to(mapped.scans)
+        return both._replace(scans=mapped.scans + now, claimed=joined(rows(mapped.claimed, there), more))
 
     def extra_repr(self) -> str:
         """Its arguments."""
-        return f"size={self.size:g}, seconds={self.seconds:g}, scans={self.scans:g}"
+        return f"size={self.size:g}, seconds={self.seconds:g}, scans={self.scans:g}, frame={self.frame!r}"
+
+
+def _ranges(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
+    """Numbers of all pairs of a query ``(L,)`` and one of the sorted rows from its ``low`` to below its ``high``."""
+    count = high - low
+    query = torch.arange(len(low), device=low.device).repeat_interleave(count)
+    return query, low[query] + torch.arange(len(query), device=low.device) - (count.cumsum(0) - count)[query]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.motion.base import Motion
 from torchfra.targets.assignment import assigned, chi_square, squared_distance
+from torchfra.targets.clutter_map import Claimed
 from torchfra.targets.scan import SceneScan
 from torchfra.targets.state import Ended, TargetsState, Track, rows
 
@@ -108,9 +109,12 @@ def _among(track: Track, others: Track | Ended) -> Tensor:
 def _renamed(state: TargetsState, scene: Tensor, new: Tensor, old: Tensor) -> TargetsState:
     """The state with old identities for new ones."""
 
-    def name(of: Track | Ended) -> Tensor:
+    def name(of: Track | Ended | Claimed) -> Tensor:
         same = (of.scene[:, None] == scene) & (of.identity[:, None] == new)
         return torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, of.identity)
 
     ended = None if state.ended is None else state.ended._replace(identity=name(state.ended))
-    return state._replace(track=state.track._replace(identity=name(state.track)), ended=ended)
+    clutter = state.clutter
+    if clutter is not None:
+        clutter = clutter._replace(claimed=clutter.claimed._replace(identity=name(clutter.claimed)))
+    return state._replace(track=state.track._replace(identity=name(state.track)), ended=ended, clutter=clutter)

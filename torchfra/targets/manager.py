@@ -34,7 +34,7 @@ from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.targets.visibility import Visibility, check_visibility
 from torchfra.types import Gaussian
 
-FORMAT = 2
+FORMAT = 3
 """Version of saved states."""
 
 
@@ -219,6 +219,8 @@ class Targets(nn.Module):
             sensors = state.track.visible.shape[-1]
             raise ValueError(f"state: expected one of {1 + len(self.sensors)} sensors, received one of {sensors}")
         check_place(self.views.get(sensor), scan.u, filter.motion.dims)
+        if self.clutter_map is not None:
+            self.clutter_map.check(state.clutter, scan.u, filter.motion.dims)
         if bool((scan.dt < 0).any()):
             return put_in(self._step, filter.motion, state, scan, sensor)
         now = state._replace(past=())
@@ -239,6 +241,8 @@ class Targets(nn.Module):
         scans = check_scans(self.filter, z, dt, u)
         check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []
+        if self.clutter_map is not None:
+            self.clutter_map.check(state.clutter, scans[0].u, self.filter.motion.dims)
         for scan in scans:
             state = self._step(state, scan, None)
             states.append(state)
@@ -265,8 +269,8 @@ class Targets(nn.Module):
         gained = (miss if seen is None else log_unseen(miss, seen)) - log_missed
         located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
-            excess, mapped = self._mapped(state, scan, filter, number, located, association)
-            gained = gained - (association * excess[scene]).sum(-1)
+            excess, explained, mapped = self._mapped(state, scan, filter, number, located, association)
+            gained = gained - explained
         track = _aged(state.track, log_missed, density, gained, scan.dt[scene])
         if self.visibility is not None and track.visible is not None:
             track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
@@ -337,18 +341,27 @@ class Targets(nn.Module):
     @torch.no_grad()
     def _mapped(
         self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: int, located: Located, association: Tensor
-    ) -> tuple[Tensor, Mapped]:
-        """Log ``(R, J)`` of the density of false measurements over the uniform one, and the next state of the map."""
-        clutter_map, (position, scene, j) = self.clutter_map, located
+    ) -> tuple[Tensor, Tensor, Mapped]:
+        """Log ``(R, J)`` of the density of false measurements over the uniform one, and the next state of the map.
+
+        Between them the mean ``(N,)`` of that log over what each target may have measured, its own measurements before
+        being one thing.
+        """
+        clutter_map, ((position, _), scene, j), track = self.clutter_map, located, state.track
         assert clutter_map is not None
-        mapped = clutter_map.aged(state.clutter, scan.dt)
+        mapped, excess = clutter_map.aged(state.clutter, scan.dt), scan.z.new_zeros(scan.z.shape[:2])
         if not (filter.sensor.locates and filter.sensor.measures_each_direction):
-            return scan.z.new_zeros(scan.z.shape[:2]), mapped
-        uniform = filter.clutter.in_space(scan.z[scene, j], filter.sensor)
-        at = clutter_map.log_excess(mapped, position.mean, scene, sensor, uniform)
-        excess = scan.z.new_zeros(scan.z.shape[:2]).index_put((scene, j), at)
-        claimed = torch.zeros_like(excess).index_add(0, state.track.scene, association * state.track.confirmed[:, None])
-        return excess, clutter_map.learned(mapped, position.mean, scene, sensor, 1 - claimed[scene, j])
+            return excess, torch.zeros_like(track.score), mapped
+        position = clutter_map.placed(position, None if scan.u is None else scan.u[scene])
+        scale = torch.exp(-filter.clutter.in_space(scan.z[scene, j], filter.sensor))
+        density = clutter_map.density(mapped, position, scene, sensor)
+        excess = excess.index_put((scene, j), torch.log1p(density * scale))
+        share = torch.where(track.scene.unsqueeze(-1) == scene, association[:, j], 0.0)
+        i, of = (share > 0).nonzero().unbind(-1)
+        changed = clutter_map.correction(mapped, position[of], scene[of], sensor, track.identity[i])
+        above = (density[of] + changed).clamp_min(0.0)  # what rounding leaves below 0
+        explained = torch.zeros_like(track.score).index_add(0, i, share[i, of] * torch.log1p(above * scale[of]))
+        return excess, explained, clutter_map.learned(mapped, position, scene, sensor, share, track)
 
     def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> tuple[Tensor, Tensor]:
         """Two ``(N,)`` bool: targets that the rule of deletion ends, and those that are merged with another."""
