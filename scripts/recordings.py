@@ -1,14 +1,14 @@
 """How far presets are from the truth on recordings for which others have published figures.
 
     python scripts/recordings.py nclt 2012-11-16.csv 2013-04-05.csv --json out/nclt.json --figure out/nclt.png
-    python scripts/recordings.py nclt 2012-11-16.csv --network 2013-02-23.csv --filters gpb
+    python scripts/recordings.py nclt 2012-11-16.csv --network 2013-01-10.csv 2013-02-23.csv --filters gpb
     python scripts/recordings.py uwb LOS/Trajectory_A/Case_1 NLOS/Trajectory_B/Case_3 --filters gpb,rsrckf
     python scripts/recordings.py autoferry scenario2_detections.json.gz --figure out/harbour.png
 
 Kinds, each with one setting of motion, sensor and filters for all of its recordings:
 
 - nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading and satellite positions; it has ``imm``
-  too, with the errors of positions as interacting models;
+  too, with the errors of positions as interacting models, and ``gpb_steadied``, with a heading that the wheels steady;
 - uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven;
 - smartloc: pseudoranges of satellites to a car among high buildings, NAME_Input.txt with NAME_GT.txt beside it; it has
   ``gpb_odometry`` too, with the car's speed and turn rate;
@@ -67,8 +67,8 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("kind", choices=KINDS, help="what the recordings are")
     p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a recording each: a file, of uwb a folder")
     p.add_argument("--filters", metavar="A,B", help=f"presets (default: {DEFAULT}, and what a kind has besides)")
-    p.add_argument("--network", type=Path, metavar="FILE", help="nclt: the day that a network learns from how good "
-                   "positions and wheels are now; gpb has it too, as gpb_network")  # fmt: skip
+    p.add_argument("--network", nargs="+", type=Path, metavar="FILE", help="nclt: days that a network learns from how "
+                   "good positions and wheels are now; gpb has it too, as gpb_network")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the network (default: 0)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
@@ -103,10 +103,10 @@ def compare(options: argparse.Namespace) -> None:
     compile = not several and choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
     found: dict[str, dict[str, Any]] = {track.name: {} for track in tracks}
     if options.network is not None:
-        day = kind.read(options.network)
-        f, _ = kind.make("gpb", day)
+        days = [kind.read(path) for path in options.network]
+        f, _ = kind.make("gpb", days[0])
         with_quality = nclt.learned_quality(
-            day,
+            days,
             ready(f, "gpb", options) if compile else f,
             options.seed,
             lambda steps: progress_bar(steps, "learning", not options.quiet),
@@ -118,6 +118,8 @@ def compare(options: argparse.Namespace) -> None:
             continue
         if name == NETWORK:
             track = with_quality(track)
+        elif name == nclt.STEADIED:
+            track = nclt.with_steadied_heading(track)
         f, prior = kind.make("gpb" if name == NETWORK else name, track)
         found[track.name][name] = measured(
             ready(f, name, options) if compile else f, prior, track, kind.METRIC, kind.UNNOTICED

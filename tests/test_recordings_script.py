@@ -10,9 +10,11 @@ import recordings
 import torch
 from learned import campus
 from recorded_bench import autoferry, nclt, smartloc, uwb
+from recorded_bench.compass import steadied
 from recorded_bench.tracks import measured
 
 from torchfra import presets
+from torchfra.angles import wrap
 from torchfra.motion import Odometry
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
@@ -105,6 +107,52 @@ def test_a_file_without_a_column_is_refused_by_its_name(tmp_path):
         nclt.read(path)
 
 
+# ---------------------------------------------------------------- a heading that the wheels steady
+
+
+def turning(steps=120):
+    """A heading that turns slowly, its turns, and readings of it good to 0.05 rad."""
+    rng = torch.Generator().manual_seed(0)
+    turns = 0.03 * torch.ones(steps).double()
+    heading = wrap(turns.cumsum(0))
+    return heading, turns, wrap(heading + 0.05 * torch.randn(steps, generator=rng, dtype=torch.float64))
+
+
+def test_wheels_say_how_far_a_robot_turns_in_each_step_but_the_first(tmp_path):
+    track = nclt.read(day(tmp_path, replaced={(3, "wheel_right"): 0.9}))
+    assert track.turns.tolist() == pytest.approx([0.0, -0.214, -0.214, -0.09, -0.124, *[-0.214] * 20])
+
+
+def test_a_steadied_heading_follows_a_compass_that_is_right():
+    heading, turns, readings = turning()
+    found = steadied(readings, turns, torch.ones_like(turns).bool())
+    assert wrap(found - heading).abs().max() < 0.15
+
+
+def test_a_steadied_heading_stays_with_the_wheels_while_the_compass_turns_by_itself():
+    heading, turns, readings = turning()
+    readings[40:46] = wrap(readings[40:46] + 1.0)
+    found = steadied(readings, turns, torch.ones_like(turns).bool())
+    assert wrap(found - heading)[40:46].abs().max() < 0.4
+    assert wrap(found - heading)[50:].abs().max() < 0.15
+
+
+def test_a_steadied_heading_comes_back_to_a_compass_that_stays_where_it_went():
+    heading, turns, readings = turning(300)
+    found = steadied(wrap(readings + torch.where(torch.arange(300) < 60, 0.0, 1.0)), turns, torch.ones(300).bool())
+    assert wrap(found - heading - 1.0)[200:].abs().max() < 0.2
+
+
+def test_a_steadied_heading_is_that_of_the_first_reading_without_another():
+    assert steadied(torch.tensor([2.0]).double(), torch.zeros(1).double(), torch.zeros(1).bool()).item() == 2.0
+
+
+def test_a_steadied_heading_needs_no_later_reading():
+    _, turns, readings = turning()
+    moving = torch.ones_like(turns).bool()
+    torch.testing.assert_close(steadied(readings, turns, moving)[:50], steadied(readings[:50], turns[:50], moving[:50]))
+
+
 # ---------------------------------------------------------------- a network that says how good its signals are
 
 
@@ -128,12 +176,36 @@ def test_a_network_learns_through_the_filter_when_fixes_are_bad_and_says_it_on_a
     for name, value in {"ITERATIONS": 15, "PIECES": 4, "LENGTH": 60, "RATE": 0.03, "MOVED": 0.0}.items():
         monkeypatch.setattr(campus, name, value)
     f = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0))
-    network, day = campus.learned(simulated(0), f, 10.0, 0.0), simulated(1)
+    network, day = campus.learned([simulated(0)], f, 10.0, 0.0), simulated(1)
     with torch.no_grad():
         std, u = (x[0] for x in network(day.z[None], day.u[None]))
         assert error(f, day, std=std, u=u) < 0.8 * error(f, day)
     bad = torch.arange(len(std)) // 30 % 2 == 1
     assert std[bad].median() > 2 * std[~bad].median()
+
+
+def test_a_penalty_holds_what_a_network_says_near_the_values_of_the_filter(monkeypatch):
+    for name, value in {"ITERATIONS": 15, "PIECES": 4, "LENGTH": 60, "RATE": 0.03, "MOVED": 0.0}.items():
+        monkeypatch.setattr(campus, name, value)
+    f, day = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0)), simulated(1)
+
+    def size(penalty):
+        monkeypatch.setattr(campus, "PENALTY", penalty)
+        network = campus.learned([simulated(0)], f, 10.0, 0.0)
+        with torch.no_grad():
+            return network.factors(day.z[None], day.u[None])[0].square().mean()
+
+    assert size(1e3) < 0.2 * size(0.0)
+
+
+def test_a_network_learns_from_pieces_of_each_day(monkeypatch):
+    seen, varied = [], campus.varied
+    monkeypatch.setattr(campus, "varied", lambda day, *more: seen.append(len(day.z)) or varied(day, *more))
+    for name, value in {"ITERATIONS": 12, "PIECES": 2, "LENGTH": 10}.items():
+        monkeypatch.setattr(campus, name, value)
+    f = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0))
+    campus.learned([simulated(0, 90), simulated(1, 60)], f, 10.0, 0.0)
+    assert {*seen} == {90, 60}
 
 
 def test_what_a_network_says_of_a_step_needs_no_later_signal():

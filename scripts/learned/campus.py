@@ -1,15 +1,16 @@
 """How good the satellite positions and wheels of a robot are now: a network reads it from their last seconds.
 
 A filter takes what it says in place of the data sheet: a standard deviation of each position, and the wheels' speed,
-corrected.  It learns on one day with a truth, by the errors of the filtered positions, so through the filter.  Pieces
-of the day are varied, as a day has few faults: in half of them the errors of positions are those of another time of
-the day, turned by any angle, and in all they are larger or smaller by a factor.
+corrected.  It learns on days with a truth, by the errors of the filtered positions, so through the filter.  Pieces of a
+day are varied, as a day has few faults: in half of them the errors of positions are those of another time of the day,
+turned by any angle, and in all they are larger or smaller by a factor.  A penalty holds what it says near the values
+that the filter has without it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -33,6 +34,9 @@ MOVED, FACTORS = 0.5, (0.5, 3.0)
 """Share of the pieces with errors of another time, and the factors on errors, log-uniform."""
 SCALE = 10.0
 """Error of a piece, m, from which on it counts by its logarithm."""
+PENALTY = 0.02
+"""On the mean squares of what the network says: of the logarithm of the factor on the standard deviation, and of that
+of the factor on the speed as a part of its range."""
 
 
 class Day(NamedTuple):
@@ -63,8 +67,17 @@ class Quality(nn.Module):
 
     def forward(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Standard deviations ``(B, T, 2)``, m, and ``u (B, T, 2)``, corrected, of ``z`` and ``u`` of that shape."""
-        log_std = STD_RANGE * said(self.positions, of_positions(z, self.way(u)))
-        log_speed = SPEED_RANGE * said(self.wheels, of_wheels(u))
+        return self.applied(z, u, *self.factors(z, u))
+
+    def factors(self, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Logarithms ``(B, T, 1)`` of the factors on the standard deviation and on the speed."""
+        return (
+            STD_RANGE * said(self.positions, of_positions(z, self.way(u))),
+            SPEED_RANGE * said(self.wheels, of_wheels(u)),
+        )
+
+    def applied(self, z: Tensor, u: Tensor, log_std: Tensor, log_speed: Tensor) -> tuple[Tensor, Tensor]:
+        """What ``forward`` returns, by these."""
         return (self.std * log_std.exp()).expand_as(z), torch.cat([u[..., :1] * log_speed.exp(), u[..., 1:]], -1)
 
     def way(self, u: Tensor) -> Tensor:
@@ -145,12 +158,17 @@ def varied(day: Day, beliefs: Gaussian, rng: torch.Generator) -> Day:
 
 
 def learned(
-    day: Day, f: Filter, std: float, scale: float, seed: int = 0, progress: Callable[[range], Iterable[int]] = iter
+    days: Sequence[Day],
+    f: Filter,
+    std: float,
+    scale: float,
+    seed: int = 0,
+    progress: Callable[[range], Iterable[int]] = iter,
 ) -> Quality:
-    """The network after Adam has followed the errors of the filter's positions on a day.
+    """The network after Adam has followed the errors of the filter's positions on some days.
 
     Args:
-        day: all of it.
+        days: all of each; an iteration has pieces of one of them, the more often the longer it is.
         f: the filter, which itself does not learn.
         std: standard deviation of a position that the network begins with, m.
         scale: logarithm of the wheels' scale.
@@ -160,22 +178,28 @@ def learned(
     Raises:
         ValueError: a day of less than 2 steps, or without a truth at some of them.
     """
-    if len(day.z) < 2 or not bool(day.truth.isfinite().all()):
-        raise ValueError(f"network: expected a day with a truth at 2 steps or more, received {len(day.z)} steps, "
-                         f"{int(day.truth.isnan().any(-1).sum())} without")  # fmt: skip
+    for day in days:
+        if len(day.z) < 2 or not bool(day.truth.isfinite().all()):
+            raise ValueError(f"network: expected a day with a truth at 2 steps or more, received {len(day.z)} steps, "
+                             f"{int(day.truth.isnan().any(-1).sum())} without")  # fmt: skip
     torch.manual_seed(seed)
     rng, network = torch.Generator().manual_seed(seed), Quality(std, scale)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, ITERATIONS, RATE / 10)
+    beliefs, steps = [], torch.tensor([float(len(day.z)) for day in days])
     with torch.no_grad():
-        network(day.z.unsqueeze(0), day.u.unsqueeze(0))  # what is usual of the day: the network's units of its signals
-        beliefs = f(day.z, day.prior, u=day.u)
+        for day in days:
+            network(day.z.unsqueeze(0), day.u.unsqueeze(0))  # what is usual: the network's units of its signals
+            beliefs.append(Gaussian(*f(day.z, day.prior, u=day.u)[:2]))
     network.eval()  # and these stay
     for _ in progress(range(ITERATIONS)):
-        piece = varied(day, Gaussian(beliefs.mean, beliefs.scale_tril), rng)
-        stds, u = network(piece.z, piece.u)
+        chosen = int(torch.multinomial(steps, 1, generator=rng))
+        piece = varied(days[chosen], beliefs[chosen], rng)
+        log_std, log_speed = network.factors(piece.z, piece.u)
+        stds, u = network.applied(piece.z, piece.u, log_std, log_speed)
         estimate = f(piece.z, piece.prior, u=u, std=stds)
         loss = losses.robust_mse(estimate.mean, piece.truth, slice(0, 2), SCALE * math.sqrt(2)).mean()
+        loss = loss + PENALTY * (log_std.square().mean() + (log_speed / SPEED_RANGE).square().mean())
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), CLIP)

@@ -19,6 +19,7 @@ import torch
 from learned.campus import Day, learned
 from torch import Tensor
 
+from recorded_bench.compass import steadied
 from recorded_bench.files import check_ascending, check_complete, read_columns, steps_between
 from recorded_bench.tracks import Figures, Track
 from torchfra.catalogue import make_filter
@@ -62,10 +63,15 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
 average."""
-OWN_PRESETS = ("imm",)
+STEADIED = "gpb_steadied"
+"""``gpb`` with the heading of ``recorded_bench.compass``, which the wheels steady."""
+OWN_PRESETS = ("imm", STEADIED)
 """Presets that this kind has besides those that commands list."""
-FIRST = 10.0
-"""Standard deviation of a position that a network begins with, m."""
+TURNS = (-0.62, -0.45)
+"""How far the robot turns in a step, rad, for each m/s by which its right wheels are faster at its end and at its
+start: by least squares on the two days that values were chosen on.  (They are below 0, as if sides were exchanged.)"""
+MOVES = 0.1
+"""Sum of the speeds of both sides beyond which the robot moves, m/s."""
 WHITE, SLIP = 1.2, 0.1
 """Of ``imm``: the part of a position's error that is white, m, and the density of the position's walk, m^2/s."""
 ERROR, TIME = 4.0, 80.0
@@ -115,21 +121,38 @@ def read(path: Path) -> Track:
         fixes=rows["gps"],
         published=PUBLISHED.get(name, {}),
         per_axis=True,
+        turns=turns(rows["wheels"]),
     )
 
 
+def turns(wheels: Tensor) -> Tensor:
+    """By how much wheels ``(T, 2)`` of both sides, m/s, turn the robot in each step ``(T,)``, rad; 0 in the first."""
+    faster = wheels[:, 1] - wheels[:, 0]
+    return torch.cat([faster.new_zeros(1), TURNS[0] * faster[1:] + TURNS[1] * faster[:-1]])
+
+
+def with_steadied_heading(track: Track) -> Track:
+    """The same with a heading that the wheels steady."""
+    assert track.u is not None
+    assert track.turns is not None
+    speed, heading = track.u.unbind(-1)
+    return track._replace(u=torch.stack([speed, steadied(heading, track.turns, speed.abs() > MOVES / 2)], -1))
+
+
 def learned_quality(
-    track: Track, f: Filter, seed: int, progress: Callable[[range], Iterable[int]]
+    tracks: Iterable[Track], f: Filter, seed: int, progress: Callable[[range], Iterable[int]]
 ) -> Callable[[Track], Track]:
-    """From days to the same with what a network says of them; it has learned on one day, through a filter.
+    """From days to the same with what a network says of them; it has learned on some days, through a filter.
 
     Raises:
         ValueError: a day without a truth at all of its steps.
     """
-    assert track.u is not None
-    network = learned(Day(track.z, track.u, track.truth, track.prior), f, FIRST, SCALE, seed, progress)
+    steady = [with_steadied_heading(track) for track in tracks]
+    days = [Day(track.z, track.u, track.truth, track.prior) for track in steady if track.u is not None]
+    network = learned(days, f, GPS, SCALE, seed, progress)
 
     def with_quality(day: Track) -> Track:
+        day = with_steadied_heading(day)
         assert day.u is not None
         with torch.no_grad():
             std, u = (x.squeeze(0) for x in network(day.z.unsqueeze(0), day.u.unsqueeze(0)))
@@ -146,8 +169,9 @@ def deviation(yaw: Tensor) -> Tensor:
 
 def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
     """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23, and its belief at the start."""
-    if name in OWN_PRESETS:
+    if name == "imm":
         return with_faults(track)
+    name = "gpb" if name == STEADIED else name
     return make_filter(name, Odometry(*WALKS), Position(GPS), **OPTIONS.get(name, {})), track.prior
 
 
