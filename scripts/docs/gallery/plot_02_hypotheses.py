@@ -38,13 +38,14 @@ for panel, z, title in zip(
         state, _ = gpb.step(state, z[k], dt=dt)
     after, _ = gpb.step(state, z[20], dt=dt)
     before = state.log_weights.exp()[1].sum()
+    likeliest = gpb.hypotheses(state)[1].unflatten(0, (2, -1)).argmax(-1)  # a belief for calm flight, one for all else
     smoothed = gpb.smooth(z[:21], prior, dt=dt, lag=1).info.outlier[19, 0]
     for hypothesis, now, later, name, colour in (
         (0, 1 - before, 1 - smoothed, "as stated", "#0072B2"),
         (1, before, smoothed, "an outlier", "#D55E00"),
     ):
         label = f"if it was {name}: {now:.0%}, then {later:.0%}"
-        mean, root = (x[hypothesis, 0] for x in state.hypotheses)
+        mean, root = (x[hypothesis, likeliest[hypothesis]] for x in state.hypotheses)
         panel.fill(*ellipse(mean, root), color=colour, alpha=0.35, lw=0, label=label)
     panel.plot(*z[19], "ko", ms=5, label="measured")
     panel.plot(*torch.stack([after.lagged.mean[:2], z[20]]).T, "k:", lw=1, label="towards what is measured next")
