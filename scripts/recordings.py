@@ -7,8 +7,8 @@
 
 Kinds, each with one setting of motion, sensor and filters for all of its recordings:
 
-- nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading and satellite positions; it has ``imm``
-  too, with the errors of positions as interacting models, and ``gpb_steadied``, with a heading that the wheels steady;
+- nclt: a robot on a campus, a CSV file for each day: wheels, a measured heading, which they steady, and satellite
+  positions; it has ``imm`` too, with the errors of positions as interacting models;
 - uwb: ranges from anchors to a tag on a cart, a folder for each run, with the path that was driven;
 - smartloc: pseudoranges of satellites to a car among high buildings, NAME_Input.txt with NAME_GT.txt beside it; it has
   ``gpb_odometry`` too, with the car's speed and turn rate;
@@ -118,8 +118,6 @@ def compare(options: argparse.Namespace) -> None:
             continue
         if name == NETWORK:
             track = with_quality(track)
-        elif name == nclt.STEADIED:
-            track = nclt.with_steadied_heading(track)
         f, prior = kind.make("gpb" if name == NETWORK else name, track)
         found[track.name][name] = measured(
             ready(f, name, options) if compile else f, prior, track, kind.METRIC, kind.UNNOTICED

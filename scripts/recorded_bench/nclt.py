@@ -63,9 +63,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
 average."""
-STEADIED = "gpb_steadied"
-"""``gpb`` with the heading of ``recorded_bench.compass``, which the wheels steady."""
-OWN_PRESETS = ("imm", STEADIED)
+OWN_PRESETS = ("imm",)
 """Presets that this kind has besides those that commands list."""
 TURNS = (-0.62, -0.45)
 """How far the robot turns in a step, rad, for each m/s by which its right wheels are faster at its end and at its
@@ -110,18 +108,18 @@ def read(path: Path) -> Track:
     if bool(start.isnan().any()):
         raise ValueError(f"{path}: truth_x, truth_y: expected a start in the first row, received none")
     mean = torch.cat([start, start.new_tensor([0.0, SCALE])])
-    name = path.name.split(".")[0]
+    name, speed, compass = path.name.split(".")[0], rows["wheels"].mean(-1), rows["yaw"].squeeze(-1)
+    heading = steadied(compass + deviation(compass), turns(rows["wheels"]), speed.abs() > MOVES / 2)
     return Track(
         name,
         z=rows["gps"],
-        u=torch.cat([rows["wheels"].mean(-1, keepdim=True), rows["yaw"] + deviation(rows["yaw"])], -1),
+        u=torch.stack([speed, heading], -1),
         dt=torch.from_numpy(steps_between(columns["time"])),
         truth=rows["truth"],
         prior=Gaussian(mean, torch.tensor(START, dtype=torch.float64).diag()),
         fixes=rows["gps"],
         published=PUBLISHED.get(name, {}),
         per_axis=True,
-        turns=turns(rows["wheels"]),
     )
 
 
@@ -129,14 +127,6 @@ def turns(wheels: Tensor) -> Tensor:
     """By how much wheels ``(T, 2)`` of both sides, m/s, turn the robot in each step ``(T,)``, rad; 0 in the first."""
     faster = wheels[:, 1] - wheels[:, 0]
     return torch.cat([faster.new_zeros(1), TURNS[0] * faster[1:] + TURNS[1] * faster[:-1]])
-
-
-def with_steadied_heading(track: Track) -> Track:
-    """The same with a heading that the wheels steady."""
-    assert track.u is not None
-    assert track.turns is not None
-    speed, heading = track.u.unbind(-1)
-    return track._replace(u=torch.stack([speed, steadied(heading, track.turns, speed.abs() > MOVES / 2)], -1))
 
 
 def learned_quality(
@@ -147,12 +137,10 @@ def learned_quality(
     Raises:
         ValueError: a day without a truth at all of its steps.
     """
-    steady = [with_steadied_heading(track) for track in tracks]
-    days = [Day(track.z, track.u, track.truth, track.prior) for track in steady if track.u is not None]
+    days = [Day(track.z, track.u, track.truth, track.prior) for track in tracks if track.u is not None]
     network = learned(days, f, GPS, SCALE, seed, progress)
 
     def with_quality(day: Track) -> Track:
-        day = with_steadied_heading(day)
         assert day.u is not None
         with torch.no_grad():
             std, u = (x.squeeze(0) for x in network(day.z.unsqueeze(0), day.u.unsqueeze(0)))
@@ -171,7 +159,6 @@ def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
     """A preset with the one setting of all days, chosen on 2013-01-10 and 2013-02-23, and its belief at the start."""
     if name == "imm":
         return with_faults(track)
-    name = "gpb" if name == STEADIED else name
     return make_filter(name, Odometry(*WALKS), Position(GPS), **OPTIONS.get(name, {})), track.prior
 
 

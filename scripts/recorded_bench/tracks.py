@@ -37,8 +37,6 @@ class Track(NamedTuple):
     """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
     std: Tensor | None = None
     """``(T, m)`` standard deviations of the measurements; None for the sensor's."""
-    turns: Tensor | None = None
-    """``(T,)`` by how much wheels of both sides say that the target turned in each step, rad."""
     groups: tuple[int, ...] = ()
     """Of each element of a measurement the number of what it has in common with others, such as a clock."""
 
