@@ -77,7 +77,7 @@ def test_a_target_that_turns_is_found_again_on_a_finer_grid_of_time_too(jump, ro
     fine = rmse(f(padded(z, rows), prior, dt=1 / (rows + 1)).mean[:, rows :: rows + 1], truth)
     plain = rmse(f(z, prior).mean, truth)
     assert (
-        fine[2:] < 1.3 * torch.stack([plain[2:], plain[1:-1], plain[:-2]]).amax(0) + 1
+        fine[2:] < 1.5 * torch.stack([plain[2:], plain[1:-1], plain[:-2]]).amax(0) + 1
     ).all()  # two steps later at most
     assert fine[-1] < 4
 

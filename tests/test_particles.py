@@ -12,7 +12,7 @@ from torchfra import presets
 
 def run(name, steps, count, outliers=True, **options):
     """Means of the filter and of the particles."""
-    f = presets.gpb(MOTION, SENSORS[name], **VALUES | options)
+    f = presets.gpb(MOTION, SENSORS[name], **VALUES | {"separate_levels": 0} | options)
     z = measured(name, outliers=outliers)[0, 2 : 2 + steps]
     with torch.no_grad():
         return f(z, PRIOR).mean, particles.particle_filter(f, z, PRIOR, None, count, 0, 1.0)
@@ -59,7 +59,7 @@ def test_the_script_writes_all_cells(tmp_path, capsys):
     assert particles.main(arguments) == 0
     cells = json.loads((tmp_path / "p.json").read_text())["cells"]
     assert len(cells) == 3
-    assert all(of.keys() == {"gpb", "lagged", "separate", "particles"} for of in cells.values())
+    assert all(of.keys() == {"gpb", "lagged", "shared", "particles"} for of in cells.values())
     assert "gpb above" in capsys.readouterr().out
     assert particles.main(["--particles", "0"]) == 2
     assert "particles: expected 1 or more, received 0" in capsys.readouterr().err

@@ -24,7 +24,7 @@ HEADER = "time,gps_x,gps_y,wheel_left,wheel_right,yaw,yaw_rate,truth_x,truth_y,t
 
 def day(folder, name="2012-11-16", steps=25, replaced=None):
     """A robot that drives east at 1 m/s, with fixes every other second; ``replaced`` cells by (row, column)."""
-    rows = [[t, t + 1, 1, 0.9, 1.1, 0, 0, t, 0, 0] for t in range(steps)]
+    rows = [[t, t + 1, 1, 1, 1, 0, 0, t, 0, 0] for t in range(steps)]
     for row in rows[1::2]:
         row[1:3] = ["", ""]
     for (row, column), value in (replaced or {}).items():
@@ -53,13 +53,13 @@ def run_of_ranges(folder, results="LS RMSE: 1.5 m\nLS RMSE_2d: 1.25\nESKF RMSE_2
 
 
 def test_a_day_has_fixes_where_there_are_new_ones_and_the_speed_of_both_wheels(tmp_path):
-    track = nclt.read(day(tmp_path))
+    track = nclt.read(day(tmp_path, replaced={(24, "wheel_left"): 0.5}))
     assert track.name == "2012-11-16"
     assert track.z[::2].isfinite().all()
     assert track.z[1::2].isnan().all()
     speed, heading = track.u.unbind(-1)
-    assert speed.tolist() == [1.0] * 25
-    torch.testing.assert_close(heading, nclt.deviation(torch.zeros(25).double()))
+    assert speed.tolist() == [1.0] * 24 + [0.75]
+    torch.testing.assert_close(heading[:24], nclt.deviation(torch.zeros(24).double()))
     assert track.prior.mean.tolist() == [0.0, 0.0, 0.0, nclt.SCALE]
 
 
