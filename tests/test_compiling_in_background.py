@@ -2,6 +2,9 @@
 
 import copy
 import gc
+import os
+import subprocess
+import sys
 import threading
 import time
 
@@ -143,3 +146,36 @@ def test_the_search_for_unreachable_cycles_rests_while_a_step_is_traced_and_is_t
     assert seen
     assert not any(seen)
     assert after == collects
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows starts processes anew")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@torch.no_grad()
+def test_a_child_of_a_process_that_compiles_has_the_kernels(tracks, gate):
+    """It would wait for ever for the locks of a thread that it does not have."""
+    _, f = filters()
+    f(tracks.z, tracks.prior, u=tracks.u)
+    threading.Timer(0.2, gate.set).start()
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if all(made.done() for made in f.engine._made.values()) else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_a_process_that_ends_while_it_compiles_ends_well():
+    """Torch aborts one whose threads are stopped in the midst of it."""
+    code = """
+import time
+import torch
+from torchfra import presets, scenarios
+from torchfra.compiler import jit
+load = jit.load
+jit.load = lambda source: (time.sleep(0.3), load(source), print("made"))[1]
+scenario = scenarios.bearings_outliers()
+tracks = scenario.simulate(runs=1, seed=0)
+with torch.no_grad():
+    presets.srckf(scenario.motion, scenario.sensor).compile(wait=False)(tracks.z, tracks.prior, u=tracks.u)
+print("ends")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()) == (0, ["ends", "made"]), done.stderr

@@ -91,11 +91,14 @@ def test_columns_say_the_same_as_records(write: Write) -> None:
     np.testing.assert_array_equal(one.position, other.position)
     np.testing.assert_array_equal(one.time, other.time)
     assert (one.name, one.origin) == (other.name, other.origin)
+    for rest in ([], [{"said": "by hand"}]):
+        np.testing.assert_array_equal(only(write("c.json", columns | {"notes": rest})).position, one.position)
 
 
-def test_where_a_phone_has_been_is_read_from_its_records(write):
+@pytest.mark.parametrize(("latitude", "longitude"), [("latitudeE7", "longitudeE7"), ("latitude_e7", "longitude_e7")])
+def test_where_a_phone_has_been_is_read_from_its_records(write, latitude, longitude):
     rows = [
-        {"timestampMs": str(1000 * (START + k)), "latitudeE7": 470000000 + 100 * k, "longitudeE7": 80000000,
+        {"timestampMs": str(1000 * (START + k)), latitude: 470000000 + 100 * k, longitude: 80000000,
          "accuracy": 8, "altitude": 500 + k}
         for k in range(4)
     ]  # fmt: skip

@@ -101,6 +101,8 @@ def test_scans_of_two_sensors_at_one_instant_are_two_scans_of_plain_loops(birth)
     follow(targets, z, expected, options)
 
 
+LEARNED = {"size": 4.0, "seconds": 30.0, "scans": 1.5}
+"""Values of a map of clutter."""
 HASTY = {  # few targets at a time: clusters stay exact
     "score": (SPRT(1e-3, 0.2), {"false": 1e-3, "missed": 0.2}),
     "existence": (
@@ -118,7 +120,6 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, co
     still = np.array([[60.0, 55.0], [-65.0, -50.0]])
     rng = np.random.default_rng(5)
     z = [np.concatenate([scan, still + STD * rng.standard_normal((2, 2))]) for scan in scans(2)]
-    learned = {"size": 4.0, "seconds": 30.0, "scans": 1.5}
     place = [np.array([-20.0 + 2 * k, 5.0]) for k in range(len(z))]
     own, more = {"std": STD, "PD": PD, "density": RATE / WIDTH**2}, {"PD": 0.6, "density": 0.7 / WIDTH**2, "std": 1.0}
     looks = [{"dt": DT, "sensor": k % 2, **(own if k % 2 == 0 else more)} for k in range(len(z))]
@@ -127,14 +128,14 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, co
     (how, born), (confirmation, when) = BIRTHS[birth], HASTY[confirmation]
     expected = manage(
         z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
-        confirm=when, misses=4, drop=0.001, looks=looks, clutter_map=learned,
+        confirm=when, misses=4, drop=0.001, looks=looks, clutter_map=LEARNED,
     )  # fmt: skip
     other = presets.jpda(
         ConstantVelocity(Q), Position(1.0), clutter=Clutter(extent=(WIDTH, WIDTH), rate=0.7), detection=0.6,
         gate=ChiSquare(PG), exact=(6, 6),
     )  # fmt: skip
     targets = manager(
-        how, confirmation, Deletion(4, drop=0.001), sensors={"other": other}, clutter_map=ClutterMap(**learned),
+        how, confirmation, Deletion(4, drop=0.001), sensors={"other": other}, clutter_map=ClutterMap(**LEARNED),
         views={"other": FieldOfView(60.0)},
     )  # fmt: skip
     options = [
@@ -149,10 +150,15 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, co
     assert len(state.identity) > sum(t.confirmed for t in expected[-1])  # it takes what stays for targets
 
 
-@pytest.mark.parametrize("confirmation", ["score", "existence"])
-@pytest.mark.parametrize("misses", [3, 9])
-def test_broken_tracks_are_stitched_as_in_plain_loops(confirmation, misses):
-    """Three targets side by side, which nobody sees for a while: after three misses they are lost, after nine not."""
+@pytest.mark.parametrize(
+    ("confirmation", "misses", "learned"),
+    [("score", 3, None), ("score", 9, None), ("existence", 3, None), ("existence", 9, None), ("score", 3, LEARNED)],
+)
+def test_broken_tracks_are_stitched_as_in_plain_loops(confirmation, misses, learned):
+    """Three targets side by side, which nobody sees for a while: after three misses they are lost, after nine not.
+
+    What a target claimed of a map of clutter before it got the identity of a lost one stays its own.
+    """
     rng, z = np.random.default_rng(7), []
     for k in range(26):
         there = [(4.0 * k - 50, y) for y in (-10.0, 12.0, 40.0)] if not 9 <= k < 13 else []
@@ -162,9 +168,12 @@ def test_broken_tracks_are_stitched_as_in_plain_loops(confirmation, misses):
     bounds = {"seconds": 14.0, "metres": 60.0}
     expected = manage(
         z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2, birth=born,
-        confirm=when, misses=misses, stitch=bounds | {"limit": 13.276704135987623},
+        confirm=when, misses=misses, stitch=bounds | {"limit": 13.276704135987623}, clutter_map=learned,
     )  # fmt: skip
-    targets = manager(TwoPoint(12.0), confirmation, Deletion(misses), stitching=Stitching(**bounds, probability=0.99))
+    targets = manager(
+        TwoPoint(12.0), confirmation, Deletion(misses), stitching=Stitching(**bounds, probability=0.99),
+        clutter_map=None if learned is None else ClutterMap(**learned),
+    )  # fmt: skip
     follow(targets, z, expected, [{"dt": DT}] * len(z))
     first, last = ({t.identity for t in expected[k] if t.confirmed} for k in (8, -1))
     assert len(first) == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Hashable
 from concurrent.futures import Future
 from typing import Any
@@ -11,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra.compiler.engine import Compiled
+from torchfra.compiler.program import Making
 from torchfra.compiler.run import has_gradient
 
 
@@ -74,7 +74,7 @@ class InBackground:
         return getattr(self._compiled, name)(f, *arguments)
 
     def _start(self, name: str, f: Any, arguments: tuple[Any, ...]) -> Future[Any]:
-        """Makes a call in a thread, which nobody waits for when the process ends."""
+        """Makes a call in a thread."""
         made: Future[Any] = Future()
         inference, grad = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
 
@@ -87,7 +87,7 @@ class InBackground:
             else:
                 made.set_result(None)
 
-        threading.Thread(target=work, daemon=True).start()
+        Making(target=work).start()
         return made
 
 

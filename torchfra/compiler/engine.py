@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -15,7 +14,7 @@ from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
 from torchfra.compiler.guards import hooked
 from torchfra.compiler.llvm import is_installed
-from torchfra.compiler.program import BUILDING
+from torchfra.compiler.program import BUILDING, Making
 from torchfra.compiler.run import has_gradient
 from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, number
 from torchfra.compiler.source import SCALARS
@@ -138,7 +137,7 @@ class Compiled:
         now, plan, data = self._plan(f, state, measurements, past)
         first = past and plan.kernels.is_new and plan.device.type == "cpu" and not f.scans
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
-            threading.Thread(target=self._make_backward, args=(f, plan, measurements), daemon=True).start()
+            Making(target=self._make_backward, args=(f, plan, measurements)).start()
         steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
         state, kept = now.run(plan, steps, state, data, checkpoint, truncate)
         # The batch is that of scenes: time comes behind the targets of each.

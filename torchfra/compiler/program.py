@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import threading
 from array import array
 from collections.abc import Iterable, Sequence
@@ -44,6 +45,25 @@ BUILDING = Building()
 
 Tracing itself needs no lock: every trace has its own copy of the module.
 """
+
+
+class Making(threading.Thread):
+    """A thread that makes kernels while others go on.  A process waits for it when it ends, and when it forks.
+
+    Torch aborts a process that ends in the midst of its work; a child would wait for ever for the locks of a thread
+    that it does not have.
+    """
+
+
+def _wait() -> None:
+    """Waits for all that make kernels."""
+    for thread in threading.enumerate():
+        if isinstance(thread, Making) and thread.ident is not None:
+            thread.join()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(before=_wait)
 
 _CPU = torch.device("cpu")
 _TRACKS_PER_THREAD = 16

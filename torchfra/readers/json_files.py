@@ -61,9 +61,11 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
             return list(lists), len(next(iter(lists.values()))), lists.__getitem__
-        if len(lists) == 1 and all(isinstance(one, dict) for one in next(iter(lists.values()))):
-            return _columns(next(iter(lists.values())))  # records under one name, as "locations" of a phone
         columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
+        is_table = len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1
+        records = next(iter(lists.values())) if len(lists) == 1 and not is_table else []
+        if records and all(isinstance(one, dict) for one in records):
+            return _columns(records)  # under one name, as "locations" of a phone
         keys = list(dict.fromkeys(key for column in columns.values() for key in column))
         return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys]
     records = parsed if isinstance(parsed, list) else [parsed]

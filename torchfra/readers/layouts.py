@@ -67,8 +67,8 @@ _SEMICIRCLE = 180 / 2**31
 """Degrees in the numbers of FIT files, of watches and bicycle computers."""
 _SEMICIRCLES = {"position_lat", "position_long"}
 """Names that coordinates have in FIT files."""
-_METRES_BESIDE = {*_SEMICIRCLES, "latitudee7"}
-"""Names of whole numbers for latitudes beside which altitudes are metres; an autopilot's are mm."""
+_OF_A_PHONE = "latitudee7"
+"""Plain name of whole numbers for latitudes beside which altitudes are metres; an autopilot's are mm."""
 
 
 @dataclass(frozen=True)
@@ -260,8 +260,8 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
     if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
         return _FLIGHT_LEVEL
     autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
-    autopilot = autopilot and columns["latitude"].lower() not in _METRES_BESIDE
-    return 1e-3 if autopilot else METRES["ft" if feet else "m"]
+    in_metres = columns.get("latitude", "").lower() in _SEMICIRCLES or plain(columns.get("latitude", "")) == _OF_A_PHONE
+    return 1e-3 if autopilot and not in_metres else METRES["ft" if feet else "m"]
 
 
 def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word: str) -> Kind | None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.numbers import as_number
-from torchfra.targets.state import Track, joined, rows
+from torchfra.targets.state import Track, joined, renamed, rows
 
 FRAMES = "fixed", "platform"
 """Where a map may stay: with the positions of targets, or with the sensors."""
@@ -204,6 +204,15 @@ class ClutterMap(nn.Module):
         more = Claimed(position[j], share, scene[j], number[j], track.identity[i])
         now = torch.nn.functional.one_hot(torch.tensor(sensor), mapped.scans.shape[1]).to(mapped.scans)
         return both._replace(scans=mapped.scans + now, claimed=joined(rows(mapped.claimed, there), more))
+
+    def stitched(self, mapped: Mapped, scene: Tensor, new: Tensor, old: Tensor) -> Mapped:
+        """The map after targets ``new (S,)`` of scenes ``(S,)`` got ``old`` identities: their own claims go with them.
+
+        Those of the lost targets, which ended elsewhere, are left to the cloud.
+        """
+        claimed = mapped.claimed
+        lost = ((claimed.scene[:, None] == scene) & (claimed.identity[:, None] == old)).any(-1)
+        return mapped._replace(claimed=renamed(rows(claimed, ~lost), scene, new, old))
 
     def extra_repr(self) -> str:
         """Its arguments."""

@@ -10,9 +10,8 @@ from torch import Tensor
 
 from torchfra.motion.base import Motion
 from torchfra.targets.assignment import assigned, chi_square, squared_distance
-from torchfra.targets.clutter_map import Claimed
 from torchfra.targets.scan import SceneScan
-from torchfra.targets.state import Ended, TargetsState, Track, rows
+from torchfra.targets.state import Ended, TargetsState, Track, renamed, rows
 
 _SAME = 0.99
 """Probability of the gate in which a target of before and one of after a late scan are the same."""
@@ -108,13 +107,8 @@ def _among(track: Track, others: Track | Ended) -> Tensor:
 
 def _renamed(state: TargetsState, scene: Tensor, new: Tensor, old: Tensor) -> TargetsState:
     """The state with old identities for new ones."""
-
-    def name(of: Track | Ended | Claimed) -> Tensor:
-        same = (of.scene[:, None] == scene) & (of.identity[:, None] == new)
-        return torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, of.identity)
-
-    ended = None if state.ended is None else state.ended._replace(identity=name(state.ended))
-    clutter = state.clutter
+    track, clutter, ended = renamed(state.track, scene, new, old), state.clutter, state.ended
+    ended = None if ended is None else renamed(ended, scene, new, old)
     if clutter is not None:
-        clutter = clutter._replace(claimed=clutter.claimed._replace(identity=name(clutter.claimed)))
-    return state._replace(track=state.track._replace(identity=name(state.track)), ended=ended, clutter=clutter)
+        clutter = clutter._replace(claimed=renamed(clutter.claimed, scene, new, old))
+    return state._replace(track=track, ended=ended, clutter=clutter)

@@ -296,7 +296,9 @@ class Targets(nn.Module):
             ended = joined(self.stitching.later(ended, track, scan.dt), *over)
         everyone, track = rows((everyone, track._replace(confirmed=confirmed)), ~deleted)
         if ended is not None and bool(found.any()):
-            everyone, track, ended = self._stitched(everyone, track, found, ended, filter.inner, scan.u)
+            everyone, track, ended, names = self._stitched(everyone, track, found, ended, filter.inner, scan.u)
+            if self.clutter_map is not None and mapped is not None:
+                mapped = self.clutter_map.stitched(mapped, *names)
         return TargetsState(everyone, track, unassociated, next_identity, mapped, ended)
 
     def _predicted(self, state: TargetsState, dt: Tensor, sensor: int) -> tuple[TargetsState, Tensor | None]:
@@ -309,8 +311,11 @@ class Targets(nn.Module):
 
     def _stitched(
         self, everyone: Any, track: Track, found: Tensor, ended: Ended, inner: Any, u: Tensor | None
-    ) -> tuple[Any, Track, Ended]:
-        """Targets, of which those ``found (N,)`` have the identities of lost ones, and the remaining lost targets."""
+    ) -> tuple[Any, Track, Ended, tuple[Tensor, Tensor, Tensor]]:
+        """Targets, of which those ``found (N,)`` have the identities of lost ones, and the remaining lost targets.
+
+        Last the scene, the new identity and the old one ``(S,)`` of each target that got one.
+        """
         assert self.stitching is not None
         count, new = len(ended.scene), found.nonzero()[:, 0]
         there = (track.confirmed & ~found).nonzero()[:, 0]  # one of them that is not measured may be lost as well
@@ -322,10 +327,11 @@ class Targets(nn.Module):
             scene, identity, since = joined(ended[1:4], rows((track.scene, track.identity, track.since), there))
             begun = Parts(rows(everyone.belief, new), *rows((track.scene, track.lived), new))
             i, j = self.stitching(self.filter.motion, Parts(now, scene, since), begun)
+        names = track.scene[new[j]], track.identity[new[j]], identity[i]
         track = track._replace(identity=track.identity.index_put((new[j],), identity[i]))
         left, stays = torch.ones_like(ended.scene, dtype=torch.bool), torch.ones_like(found)
         left[i[i < count]], stays[there[i[i >= count] - count]] = False, False
-        return *rows((everyone, track), stays), rows(ended, left)
+        return *rows((everyone, track), stays), rows(ended, left), names
 
     def _not_missed(
         self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan

@@ -131,3 +131,9 @@ def rows(trees: Any, index: Tensor | slice) -> Any:
 def joined(*trees: Any) -> Any:
     """The rows of one tree after those of another of the same form."""
     return tree.map_tensors(lambda *parts: torch.cat(parts), *trees)
+
+
+def renamed(of: Any, scene: Tensor, new: Tensor, old: Tensor) -> Any:
+    """Rows with a ``scene`` and an ``identity``, where ``new (S,)`` ones of scenes ``(S,)`` have become ``old``."""
+    same = (of.scene[:, None] == scene) & (of.identity[:, None] == new)
+    return of._replace(identity=torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, of.identity))
