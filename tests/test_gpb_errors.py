@@ -45,6 +45,7 @@ def numbered(argument):
     ({"same_offset": 1.5}, r"same_offset: expected a value in \[0, 1\]"),
     ({"noise_levels": (-1.0, 10.0)}, "noise_levels: expected"),
     ({"noise_levels": 3.0}, "noise_levels: expected several, received 3"),
+    ({"noise_levels": ()}, "self_transition: expected"),
     ({"jump_factors": 300.0}, "jump_factors: expected several, received 300"),
     ({"jump_factors": (-1.0,)}, "jump_factors: expected a value above 0"),
     ({"self_transition": (0.5, 0.5, 0.5, 1.5)}, r"self_transition: expected a value in \[0, 1\]"),

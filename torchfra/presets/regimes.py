@@ -142,7 +142,7 @@ def gpb(
     values = MANOEUVRES[manoeuvres] | {name: x for name, x in arguments.items() if x is not None}
     if durations is not None:
         values["self_transition"] = self_transition
-    if separate_levels is None and torch.as_tensor(values["noise_levels"]).shape[-1:].numel() == 1:
+    if separate_levels is None and torch.as_tensor(values["noise_levels"]).shape[-1:].numel() <= 1:
         values["separate_levels"] = 0  # the only level
     regimes = Regimes(count, **values)
     if outlier_durations is None and outlier_transition is None:
