@@ -56,8 +56,8 @@ def gpb(
     manoeuvre_factors: Values | None = None,
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
-    durations: Values | None = None,
     restart: Values | None = None,
+    durations: Values | None = None,
     outlier_transition: Values | None = None,
     outlier_durations: Values | None = None,
     outlier_sizes: Values = (8.77, 54.1, 1230.0, 21000.0),
@@ -94,9 +94,9 @@ def gpb(
         self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
             manoeuvre, each jump; or with each of several other motions instead of any other.  They are those of a step,
             whatever its ``dt``.
-        durations: instead of these, mean seconds until a regime ends, in the same order: ``filters.GPB``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
+        durations: instead of ``self_transition``, mean seconds until a regime ends, in the same order: ``filters.GPB``.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
             block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
         outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
