@@ -65,19 +65,29 @@ NOTHING = torch.full((2, 2), torch.nan, dtype=torch.float64)
 
 
 LATE = pytest.mark.xfail(
-    strict=True, reason="20 standard deviations of the stated acceleration: on a finer grid it takes a measurement more"
+    strict=True,
+    reason="20 standard deviations of the stated acceleration: on a finer grid it takes a measurement more; "
+    "of 10, in quarters of a step, the error is 0.3 % above the bound",
 )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("jump", "rows"), [(10.0, 3), pytest.param(20.0, 1, marks=LATE)])
+@pytest.mark.parametrize(
+    ("jump", "rows"),
+    [
+        (5.0, 3),
+        (10.0, 1),
+        pytest.param(10.0, 3, marks=LATE),
+        pytest.param(20.0, 1, marks=LATE),
+    ],
+)
 def test_a_target_that_turns_is_found_again_on_a_finer_grid_of_time_too(jump, rows):
     truth, z, prior = tracks(jump)
     f = presets.gpb(MOTIONS["one motion"], SENSOR)
     fine = rmse(f(padded(z, rows), prior, dt=1 / (rows + 1)).mean[:, rows :: rows + 1], truth)
     plain = rmse(f(z, prior).mean, truth)
     assert (
-        fine[2:] < 1.5 * torch.stack([plain[2:], plain[1:-1], plain[:-2]]).amax(0) + 1
+        fine[2:] < 1.3 * torch.stack([plain[2:], plain[1:-1], plain[:-2]]).amax(0) + 1
     ).all()  # two steps later at most
     assert fine[-1] < 4
 

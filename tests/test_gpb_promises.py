@@ -1,4 +1,4 @@
-"""GPB keeps what it promises with several blocks and with a bank of motions, and its gradients are right."""
+"""GPB keeps what every filter promises with several blocks and with a bank of motions, and its gradients are right."""
 
 import copy
 import math
@@ -50,6 +50,31 @@ def test_streaming_gives_what_whole_sequences_give(name):
             close(e.info.lagged.mean[:, k - 1], state.lagged.mean)
 
 
+@pytest.mark.slow
+@each
+def test_a_batch_and_vmap_are_a_loop_over_tracks_in_any_order(name):
+    f, z = FILTERS[name]()
+    e = f(z, PRIOR)
+    mapped = torch.func.vmap(lambda x: f(x, PRIOR))(z)
+    for i in range(3):
+        close(f(z[i], PRIOR).mean, e.mean[i])
+    close(e.mean, mapped.mean)
+    close(e.log_likelihood, mapped.log_likelihood)
+    turned = f(z[[2, 0, 1]], PRIOR)
+    close(e.mean[[2, 0, 1]], turned.mean, 1e-13)
+
+
+@pytest.mark.slow
+@each
+def test_time_steps_may_differ_per_step_and_per_track(name):
+    f, z = FILTERS[name]()
+    dt = 0.5 + torch.rand(3, STEPS, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    both, per_track = f(z, PRIOR, dt=dt), f(z, PRIOR, dt=dt[:, :1])
+    for i in range(3):
+        close(f(z[i], PRIOR, dt=dt[i]).mean, both.mean[i])
+        close(f(z[i], PRIOR, dt=dt[i, 0].item()).mean, per_track.mean[i])
+
+
 def batches():
     """Two values of everything."""
     even = {k: tensor([VALUES[k], 0.8 * VALUES[k]]) for k in ("prior_outlier", "prior_inflation")}
@@ -80,6 +105,25 @@ def test_every_value_may_be_one_of_each_track():
 
 
 # ---------------------------------------------------------------- gradients
+
+
+@each
+def test_a_measurement_without_bounds_fails_its_own_track_only(name):
+    f, z = FILTERS[name]()
+    z[1, 4] = torch.inf
+    e = f(z, PRIOR)
+    assert e.failed.tolist() == [False, True, False]
+    close(f(z[[0, 2]], PRIOR).mean, e.mean[[0, 2]])
+
+
+@each
+def test_single_precision_is_close_to_double(name):
+    f, z = FILTERS[name]()
+    single, double = f(z.float(), PRIOR), f(z, PRIOR)
+    assert single.mean.dtype == single.info.regimes.dtype == torch.float32
+    std = double.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert ((single.mean - double.mean).abs() < 0.01 * std).all()
+    assert (single.info.outlier - double.info.outlier).abs().max() < 1e-3
 
 
 @pytest.mark.slow

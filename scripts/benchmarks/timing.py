@@ -13,12 +13,13 @@ from torchfra.running.progress import progress_bar
 from torchfra.tables import significant, text_table
 
 Row = dict[str, Any]
-_MEASURED = {
-    "median": ("median us", ""), "q1": ("q1 us", ""), "q3": ("q3 us", ""),
-    "ratio": ("ratio", ".2f"), "ratio_q1": ("q1", ".2f"), "ratio_q3": ("q3", ".2f"), "error": ("error", ".6g"),
-    "first_call_s": ("first call s", ".1f"), "peak_mib": ("peak MiB", ".0f"),
+_MEASURED: dict[str, tuple[str, Callable[[float], str]]] = {
+    "median": ("median us", significant), "q1": ("q1 us", significant), "q3": ("q3 us", significant),
+    "ratio": ("ratio", "{:.2f}".format), "ratio_q1": ("q1", "{:.2f}".format), "ratio_q3": ("q3", "{:.2f}".format),
+    "error": ("error", "{:.6g}".format), "first_call_s": ("first call s", "{:.1f}".format),
+    "peak_mib": ("peak MiB", "{:.0f}".format),
 }  # fmt: skip
-"""Keys of rows that are not labels: their titles in a table, and formats; of times three significant digits."""
+"""Keys of rows that are not labels: their titles in a table, and what writes them."""
 
 
 class System(Protocol):
@@ -106,15 +107,9 @@ def table(rows: Sequence[Row]) -> str:
     measured = [key for key in _MEASURED if key in present]
     labels = [key for key in present if key not in ("system", *_MEASURED)]
     titles = [_MEASURED[key][0] for key in measured]
-    forms = {key: _MEASURED[key][1] for key in measured}
-    cells = [[_cell(row.get(key), forms.get(key)) for key in ("system", *labels, *measured)] for row in rows]
+    forms = dict.fromkeys(("system", *labels), str) | {key: _MEASURED[key][1] for key in measured}
+    cells = [["" if row.get(key) is None else form(row[key]) for key, form in forms.items()] for row in rows]
     return text_table(["system", *labels, *titles], cells)
-
-
-def _cell(value: Any, form: str | None) -> str:
-    if value is None:
-        return ""
-    return significant(value) if form == "" else f"{value:{form or ''}}"
 
 
 def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu") -> dict[str, System]:
