@@ -29,6 +29,7 @@ PAGES = {
 }  # fmt: skip
 """The page that includes a file which others link to."""
 SECTIONS = {
+    "#the-presets": "presets",
     "#smoothing": "smoothing", "#your-own-motion": "models", "#your-own-sensor": "models", "#your-own-weight": "models",
 }  # fmt: skip
 """Sections of the filters' file that have a page of their own."""
