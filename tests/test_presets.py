@@ -120,3 +120,33 @@ def test_alphabeta_is_tuned_for_constant_acceleration_and_keeps_what_is_chosen()
     assert (f.outlier().item(), f.margin().item(), f.onset) == (pytest.approx(18.0), pytest.approx(2.0), "shared")
     f = presets.alphabeta(ConstantVelocity(4.0, 3), sensor)
     assert (f.margin().item(), f.dwell().item(), f.onset) == (pytest.approx(3.0), pytest.approx(3.0), "shared")
+
+
+def with_companions(preset, name):
+    """Models for a preset, and what else it needs before it looks at an argument."""
+    motion, sensor, others = ConstantVelocity(1.0), Position(1.0), {}
+    if "clutter" in inspect.signature(preset).parameters:
+        others["clutter"] = Clutter(rate=1.0, volume=1e4)
+    if preset is presets.vsimm_srckf:
+        others |= {"neighbours": [[1], [0]], "first": [0, 1]}
+    if name == "initial":
+        others["transition"] = torch.eye(2) * 0.8 + 0.1
+    return ([motion, ConstantVelocity(9.0)] if preset in BANKS else motion), sensor, others
+
+
+BANKS = {p for p in ALL if "models" in inspect.signature(p).parameters}
+NUMBERS = [
+    (preset, p.name)
+    for preset in ALL
+    for p in inspect.signature(preset).parameters.values()
+    if p.kind is p.KEYWORD_ONLY and re.search(r"Value|float|\bint\b(?!\])", str(p.annotation))
+]
+
+
+@pytest.mark.parametrize("bad", ["abc", ["a"], {}])
+def test_words_where_numbers_belong_are_an_error_that_names_the_argument(bad):
+    assert len(NUMBERS) > 100
+    for preset, name in NUMBERS:
+        models, sensor, others = with_companions(preset, name)
+        with pytest.raises(ValueError, match=rf"^[\w, ]*\b{name}\b[\w, ]*: expected"):
+            preset(models, sensor, **{**others, name: bad})

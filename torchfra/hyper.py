@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import constraints, transform_to
 
+from torchfra.numbers import as_numbers
 from torchfra.suggestions import meant
 from torchfra.tables import text_table
 
@@ -105,7 +106,7 @@ class Hyper(nn.Module):
             self.raw.copy_(raw)
 
     def _unconstrained(self, value: Value, name: str) -> Tensor:
-        value = torch.as_tensor(value, dtype=torch.float64)
+        value = as_numbers(value, name).double()
         if 0 in value.shape[: value.dim() - self.event_dim]:
             raise ValueError(f"{name}: expected one value or more, received none, {tuple(value.shape)}")
         if not bool(self.constraint.check(value).all()):

@@ -15,6 +15,7 @@ from torchfra.linalg.gram import gram_pinv
 from torchfra.linalg.safe import in_range, safe_divide
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_number, as_numbers
 from torchfra.tree import event_ranks
 from torchfra.types import Prediction, Whitened
 
@@ -103,15 +104,15 @@ class Fading(NoFading):
         trace: str = "full",
     ) -> None:
         super().__init__()
-        if not 0 <= rcond < 1:
-            raise ValueError(f"rcond: expected a value in [0, 1), received {rcond}")
+        if not 0 <= as_number(rcond) < 1:
+            raise ValueError(f"rcond: expected a value in [0, 1), received {rcond!r}")
         one_of(trace=(trace, ("full", "position")))
         self.weakening = Hyper(weakening, constraints.greater_than_eq(1.0), name="weakening")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
         self.fading_max = Hyper(fading_max, constraints.greater_than_eq(1.0), name="fading_max")
         self.share: Hyper | None = None
         if share is not None:
-            share = torch.as_tensor(share, dtype=torch.float64)
+            share = as_numbers(share, "share").double()
             self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
         self.rcond, self.trace, self._states_given = rcond, trace, states is not None
         states = slice(0, 2) if states is None else states

@@ -11,6 +11,7 @@ from torch.distributions import constraints
 
 from torchfra.gaussian.update import down_weight
 from torchfra.hyper import Hyper, Value, one_of
+from torchfra.numbers import as_number, as_numbers, is_integer
 from torchfra.tree import event_ranks
 from torchfra.types import Whitened
 
@@ -123,12 +124,12 @@ class SageHusa(NominalNoise):
             confidence_in=(confidence_in, ("nominal", "measured")),
             adapt=(adapt, ("innovation", "residual")),
         )
-        if not 0 < lowest <= 1 <= highest or warmup < 0:
+        if not (0 < as_number(lowest) <= 1 <= as_number(highest) and is_integer(warmup, 0)):
             raise ValueError(
                 "lowest, highest, warmup: expected shares up to 1, from 1 on, and 0 or more, received "
-                f"{lowest}, {highest}, {warmup}"
+                f"{lowest!r}, {highest!r}, {warmup!r}"
             )
-        confidence = torch.as_tensor(confidence, dtype=torch.float64)
+        confidence = as_numbers(confidence, "confidence").double()
         confidence = confidence.expand(len(blocks)) if confidence.dim() == 0 else confidence
         if confidence.shape[-1:] != (len(blocks),):
             raise ValueError(f"confidence: expected (..., {len(blocks)}), received {tuple(confidence.shape)}")

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from torchfra.association.gates import Candidates
 from torchfra.hyper import Hyper, Value
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 
 
@@ -37,7 +38,7 @@ class Clutter(nn.Module):
         if (volume is None) == (extent is None):
             raise ValueError("volume, extent: expected exactly one of the two")
         self.volume = None if volume is None else Hyper(volume, name="volume")
-        extent = None if extent is None else torch.as_tensor(extent, dtype=torch.float64)
+        extent = None if extent is None else as_numbers(extent, "extent").double()
         self.extent = None if extent is None else Hyper(extent, event_dim=1, name="extent")
         self.rate = None if rate is None else Hyper(rate, name="rate")
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.linalg.safe import safe_log
+from torchfra.numbers import is_integer
 
 _LARGEST = 300_000
 """Largest product of choices to enumerate."""
@@ -18,13 +19,13 @@ def check_exact(exact: tuple[int, int]) -> None:
     """Checks that the joint events of so many targets and measurements are few enough to enumerate.
 
     Raises:
-        ValueError: there are too many.
+        ValueError: there are too many, or ``exact`` is no pair of numbers.
     """
-    targets, measurements = exact
-    if min(exact) < 0 or (measurements + 1) ** targets > _LARGEST:
+    pair = isinstance(exact, tuple) and len(exact) == 2 and all(is_integer(x, 0) for x in exact)
+    if not pair or (exact[1] + 1) ** exact[0] > _LARGEST:
         raise ValueError(
-            f"exact: expected targets and measurements with (measurements + 1)^targets up to {_LARGEST}, such as 4 and "
-            f"10, received {targets} and {measurements}"
+            f"exact: expected targets and measurements with (measurements + 1)^targets up to {_LARGEST}, such as "
+            f"(4, 10), received {exact!r}"
         )
 
 

@@ -12,6 +12,7 @@ from torch.nn.functional import logsigmoid
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log, safe_sqrt
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 
 _LOWEST_MEMBERSHIP = -30.0
@@ -120,7 +121,7 @@ class ChiSquare(Gate):
 
     def __init__(self, probability: Value = 0.999) -> None:
         super().__init__()
-        value = torch.as_tensor(probability)
+        value = as_numbers(probability, "probability")
         if not bool(((value > 0) & (value < 1)).all()):
             raise ValueError(f"probability: expected a value above 0 and below 1, received {probability}")
         self.probability = Hyper(probability, constraints.interval(0.0, 1.0), name="probability")

@@ -29,6 +29,7 @@ from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -122,7 +123,9 @@ class IMM(Filter[IMMState]):
             raise ValueError(f"transition, stay: expected one of the two, received {received}")
         if subset is not None:
             subset.check(self.motion, transition if durations is None else _reachable(count, transition), initial)
-        initial = torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else torch.as_tensor(initial)
+        initial = (
+            torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else as_numbers(initial, "initial")
+        )
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
         self.transition = None
@@ -311,7 +314,7 @@ class IMM(Filter[IMMState]):
 def _reachable(count: int, follows: Value | None) -> Tensor:
     """A matrix ``(count, count)`` above 0 where a model may follow another, or itself."""
     eye = torch.eye(count, dtype=torch.float64)
-    return torch.ones_like(eye) if follows is None else torch.as_tensor(follows, dtype=torch.float64) + eye
+    return torch.ones_like(eye) if follows is None else as_numbers(follows, "transition").double() + eye
 
 
 def _as_transition(count: int, value: Value, *, zero_diagonal: bool = False) -> Hyper:
@@ -320,7 +323,7 @@ def _as_transition(count: int, value: Value, *, zero_diagonal: bool = False) -> 
     Raises:
         ValueError: no such matrix, one that does not reach every model, or a diagonal against ``zero_diagonal``.
     """
-    value = torch.as_tensor(value, dtype=torch.float64)
+    value = as_numbers(value, "transition").double()
     if value.shape[-2:] != (count, count) or not bool((value.sum(-2) > 0).all()):
         expected = f"({count}, {count}) that reaches every model"
         raise ValueError(f"transition: expected {expected}, received {value.tolist()}")
@@ -336,7 +339,7 @@ def _as_durations(count: int, value: Value) -> Hyper:
     Raises:
         ValueError: a single model, another number of values, or one that is not above 0 or infinite.
     """
-    value = torch.as_tensor(value, dtype=torch.float64)
+    value = as_numbers(value, "durations").double()
     if count < 2:
         raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
     if value.dim() and value.shape[-1] != count:

@@ -14,6 +14,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.motion.bank import Bank
+from torchfra.numbers import as_numbers
 
 
 class LikelyModels(nn.Module):
@@ -73,7 +74,7 @@ class LikelyModels(nn.Module):
             raise ValueError(f"initial: expected None beside a subset, which begins evenly, received {initial}")
         if transition is None:
             raise ValueError("transition: expected one beside a subset, received None")
-        transition = torch.as_tensor(transition, dtype=torch.float64)
+        transition = as_numbers(transition, "transition").double()
         if transition.shape[-2:] != (count, count) or not bool((transition > 0).all()):
             raise ValueError(f"transition: expected ({count}, {count}) above 0, received {transition.tolist()}")
 
@@ -151,7 +152,7 @@ def of_active(frame: Frame, active: Tensor) -> Frame:
 
 
 def _check_thresholds(unlikely: Value, principal: Value) -> None:
-    low, high = torch.as_tensor(unlikely), torch.as_tensor(principal)
+    low, high = as_numbers(unlikely, "unlikely"), as_numbers(principal, "principal")
     if not bool(((low >= 0) & (low < high) & (high < 1)).all()):
         received = f"{low.tolist()}, {high.tolist()}"
         raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {received}")

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide
+from torchfra.numbers import as_numbers
 
 DOUBLINGS = 20
 """Number of times that a step is halved.  A step longer than two million of the shortest sojourn times counts as two
@@ -19,7 +20,7 @@ def mean_durations(value: Value, event_dim: int, name: str) -> Hyper:
     Raises:
         ValueError: one is not above 0, or infinite: such a chain has no stationary distribution to start from.
     """
-    value = torch.as_tensor(value, dtype=torch.float64)
+    value = as_numbers(value, name).double()
     if bool(value.isinf().any()):
         raise ValueError(f"{name}: expected finite numbers of seconds, received {value.tolist()}")
     return Hyper(value, event_dim=event_dim, name=name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from torchfra.numbers import as_number
+
 
 class Soft:
     """Mixed into a filter: a ``temperature``, 0 for hard choices and above for soft ones, to train by."""
@@ -17,6 +19,6 @@ class Soft:
 
     @temperature.setter
     def temperature(self, value: float) -> None:
-        if not value >= 0:
-            raise ValueError(f"temperature: expected 0 or more, received {value}")
+        if not as_number(value) >= 0:
+            raise ValueError(f"temperature: expected 0 or more, received {value!r}")
         self._temperature, self.soft = float(value), value > 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import combinations
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 
 from torchfra.gaussian.rules import SigmaPoints, Tangent
+from torchfra.numbers import as_number
 
 
 def third_degree(n: int) -> SigmaPoints:
@@ -37,12 +39,14 @@ def unscented(alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0) -> Call
 
     Source: Julier & Uhlmann (2004), "Unscented Filtering and Nonlinear Estimation"; van der Merwe (2004).
     """
-    if not alpha > 0:
-        raise ValueError(f"alpha: expected a value above 0, received {alpha}")
+    if not as_number(alpha) > 0:
+        raise ValueError(f"alpha: expected a value above 0, received {alpha!r}")
+    if not math.isfinite(as_number(beta)):
+        raise ValueError(f"beta: expected a finite number, received {beta!r}")
 
     def rule(n: int) -> SigmaPoints:
-        if not n + kappa > 0:
-            raise ValueError(f"kappa: expected a value above {-n} for {n} states, received {kappa}")
+        if not n + as_number(kappa) > 0:
+            raise ValueError(f"kappa: expected a value above {-n} for {n} states, received {kappa!r}")
         scale = alpha**2 * (n + kappa)
         eye = torch.eye(n, dtype=torch.float64)
         weights = torch.full((2 * n,), 0.5 / scale, dtype=torch.float64)

@@ -17,6 +17,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_number
 from torchfra.presets.feedback import fra
 from torchfra.presets.learning import with_learning
 from torchfra.presets.sides import Share, States
@@ -57,7 +58,7 @@ def imm(
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
     """
     bank = _bank(models)
-    uniform = transition is None and len(bank) > 1 and 1 / len(bank) <= stay < 1
+    uniform = transition is None and len(bank) > 1 and 1 / len(bank) <= as_number(stay) < 1
     chain: dict[str, Any] = {"transition": transition, "durations": durations}
     if durations is None:
         chain = {"stay": stay} if uniform else {"transition": _transition(len(bank), stay, transition)}
@@ -207,8 +208,8 @@ def _bank(models: Models) -> Bank:
 
 def _transition(count: int, stay: float, transition: Value | None) -> Value:
     """The matrix ``(count, count)`` of the argument, or one with the same self-transition probability for all."""
-    if not 0 < stay < 1:
-        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay}")
+    if not 0 < as_number(stay) < 1:
+        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay!r}")
     if transition is not None:
         return transition
     eye = torch.eye(count, dtype=torch.float64)

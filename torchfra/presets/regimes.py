@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-import torch
-
 from torchfra import register
 from torchfra.filters.checks import check_models
 from torchfra.filters.gpb import GPB, Outliers, Regimes
@@ -15,6 +13,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value, Values
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_numbers
 from torchfra.presets.learning import with_learning
 from torchfra.sensors.base import Sensor
 from torchfra.suggestions import meant
@@ -142,7 +141,7 @@ def gpb(
     values = MANOEUVRES[manoeuvres] | {name: x for name, x in arguments.items() if x is not None}
     if durations is not None:
         values["self_transition"] = self_transition
-    if separate_levels is None and torch.as_tensor(values["noise_levels"]).shape[-1:].numel() <= 1:
+    if separate_levels is None and as_numbers(values["noise_levels"], "noise_levels").shape[-1:].numel() <= 1:
         values["separate_levels"] = 0  # the only level
     regimes = Regimes(count, **values)
     if outlier_durations is None and outlier_transition is None:

@@ -11,6 +11,7 @@ from torch.nn.functional import pad
 from torchfra.gaussian.update import correct, down_weight, repaired_root
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.numbers import as_number, is_integer
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
@@ -72,8 +73,8 @@ class HuberRegression(Robust):
         compensate: bool = False,
     ) -> None:
         super().__init__()
-        if max_iter < 1 or not tol >= 0:
-            raise ValueError(f"max_iter, tol: expected 1 or more and 0 or more, received {max_iter}, {tol}")
+        if not (is_integer(max_iter, 1) and as_number(tol) >= 0):
+            raise ValueError(f"max_iter, tol: expected 1 or more and 0 or more, received {max_iter!r}, {tol!r}")
         one_of(first_iterate=(first_iterate, ("posterior", "prior")))
         self.threshold = Hyper(threshold, name="threshold")
         self.max_iter, self.tol, self.first_iterate, self.compensate = max_iter, tol, first_iterate, compensate

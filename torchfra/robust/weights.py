@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density
 from torchfra.hyper import Hyper, Value
+from torchfra.numbers import as_numbers
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
@@ -49,7 +50,7 @@ class Huber(Weights):
     def __init__(self, threshold: Value = 1.345, *, elements: int | None = None) -> None:
         super().__init__()
         if elements is not None:
-            threshold = torch.as_tensor(threshold, dtype=torch.float64)
+            threshold = as_numbers(threshold, "threshold").double()
             threshold = threshold.expand(elements) if threshold.dim() == 0 else threshold
             if threshold.shape[-1] != elements:
                 raise ValueError(f"threshold: expected (..., {elements}), received {tuple(threshold.shape)}")

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import hstack, tria
-from torchfra.sensors.places import numbers
+from torchfra.numbers import as_numbers
 from torchfra.tree import event_ranks
 
 
@@ -110,7 +110,7 @@ class Sensor(nn.Module):
         if std is not None:
             self.std = elementwise(std, self.size, "std")
         if noise is not None:
-            self.root = _checked_root(numbers(noise, "noise"), self.size)
+            self.root = _checked_root(as_numbers(noise, "noise"), self.size)
 
     def _lay_out(self, reads: int, angles: Sequence[bool]) -> None:
         """Sets the layout of a measurement: everything but the noise."""
@@ -208,7 +208,7 @@ def elementwise(value: Value, size: int, name: str) -> Hyper:
     Raises:
         ValueError: no numbers, numbers not above 0, or another shape.
     """
-    values = numbers(value, name)
+    values = as_numbers(value, name)
     if values.dim() and values.shape[-1] != size:
         raise ValueError(f"{name}: expected a number or (..., {size}), received {tuple(values.shape)}")
     return Hyper(values, event_dim=int(values.dim() > 0), name=name)

@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Expected, Sensor, elementwise
-from torchfra.sensors.places import finite, from_u, in_space, numbers
+from torchfra.sensors.places import finite, from_u, in_space
 
 
 class Camera(Sensor):
@@ -93,7 +94,7 @@ def facing(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Tensor:
         ValueError: points that are not in space, or a camera that looks along ``up``, or at itself.
     """
     arguments = {"position": position, "target": target, "up": up}
-    position, target, up = (numbers(x, name).double() for name, x in arguments.items())
+    position, target, up = (as_numbers(x, name).double() for name, x in arguments.items())
     for name, x in zip(arguments, (position, target, up), strict=True):
         if x.shape[-1:] != (3,):
             raise ValueError(f"{name}: expected (..., 3), received {tuple(x.shape)}")

@@ -7,9 +7,9 @@ from torch import Tensor, nn
 
 from torchfra.hyper import Value
 from torchfra.motion.correlated import GaussMarkov
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
 from torchfra.sensors.composed import Stacked
-from torchfra.sensors.places import numbers
 
 
 class Correlated(Sensor):
@@ -41,7 +41,7 @@ class Correlated(Sensor):
             raise ValueError(f"sensor: expected a sensor without errors that last, received {received}")
         self._lay_out(sensor.reads, sensor.angles.tolist())
         self.sensor, self.blocks, self.dims = sensor, sensor.blocks, sensor.dims
-        values = [numbers(std, "std"), numbers(time, "time")]
+        values = [as_numbers(std, "std"), as_numbers(time, "time")]
         for name, value in zip(("std", "time"), values, strict=True):
             if value.shape not in ((), (self.size,)):
                 raise ValueError(f"{name}: expected a number or ({self.size},), received {tuple(value.shape)}")

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Expected, Sensor
-from torchfra.sensors.places import finite, from_u, in_space, numbers
+from torchfra.sensors.places import finite, from_u, in_space
 
 
 class Bearings(Sensor):
@@ -42,7 +43,7 @@ class Bearings(Sensor):
         noise: Tensor | None = None,
     ) -> None:
         if stations is not None:
-            stations = numbers(stations, "stations")
+            stations = as_numbers(stations, "stations")
             if stations.dim() != 2 or stations.shape[-1] != 2:
                 raise ValueError(f"stations: expected (m, 2), received {tuple(stations.shape)}")
         super().__init__(2, [True] * (count if stations is None else len(stations)), std, noise)

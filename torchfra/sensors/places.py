@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from torchfra.motion.components import KINDS
+from torchfra.numbers import as_numbers
 
 
 def in_space(dims: int, orders: int = 1) -> list[tuple[int, tuple[str, ...]]]:
@@ -27,26 +27,13 @@ def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
     return u[..., :count]
 
 
-def numbers(value: Any, name: str) -> Tensor:
-    """Numbers as a floating-point tensor; all but floating-point tensors become float64.
-
-    Raises:
-        ValueError: the value is not numeric.
-    """
-    try:
-        values = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
-    except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"{name}: expected numbers, received {value!r}") from None
-    return values if values.is_floating_point() else values.double()
-
-
 def finite(value: Any, *shape: int, name: str) -> Tensor:
-    """``numbers`` of a known shape that are all finite.
+    """``as_numbers`` of a known shape that are all finite.
 
     Raises:
         ValueError: another shape, or a number that is not finite.
     """
-    values = numbers(value, name)
+    values = as_numbers(value, name)
     if values.shape != shape or not bool(values.isfinite().all()):
         received = tuple(values.shape) if values.shape != shape else values.tolist()
         raise ValueError(f"{name}: expected finite numbers {shape}, received {received}")

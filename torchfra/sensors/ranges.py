@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Expected, Sensor
-from torchfra.sensors.places import from_u, in_space, numbers
+from torchfra.sensors.places import from_u, in_space
 
 
 class Ranges(Sensor):
@@ -149,8 +150,8 @@ class RangeRates(Ranges):
 
 
 def _places(anchors: Any) -> Tensor:
-    """Positions ``(m, c)`` as a tensor: see ``numbers``."""
-    places = numbers(anchors, "anchors")
+    """Positions ``(m, c)`` as a tensor: see ``as_numbers``."""
+    places = as_numbers(anchors, "anchors")
     if places.dim() != 2 or len(places) < 1 or places.shape[-1] not in (1, 2, 3) or not bool(places.isfinite().all()):
         received = tuple(places.shape) if bool(places.isfinite().all()) else places.tolist()
         raise ValueError(f"anchors: expected finite positions (m, 2) or (m, 3), received {received}")

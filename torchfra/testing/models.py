@@ -17,8 +17,8 @@ from torchfra.filters.imm import IMM
 from torchfra.filters.srckf import SRCKF
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
-from torchfra.sensors.places import numbers
 from torchfra.testing import refusals
 from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
@@ -103,12 +103,12 @@ def check_model(
     check_models(motion, sensor)
     if not (isinstance(dt, int | float) and 0 < dt < math.inf):
         raise ValueError(f"dt: expected a finite number of seconds above 0, received {dt!r}")
-    state = None if state is None else numbers(state, "state")
+    state = None if state is None else as_numbers(state, "state")
     if state is not None and not (state.shape == (motion.size,) and bool(state.isfinite().all())):
         expected = f"finite numbers ({motion.size},) of [{', '.join(motion.components)}]"
         received = state.tolist() if state.shape == (motion.size,) else tuple(state.shape)
         raise ValueError(f"state: expected {expected}, received {received}")
-    u = None if u is None else numbers(u, "u")
+    u = None if u is None else as_numbers(u, "u")
     if u is not None and not (u.dim() == 1 and bool(u.isfinite().all())):
         raise ValueError(f"u: expected finite numbers (k,), received {u.tolist() if u.dim() == 1 else tuple(u.shape)}")
     motion, sensor = copy.deepcopy(motion).double(), copy.deepcopy(sensor).double()

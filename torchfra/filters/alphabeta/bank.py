@@ -40,6 +40,7 @@ from torchfra.filters.soft import Soft
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_number, as_numbers, is_integer
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -148,13 +149,14 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             onset=(self.onset, ("shared", "fastest")),
             expect=(self.expect, ("paper", "level")),
         )
-        if self.votes < 2 or self.votes % 2 or self.patience < 1 or self.converged < 3:
+        even = is_integer(self.votes, 2) and self.votes % 2 == 0
+        if not (even and is_integer(self.patience, 1) and is_integer(self.converged, 3)):
             raise ValueError(
                 "votes, patience, converged: expected an even number of 2 or more, 1 or more, 3 or more, received "
-                f"{self.votes}, {self.patience}, {self.converged}"
+                f"{self.votes!r}, {self.patience!r}, {self.converged!r}"
             )
-        if not self.longest > 0:
-            raise ValueError(f"longest: expected seconds above 0, received {self.longest}")
+        if not as_number(self.longest) > 0:
+            raise ValueError(f"longest: expected seconds above 0, received {self.longest!r}")
         if self.detect == "polar" and self.motion.dims < 2:
             raise ValueError("detect: expected 'cartesian' for a motion of one dimension, received 'polar'")
 
@@ -174,13 +176,13 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         self, gains: Gains, manoeuvre: Value | None, outlier: Value | None, degrees: Value | None
     ) -> None:
         slowest = two_gain_root(gains.alpha[..., -1], gains.beta[..., -1])[1]
-        manoeuvre = 3 * slowest.sqrt() if manoeuvre is None else torch.as_tensor(manoeuvre, dtype=torch.float64)
-        outlier = 3 * manoeuvre if outlier is None else torch.as_tensor(outlier, dtype=torch.float64)
+        manoeuvre = 3 * slowest.sqrt() if manoeuvre is None else as_numbers(manoeuvre, "manoeuvre").double()
+        outlier = 3 * manoeuvre if outlier is None else as_numbers(outlier, "outlier").double()
         if bool((outlier < manoeuvre).any()):
             raise ValueError(f"outlier: expected {manoeuvre.tolist()} or more, received {outlier.tolist()}")
         between = gains.alpha.shape[-1] - 2
         falling = torch.linspace(0.9, 0.9 / max(between, 1), between, dtype=torch.float64)
-        degrees = falling if degrees is None else torch.as_tensor(degrees, dtype=torch.float64)
+        degrees = falling if degrees is None else as_numbers(degrees, "degrees").double()
         if degrees.shape[-1:] != (between,) or not bool((degrees.diff() < 0).all()):
             raise ValueError(f"degrees: expected ({between},), falling, received {degrees.tolist()}")
         self.degrees = Hyper(degrees, event_dim=1, name="degrees")

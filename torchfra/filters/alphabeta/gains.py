@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchfra.hyper import Value
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.numbers import as_numbers
 
 
 class Gains(NamedTuple):
@@ -47,7 +48,7 @@ def kalata(index: Value, orders: int = 2) -> Gains:
 
     Source: Kalata (1984), "The Tracking Index"; Gray & Murray (1993) for the closed form of three gains.
     """
-    index = torch.as_tensor(index, dtype=torch.float64)
+    index = as_numbers(index, "index").double()
     if not bool((index > 0).all()) or orders not in (2, 3):
         raise ValueError(f"index, orders: expected above 0, and 2 or 3, received {index.tolist()}, {orders}")
     if orders == 2:
@@ -144,7 +145,7 @@ def stable(gains: Gains) -> bool:
 
 
 def _share(name: str, value: Value) -> Tensor:
-    value = torch.as_tensor(value, dtype=torch.float64)
+    value = as_numbers(value, name).double()
     if not bool(((value > 0) & (value <= 1)).all()):
         raise ValueError(f"{name}: expected a value above 0 and at most 1, received {value.tolist()}")
     return value

@@ -19,6 +19,7 @@ from torchfra.hyper import Hyper, Value, Values, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
+from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
@@ -73,14 +74,14 @@ class Outliers(nn.Module):
         super().__init__()
         self.adaptive_largest_size, self.outliers_inform = adaptive_largest_size, outliers_inform
         name, modes = one_given(outlier_transition=outlier_transition, outlier_durations=outlier_durations)
-        arguments = modes, outlier_sizes, outlier_shares
-        modes, sizes, shares = (torch.as_tensor(x, dtype=torch.float64) for x in arguments)
+        arguments = {name: modes, "outlier_sizes": outlier_sizes, "outlier_shares": outlier_shares}
+        modes, sizes, shares = (as_numbers(x, argument).double() for argument, x in arguments.items())
         event = (2, 2) if name == "outlier_transition" else (2,)
         if modes.shape[-len(event) :] != event:
             raise ValueError(f"{name}: expected {event}, received {tuple(modes.shape)}")
         if sizes.shape[-1:] != shares.shape[-1:]:
             raise ValueError(f"outlier_shares: expected one for each of outlier_sizes, received {tuple(shares.shape)}")
-        offsets = None if outlier_offsets is None else torch.as_tensor(outlier_offsets, dtype=torch.float64)
+        offsets = None if outlier_offsets is None else as_numbers(outlier_offsets, "outlier_offsets").double()
         if offsets is not None and not bool(offsets.isfinite().all()):
             raise ValueError(f"outlier_offsets: expected finite numbers, received {offsets.tolist()}")
         if offsets is not None and offsets.shape[-1:] != sizes.shape[-1:]:

@@ -16,6 +16,7 @@ from torchfra.gaussian.model import Carried
 from torchfra.hyper import Hyper, Values, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.numbers import as_numbers
 from torchfra.types import Gaussian
 
 LARGEST_FACTOR = 1e5
@@ -86,8 +87,11 @@ class Regimes(nn.Module):
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
-        arguments = noise_levels, manoeuvre_factors, jump_factors, stay, restart
-        levels, manoeuvres, jumps, stay, begin = (torch.as_tensor(x, dtype=torch.float64) for x in arguments)
+        arguments = {
+            "noise_levels": noise_levels, "manoeuvre_factors": manoeuvre_factors, "jump_factors": jump_factors,
+            sojourn: stay, "restart": restart,
+        }  # fmt: skip
+        levels, manoeuvres, jumps, stay, begin = (as_numbers(x, name).double() for name, x in arguments.items())
         for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected several, received {value.item():g}")

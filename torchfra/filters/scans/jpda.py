@@ -37,6 +37,7 @@ from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measure
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
+from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
 
@@ -122,8 +123,8 @@ class JPDA(Soft, Filter[JPDAState]):
         check_exact(exact)
         clutter.check(inner.sensor)
         gate.check(inner.sensor)
-        if not 0 <= lost < 1:
-            raise ValueError(f"lost: expected a probability of 0 or more and below 1, received {lost}")
+        if not 0 <= as_number(lost) < 1:
+            raise ValueError(f"lost: expected a probability of 0 or more and below 1, received {lost!r}")
         self.inner, self.gate, self.clutter = copy.deepcopy((inner, gate, clutter))
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
