@@ -12,7 +12,7 @@ from torch.nn.functional import logsigmoid
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log, safe_sqrt
-from torchfra.numbers import as_numbers
+from torchfra.numbers import as_number, as_numbers
 from torchfra.sensors.base import Sensor
 
 _LOWEST_MEMBERSHIP = -30.0
@@ -82,8 +82,8 @@ class Euclidean(Gate):
 
     def __init__(self, size: Value = 100.0, least: float = 0.0) -> None:
         super().__init__()
-        if not 0 <= least < 1:
-            raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least}")
+        if not 0 <= as_number(least) < 1:
+            raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least!r}")
         self.size = Hyper(size, name="size")
         self.least = least
 

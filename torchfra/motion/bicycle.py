@@ -11,6 +11,7 @@ from torch.distributions import constraints
 from torchfra.hyper import Hyper, Value
 from torchfra.motion.base import Motion
 from torchfra.motion.blocks import arc, arc_of_rate, driven
+from torchfra.numbers import as_number
 
 
 class Bicycle(Motion):
@@ -41,8 +42,8 @@ class Bicycle(Motion):
     """
 
     def __init__(self, wheelbase: Value, q: Value, steer: Value, *, rear: float = 0.0, spectral: bool = False) -> None:
-        if not 0 <= rear < math.inf:
-            raise ValueError(f"rear: expected finite metres, 0 or more, received {rear}")
+        if not 0 <= as_number(rear) < math.inf:
+            raise ValueError(f"rear: expected finite metres, 0 or more, received {rear!r}")
         super().__init__(
             2, 2, q, size=5, velocity=slice(0, 0), angles=(3,),
             components=("x", "y", "speed", "heading", "steering"),
