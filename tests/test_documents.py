@@ -138,7 +138,11 @@ def test_every_block_of_code_runs(name, tmp_path, monkeypatch, request):
 
 def anchors(path):
     """The anchors of a document's headings, as GitHub makes them."""
-    headings = re.findall(r"^#+ (.*)$", blocks_of(path.read_text())[1], re.M)
+    return anchors_of(path.read_text())
+
+
+def anchors_of(text):
+    headings = re.findall(r"^#+ (.*)$", blocks_of(text)[1], re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
@@ -420,9 +424,51 @@ def test_arguments_are_made_small():
     ]  # fmt: skip
 
 
+DOCS = ROOT / "scripts" / "docs"
+
+
+def includes(page):
+    """The texts that a page of the documentation includes, each with what it starts after and ends before."""
+    for file, options in re.findall(r"```\{include\} (\S+)\n((?::.*\n)*)```", page.read_text(encoding="utf-8")):
+        markers = dict(re.findall(r'^:(start-after|end-before): "(.*)"$', options, re.MULTILINE))
+        yield (
+            (page.parent / file).read_text(encoding="utf-8"),
+            {name: x.replace("\\n", "\n") for name, x in markers.items()},
+        )
+
+
+def included(text, markers):
+    """The part of a text between its markers."""
+    start, end = markers.get("start-after"), markers.get("end-before")
+    text = text if start is None else text.split(start, 1)[1]
+    return text if end is None else text.split(end, 1)[0]
+
+
 def test_pages_include_from_and_to_words_that_are_there():
-    for page in sorted((ROOT / "scripts" / "docs").glob("*.md")):
-        for file, options in re.findall(r"```\{include\} (\S+)\n((?::.*\n)*)```", page.read_text(encoding="utf-8")):
-            text = (page.parent / file).read_text(encoding="utf-8")
-            for marker in re.findall(r'^:(?:start-after|end-before): "(.*)"$', options, re.MULTILINE):
-                assert marker.replace("\\n", "\n") in text, f"{page.name}: {marker}"
+    for page in sorted(DOCS.glob("*.md")):
+        for text, markers in includes(page):
+            for marker in markers.values():
+                assert marker in text, f"{page.name}: {marker}"
+
+
+def test_links_to_headings_lead_to_the_page_of_the_documentation_that_has_them():
+    """A file may be cut into pages: a link to a heading outside the file's main page needs its line in ``SECTIONS``."""
+    constants = {}
+    for statement in ast.parse((DOCS / "builder.py").read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Assign) and statement.targets[0].id in ("PAGES", "SECTIONS"):
+            constants[statement.targets[0].id] = ast.literal_eval(statement.value)
+    pages, sections = constants["PAGES"], constants["SECTIONS"]
+    shown = dict.fromkeys(pages.values(), "")
+    for page in DOCS.glob("*.md"):
+        shown[page.stem] = page.read_text(encoding="utf-8")
+        for text, markers in includes(page):
+            shown[page.stem] += included(text, markers)
+    lost = []
+    for source in DOCUMENTS:
+        for link in re.findall(r"\]\(([^)\s:]*#[^)\s]+)\)", blocks_of(source.read_text(encoding="utf-8"))[1]):
+            file, _, anchor = link.partition("#")
+            path = str(((source.parent / file).resolve() if file else source).relative_to(ROOT))
+            moved = path == "torchfra/filters/README.md" and f"#{anchor}" in sections
+            if path in pages and not moved and anchor not in anchors_of(shown[pages[path]]):
+                lost.append((str(source.relative_to(ROOT)), link))
+    assert not lost
