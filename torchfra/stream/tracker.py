@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
 
+from torchfra import tree
+from torchfra.filters.alarms import lasting
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.fixed_lag import go_back, remember
 from torchfra.filters.forecast import Forecast
 from torchfra.filters.protection import protection_level
 from torchfra.gaussian.arguments import check_belief
 from torchfra.sensors.base import Sensor
-from torchfra.stream.alarms import Known, measured, silent
 from torchfra.stream.arguments import check_counts, seconds
-from torchfra.stream.clock import Clock
 from torchfra.stream.intake import Intake
-from torchfra.stream.saved import restored, saved
-from torchfra.stream.window import At, Entry, Window
+from torchfra.stream.window import At, Clock, Entry, Window
 from torchfra.types import Alarm, Gaussian, Innovation
 
 OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
+FORMAT = 1
+"""Of the dictionary of a saved track."""
+Alarms = tuple[Alarm, ...]
+"""The alarm of each sensor at its last measurement; empty for filters without alarms."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -52,7 +55,14 @@ class Report(NamedTuple):
     innovation: Innovation | None
     """Innovation of the measurement; None for one that was left out."""
     alarm: Alarm | None = None
-    """Whether its sensor is faulty: ``Tracker.alarms``; None of filters that do not say."""
+    """Whether its sensor is faulty: ``Tracker.alarms``; None for filters without alarms."""
+
+
+class Known(NamedTuple):
+    """State of the filter and alarms after a measurement."""
+
+    state: Any
+    alarms: Alarms
 
 
 class Tracker:
@@ -108,7 +118,7 @@ class Tracker:
         self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
         with torch.no_grad():
             state = self._intake.start(prior)
-            alarms = tuple(silent(x, state.belief.mean) for x in self._intake.sensors if filter.alarms)
+            alarms = tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if filter.alarms)
             self._window = Window(seconds("time", time), Known(state, alarms))
         self._counts = dict.fromkeys(OUTCOMES, 0)
         self._clock = Clock(jump)
@@ -257,8 +267,18 @@ class Tracker:
         return [At(time, self._intake.outward(belief)) for time, belief in zip(times, each, strict=True)]
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the track is, in tensors, numbers and words: for ``torch.save``, and ``load_state_dict``."""
-        return saved(self._window, self._clock, self._counts, self._intake.kind())
+        """The whole track as tensors, numbers and words: for ``torch.save``, and ``load_state_dict``."""
+        window = self._window
+        return {
+            "format": FORMAT,
+            **self._intake.kind(),
+            "time": window.time,
+            "state": tree.flatten(window.state),
+            "forgot": window.forgot,
+            "entries": [{**entry._asdict(), "state": tree.flatten(entry.state)} for entry in window.entries],
+            "clock": self._clock.state_dict(),
+            "counts": dict(self._counts),
+        }
 
     def load_state_dict(self, values: Mapping[str, Any]) -> None:
         """Continues a saved track of the same filter, sensors and arguments, with bit-equal results.
@@ -267,10 +287,22 @@ class Tracker:
             values: from ``state_dict``, or of it from ``torch.load(..., weights_only=True)``.
 
         Raises:
-            ValueError: they are not of a tracker like this one.
+            ValueError: they are not of a tracker like this one; the track stays as it was.
         """
-        again = restored(values, self._window, self.jump, self._intake.kind())
-        self._window, self._clock, self._counts = again
+        for name, expected in {"format": FORMAT, **self._intake.kind()}.items():
+            received = values.get(name) if isinstance(values, Mapping) else None
+            if received != expected:
+                raise ValueError(f"values: expected {name} {expected!r}, received {received!r}")
+        like, clock = self._window.state, Clock(self.jump)
+        try:
+            window = Window(values["time"], _state_like(like, values["state"]))
+            window.forgot = values["forgot"]
+            window.entries = [Entry(**{**x, "state": _state_like(like, x["state"])}) for x in values["entries"]]
+            clock.load_state_dict(values["clock"])
+            counts = dict(values["counts"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"values: expected all that state_dict gives, received none of {error}") from None
+        self._window, self._clock, self._counts = window, clock, counts
 
     def _old(self, time: Any, entry: Entry) -> Report:
         """Refuses a measurement that comes too late, or counts it."""
@@ -284,20 +316,57 @@ class Tracker:
         """Inserts an entry at its place, filters it and all after it; gives its innovation and the new estimate."""
         window = self._window
         place = window.place(entry)
-        (time, known), done, said = window.before(place), [], []
+        (time, known), done, innovations = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
             f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
-            state, told = f.engine.step(f, known.state, measurements, True)
-            alarm, alone = told[1], f is self.filter and len(known.alarms) == 1  # then the filter remembers all of it
-            after = (alarm,) if alone else measured(known.alarms, each.sensor, alarm, measurements.z, each.time - time)
-            known = Known(state, after)
-            done.append(each.with_state(known))
-            said.append(told)
+            state, (innovation, alarm, belief) = f.engine.step(f, known.state, measurements, True)
+            if f is self.filter and len(known.alarms) == 1:  # the filter's own memory is that of its only sensor
+                alarms: Alarms = (alarm,)
+            else:
+                alarms = _alarms_after(known.alarms, each.sensor, alarm, measurements.z, each.time - time)
+            known = Known(state, alarms)
+            done.append(each._replace(state=known))
+            innovations.append(innovation)
             time = each.time
         window.entries[place:] = done
-        return said[0][0], self._intake.told(said[-1][2])
+        return innovations[0], self._intake.outward(belief, copy=False)
 
     def _report(self, outcome: str, entry: Entry, belief: Gaussian, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
         alarms = self._now.alarms
         return Report(self.time, belief, outcome, innovation, alarms[entry.sensor] if alarms else None)
+
+
+def _state_like(like: Any, tensors: Sequence[Tensor]) -> Any:
+    """A saved state, of the form of another."""
+    form, received = ([(x.shape, x.dtype) for x in xs] for xs in (tree.flatten(like), tensors))
+    if received != form:
+        raise ValueError(f"values: expected states of {form}, received {received}")
+    return tree.unflatten(like, iter(tensors))
+
+
+def _no_alarm(sensor: Sensor, mean: Tensor) -> Alarm:
+    """The alarm of a sensor before its first measurement, batched like a mean ``(..., n)``."""
+    blocks, elements = (mean.new_zeros(*mean.shape[:-1], count) for count in (len(sensor.blocks), sensor.size))
+    return Alarm(blocks, blocks.clone(), elements)
+
+
+def _alarms_after(alarms: Alarms, number: int, alarm: Alarm | None, z: Tensor, dt: float) -> Alarms:
+    """All alarms after a measurement ``z (..., m)`` by the sensor of this number, ``dt`` seconds after the last one.
+
+    Args:
+        alarms: before it.
+        number: of the sensor.
+        alarm: the filter's, of this measurement; None for filters without alarms.
+        z: NaN is missing; where all is, the alarm stays.
+        dt: seconds.
+    """
+    if alarm is None:
+        return ()
+    measured = ~z.isnan().all(-1, keepdim=True)
+    after = []
+    for i, (probability, lasted, offset) in enumerate(alarms):
+        now = torch.where(measured, alarm.probability, probability) if i == number else probability
+        off = torch.where(measured, alarm.offset, offset) if i == number else offset
+        after.append(Alarm(now, lasting(lasted, probability, now, lasted.new_tensor(dt)), off))
+    return tuple(after)

@@ -1,9 +1,10 @@
-"""The recent measurements in the order of their times, each with the state after it."""
+"""The recent measurements of a track in the order of their times, with the states after them, and its clock."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -48,10 +49,6 @@ class Entry(NamedTuple):
         """Whether both are the same measurement."""
         parts = zip(self[2:6], other[2:6], strict=True)
         return self[:2] == other[:2] and all(_equal(a, b) for a, b in parts)
-
-    def with_state(self, state: Any) -> Entry:
-        """The measurement with the state after it."""
-        return Entry(*self[:-1], state)
 
     def after(self, time: float) -> Measurements:
         """The inputs of a step from ``time`` to this measurement."""
@@ -118,3 +115,54 @@ def _equal(a: Tensor | None, b: Tensor | None) -> bool:
     if a is None or b is None:
         return a is b
     return a.shape == b.shape and bool(((a == b) | (a.isnan() & b.isnan())).all())
+
+
+class Clock:
+    """Converts times of an outside clock, which may be set back, to those of the track, which never go back.
+
+    Args:
+        jump: a time that is so many seconds before the newest comes from a clock that was set back; None if it never
+            is.
+    """
+
+    def __init__(self, jump: float | None) -> None:
+        self.jump = jump
+        self.behind, self.before = 0.0, 0.0
+        """Seconds that the outside clock is behind that of the track, now and before it was set back last."""
+        self.back = -math.inf
+        """Time in the track, s, when that was noticed."""
+        self.gap = 0.0
+        """Seconds of the last step."""
+
+    def inside(self, time: float, newest: float) -> tuple[float, bool]:
+        """The time in the track of a measurement, and whether it shows that the clock was set back.
+
+        After that, a time at least ``jump`` after the newest is read by the clock before it was set back, if that gives
+        a time within the last ``jump`` seconds.
+        """
+        inside, earlier = time + self.behind, time + self.before
+        if self.jump is None:
+            return inside, False
+        if inside <= newest - self.jump:
+            return newest + self.gap, True
+        of_late = newest - self.jump < earlier < self.back
+        return (earlier if of_late and inside >= newest + self.jump else inside), False
+
+    def outside(self, inside: float) -> float:
+        """A time in the track, by the outside clock."""
+        return inside - self.behind
+
+    def tick(self, time: float, inside: float, newest: float, jumped: bool) -> None:
+        """Advances to a measurement that was used, after the one that was ``newest``."""
+        if jumped:
+            self.before, self.back, self.behind = self.behind, inside, inside - time
+        elif inside > newest:
+            self.gap = inside - newest
+
+    def state_dict(self) -> dict[str, float]:
+        """All values but ``jump``."""
+        return {"behind": self.behind, "before": self.before, "back": self.back, "gap": self.gap}
+
+    def load_state_dict(self, values: Mapping[str, float]) -> None:
+        """Takes the values that were saved."""
+        self.behind, self.before, self.back, self.gap = (values[x] for x in ("behind", "before", "back", "gap"))
