@@ -1,4 +1,4 @@
-"""Try a filter, or a motion, a sensor or a weight of your own, on everything that filters promise."""
+"""Checks of a filter, or of a motion, a sensor or a weight of your own, for every property that filters have."""
 
 from torchfra.testing.battery import Outcome, Report, check_filter
 from torchfra.testing.case import CHECKS, Case

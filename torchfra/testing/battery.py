@@ -10,9 +10,9 @@ from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.tables import text_table
-from torchfra.testing import copies, derivatives, refusals, results, stated  # noqa: F401  they hold the checks
+from torchfra.testing import derivatives, refusals, results, stated  # noqa: F401  they hold the checks
 from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case, registered
-from torchfra.testing.lines import unexpected
+from torchfra.testing.expectations import unexpected
 from torchfra.types import Gaussian
 
 
@@ -56,7 +56,7 @@ def check_filter(
     thorough: bool = False,
     seed: int = 0,
 ) -> Report:
-    """Try a filter, or your own motion, sensor or weight inside one, on everything that a filter promises.
+    """Checks a filter, or your own motion, sensor or weight inside one, for every property that filters have.
 
     The filter is copied.  Checks run in float64 and float32, eager and compiled.
 
@@ -68,7 +68,7 @@ def check_filter(
         dt: seconds between steps.
         u: ``(T, k)`` or ``(B, T, k)`` inputs of the models at each step.
         only: names of checks; by default all of ``testing.CHECKS``.
-        skip: names of checks to leave out: a hard decision has no gradient, say.
+        skip: names of checks to leave out, such as those of gradients for a hard decision.
         compiled: whether to try the compiled filter, which takes some seconds to compile.
         thorough: whether to try all combinations of options; compiled this takes several times as long.
         seed: of the simulated tracks.

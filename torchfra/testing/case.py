@@ -14,9 +14,12 @@ from torch import Tensor
 from torchfra.association.clutter import Clutter
 from torchfra.filters.base import Filter
 from torchfra.hyper import learnable
+from torchfra.linalg.triangular import apply
 from torchfra.motion.bank import aircraft
+from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration
 from torchfra.register import FILTERS, made
+from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
 from torchfra.types import CompileError, Estimate, Gaussian
 
@@ -55,7 +58,7 @@ class Case:
     """The argument of a check: a filter, and tracks: one misses an element, one a step, one has an outlier."""
 
     filter: Filter
-    """All values that can be learnable are."""
+    """Every value of it that can be learned is a parameter."""
     z: Tensor
     """``(3, 6, m)``, of scans ``(3, 6, J, m)``; float64, as are all tensors."""
     prior: Gaussian
@@ -102,7 +105,7 @@ class Case:
         except CompileError as error:
             raise SkipCheck(f"not compiled: {error}") from None
         except Exception:
-            pass  # which is for the checks to tell
+            pass  # a check reports it
         return compiled
 
     def step(self, **given: Any) -> Any:
@@ -173,25 +176,51 @@ def registered(name: str) -> Filter:
 
 
 def simulate(f: Filter, dt: float, seed: int) -> tuple[Tensor, Gaussian]:
-    """Tracks of the filter's own motion, or the first of its bank, and what its sensor measures of them.
+    """Measurements of targets that follow the filter's own motion, or the first of its bank, and their prior.
 
     Raises:
         ValueError: of the sensor, where it needs a ``u``.
     """
-    generator = torch.Generator().manual_seed(seed)
     motion = f.motion[0] if f.motion.stacked else f.motion  # type: ignore[index]  # a bank
     targets = (2,) if f.scans else ()
     mean, std = torch.ones(TRACKS, *targets, motion.size, dtype=torch.float64), torch.ones(motion.size).double()
     mean[..., motion.position], std[motion.position] = 100.0, 10.0
     if f.scans:
         mean[:, 1] += 200.0
-    x, measured, seconds = mean, [], torch.tensor(dt, dtype=torch.float64)
-    for _ in range(STEPS):
-        x = motion(x, seconds.expand(x.shape[:-1]))
-        z = f.sensor(x)
+    generator, seconds = torch.Generator().manual_seed(seed), torch.tensor(dt, dtype=torch.float64)
+    _, z = drawn(motion, f.sensor, mean, seconds, None, STEPS, generator)
+    return z, Gaussian(mean, std.diag())
+
+
+@torch.no_grad()
+def drawn(
+    motion: Motion, sensor: Sensor, x: Tensor, seconds: Tensor, u: Tensor | None, steps: int,
+    generator: torch.Generator, *, process_noise: bool = False,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """States ``(B, steps, ..., n)`` after ``x (B, ..., n)``, and noisy measurements ``(B, steps, ..., m)`` of them.
+
+    Args:
+        motion: without process noise, unless it is asked for.
+        sensor: what is measured.
+        x: states before the first step.
+        seconds: of each step, no dimensions.
+        u: ``(..., k)`` inputs of every step.
+        steps: their number.
+        generator: of the random numbers.
+        process_noise: whether states are disturbed.
+    """
+    states, measured, dt = [], [], seconds.expand(x.shape[:-1])
+    for _ in range(steps):
+        x = motion(x, dt, u)
+        if process_noise:
+            root = motion.process_noise_at(motion.process_noise(seconds), x, seconds)
+            push = torch.randn(*x.shape[:-1], root.shape[-1], dtype=torch.float64, generator=generator)
+            x = motion.canonical(x + apply(root, push))
+        z = sensor(x, u)
         noise = torch.randn(*z.shape, 1, dtype=torch.float64, generator=generator)
-        measured.append(z + f.sensor.measurement_noise(z).colour(noise).squeeze(-1))
-    return torch.stack(measured, 1).detach(), Gaussian(mean, std.diag())
+        states.append(x)
+        measured.append(z + sensor.measurement_noise(z).colour(noise).squeeze(-1))
+    return torch.stack(states, 1), torch.stack(measured, 1)
 
 
 def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) -> dict[str, Tensor]:
@@ -201,7 +230,7 @@ def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) ->
         for name, x in (("z", case.z), ("prior.mean", case.prior.mean), ("prior.scale_tril", case.prior.scale_tril))
     }
     prior = Gaussian(leaves["prior.mean"], leaves["prior.scale_tril"])
-    y = says(case(z=leaves["z"], prior=prior, **options), case.prior)
+    y = one_number(case(z=leaves["z"], prior=prior, **options), case.prior)
     leaves |= case.filter.named_parameters()
     found = torch.autograd.grad(y, list(leaves.values()), allow_unused=True)
     zeros = (torch.zeros_like(x) if g is None else g for x, g in zip(leaves.values(), found, strict=True))
@@ -216,7 +245,7 @@ def own_gradients(case: Case) -> dict[str, Tensor]:
     return found
 
 
-def says(estimate: Estimate, prior: Gaussian) -> Tensor:
+def one_number(estimate: Estimate, prior: Gaussian) -> Tensor:
     """One number to which everything in an estimate contributes, in units of the prior."""
     mean, root, scores = estimate.mean, estimate.scale_tril, estimate.log_likelihood
     unit = prior.covariance.diagonal(dim1=-2, dim2=-1).sqrt().unsqueeze(-2).to(mean)

@@ -21,11 +21,9 @@ from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 from torchfra.testing import refusals
 from torchfra.testing.battery import Outcome, tried
-from torchfra.testing.case import CHECKS, STEPS, TRACKS, make_case
-from torchfra.testing.expectations import as_large_as
-from torchfra.testing.lines import line_of_error, unexpected, with_line
-from torchfra.testing.part import Part, parts_of
-from torchfra.testing.parts import checks_of
+from torchfra.testing.case import CHECKS, STEPS, TRACKS, drawn, make_case
+from torchfra.testing.expectations import as_large_as, line_of_error, unexpected, with_line
+from torchfra.testing.parts import Part, checks_of, parts_of
 from torchfra.types import CompileError, Gaussian
 
 TYPICAL = {
@@ -57,7 +55,7 @@ class ModelReport:
         count = len(self.problems)
         lines = [f"{self.models}: {count or 'no'} problem{'s' * (count != 1)}"]
         lines += [f"  {i}. {problem}" for i, problem in enumerate(self.problems, 1)]
-        lines += [f"  {word}: {said}" for verdict, word in WORDS.items() for said in self._grouped(verdict)]
+        lines += [f"  {word}: {line}" for verdict, word in WORDS.items() for line in self._grouped(verdict)]
         return "\n".join(lines)
 
     def _grouped(self, verdict: str) -> Iterator[str]:
@@ -89,7 +87,7 @@ def check_model(
         sensor: what is measured.
         state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
         dt: seconds of a step; as short as yours are where a motion bends strongly.
-        u: ``(k,)`` what the models need to know at a step.
+        u: ``(k,)`` inputs that the models need at a step.
         compiled: whether to try the compiled filter too, which takes some seconds to compile.
         seed: of the tracks.
 
@@ -185,14 +183,7 @@ def _simulated(
 ) -> tuple[Tensor, Gaussian]:
     """Noisy measurements of motion from the mean of a belief without process noise, and the belief as prior."""
     one = motion[0] if isinstance(motion, Bank) else motion
-    generator, seconds = torch.Generator().manual_seed(seed), torch.full((TRACKS,), dt, dtype=torch.float64)
-    known = None if u is None else u.double().expand(TRACKS, -1)
     prior = Gaussian(belief.mean.expand(TRACKS, -1), belief.scale_tril)
-    x, measured = prior.mean, []
-    with torch.no_grad():
-        for _ in range(STEPS):
-            x = one(x, seconds, known)
-            z = sensor(x, known)
-            noise = torch.randn(*z.shape, 1, dtype=torch.float64, generator=generator)
-            measured.append(z + sensor.measurement_noise(z).colour(noise).squeeze(-1))
-    return torch.stack(measured, 1), prior
+    known = None if u is None else u.double().expand(TRACKS, -1)
+    generator, seconds = torch.Generator().manual_seed(seed), torch.tensor(dt, dtype=torch.float64)
+    return drawn(one, sensor, prior.mean, seconds, known, STEPS, generator)[1], prior

@@ -1,14 +1,17 @@
-"""Checks of results: independent of batching, streaming, memory layout, precision and compilation."""
+"""Checks of results: independent of batching, streaming, memory layout, precision, compilation, copies, transforms."""
 
 from __future__ import annotations
 
+import copy
+import pickle
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.testing.case import STEPS, TRACKS, Case, check
+from torchfra.testing.case import STEPS, TRACKS, Case, SkipCheck, check
 from torchfra.testing.expectations import TOLERANCE, difference, expect, expect_finite, expect_same
 from torchfra.types import Cause, Estimate, Gaussian
 
@@ -171,8 +174,8 @@ def a_track_that_fails_leaves_the_others_alone(case: Case) -> None:
         (steps[0], causes[0]) == (0, Cause.PRIOR), "failure of the first track", "step 0, its prior", (steps, causes)
     )
     if failed[1]:
-        settled = steps[1] in (3, 4) and causes[1] == Cause.MEASUREMENT
-        expect(settled, "failure of the second track", "step 4 (or 3), a measurement", (steps, causes))
+        right = steps[1] in (3, 4) and causes[1] == Cause.MEASUREMENT
+        expect(right, "failure of the second track", "step 4 (or 3), a measurement", (steps, causes))
 
 
 @check("compiled")
@@ -193,6 +196,39 @@ def compiled_gives_what_eager_gives(case: Case) -> None:
         expected, found = slow(z=z, u=u, **options), case(z=z, u=u, **options)
         expect_same(_dtypes(found), _dtypes(expected), "dtypes of the compiled estimate")
         expect_same(found.mean, expected.mean, f"compiled mean in float32 with {', '.join(options)}")
+
+
+@check("eager", "compiled")
+def it_maps_over_tracks(case: Case) -> None:
+    """``torch.func.vmap`` over tracks gives what the batch gives."""
+    if case.u is not None and case.u.dim() > 2:
+        case = replace(case, u=case.u[0], _kept={})
+    mapped = torch.func.vmap(lambda z, mean, root: case(z=z, prior=Gaussian(mean, root)).mean)
+    with torch.no_grad():
+        expect_same(mapped(case.z, *case.prior), case.estimate.mean, "mean of vmap", 1e-7)
+
+
+@check("eager")
+def a_state_dict_holds_every_value(case: Case) -> None:
+    """A copy with other values gives the original's results after loading its ``state_dict``."""
+    other = copy.deepcopy(case.filter)
+    with torch.no_grad():
+        for value in other.parameters():
+            value.add_(0.1)
+    missing, unexpected = other.load_state_dict(case.filter.state_dict())
+    expect(not (missing or unexpected), "state_dict", "all keys", [*missing, *unexpected])
+    expect_same(replace(case, filter=other, _kept={}).estimate, case.estimate, "estimate with a loaded state_dict", 0.0)
+
+
+@check("eager", "compiled")
+def copies_and_pickles_give_the_same(case: Case) -> None:
+    """``copy.deepcopy``, and ``pickle`` of the copy, keep everything but kernels."""
+    other = copy.deepcopy(case.filter)
+    try:
+        other = pickle.loads(pickle.dumps(other))
+    except (pickle.PicklingError, AttributeError) as error:  # a class of a function or of a session
+        raise SkipCheck(f"not pickled: {error}") from None
+    expect_same(replace(case, filter=other, _kept={}).estimate, case.estimate, "estimate of a copy", 0.0)
 
 
 def _dtypes(estimate: Estimate) -> Any:

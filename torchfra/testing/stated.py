@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from torchfra.filters.srckf import SRCKF
 from torchfra.linalg.triangular import apply
 from torchfra.metrics.errors import error, nees
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
-from torchfra.sensors.base import Sensor
-from torchfra.testing.case import Case, SkipCheck, check
+from torchfra.testing.case import Case, SkipCheck, check, drawn
 from torchfra.testing.expectations import expect
-from torchfra.types import Estimate, Gaussian
+from torchfra.types import Gaussian
 
 RUNS, LENGTH, FIRST = 100, 60, 20
 """Number of tracks, of their steps, and the first step that counts."""
@@ -36,12 +34,17 @@ def where_its_models_hold_it_is_no_worse_than_a_kalman_filter(case: Case) -> Non
     motion: Motion = motions[0]
     if motion.adaptation(seconds) is not None:
         raise SkipCheck("the process noise of the motion follows the estimate, so that no truth is drawn from it")
-    u = None if case.u is None else case.u.flatten(0, -2)[:1].expand(LENGTH, -1)
+    u = None if case.u is None else case.u.flatten(0, -2)[:1].expand(RUNS, -1)
+    inputs = None if u is None else u[:1].expand(LENGTH, -1)
     prior = Gaussian(*(x[:1].expand(RUNS, *x.shape[1:]) for x in case.prior))
+    generator = torch.Generator().manual_seed(7)
+    start = torch.randn(RUNS, motion.size, dtype=torch.float64, generator=generator)
     with torch.no_grad():
-        truth, z = _drawn(motion, f.sensor, prior, seconds, u)
-        plain, found = (g(z, prior, dt=case.dt, u=u) for g in (SRCKF(motion, f.sensor), f))
-        squares, of_plain = (_squares(e, truth, motion.position) for e in (found, plain))
+        x = prior.mean + apply(prior.scale_tril, start)
+        truth, z = drawn(motion, f.sensor, x, seconds, u, LENGTH, generator, process_noise=True)
+        plain, found = (g(z, prior, dt=case.dt, u=inputs) for g in (SRCKF(motion, f.sensor), f))
+        errors = (error(e.mean, truth, motion.position)[:, FIRST:] for e in (found, plain))
+        squares, of_plain = (e.square().mean(-1) for e in errors)  # mean square position error of each track, (RUNS,)
         honest, of_plain_too = (float(nees(e, truth)[:, FIRST:].mean()) / motion.size for e in (found, plain))
     ratio = float(squares.mean() / of_plain.mean())
     chance = 3 * float((squares - ratio * of_plain).std() / of_plain.mean()) / RUNS**0.5
@@ -51,28 +54,3 @@ def where_its_models_hold_it_is_no_worse_than_a_kalman_filter(case: Case) -> Non
     low, high = (function(x, x * of_plain_too) for function, x in zip((min, max), HONEST, strict=True))
     what = "normalised estimation error squared per component where its models hold"
     expect(low <= honest <= high, what, f"from {low:.2f} to {high:.2f}", f"{honest:.2f}")
-
-
-def _drawn(motion: Motion, sensor: Sensor, prior: Gaussian, seconds: Tensor, u: Tensor | None) -> tuple[Tensor, Tensor]:
-    """The truth ``(RUNS, LENGTH, n)`` and what is measured of it."""
-    generator = torch.Generator().manual_seed(7)
-
-    def normal(size: int) -> Tensor:
-        return torch.randn(RUNS, size, dtype=torch.float64, generator=generator)
-
-    x, states, measured = prior.mean + apply(prior.scale_tril, normal(motion.size)), [], []
-    for k in range(LENGTH):
-        known = None if u is None else u[k].expand(RUNS, -1)
-        x = motion(x, seconds.expand(RUNS), known)
-        root = motion.process_noise_at(motion.process_noise(seconds), x, seconds)
-        x = motion.canonical(x + apply(root, normal(root.shape[-1])))
-        z = sensor(x, known)
-        noise = sensor.measurement_noise(z).colour(normal(z.shape[-1]).unsqueeze(-1)).squeeze(-1)
-        states.append(x)
-        measured.append(z + noise)
-    return torch.stack(states, 1), torch.stack(measured, 1)
-
-
-def _squares(estimate: Estimate, truth: Tensor, position: slice) -> Tensor:
-    """Mean square position error of each track, ``(RUNS,)``."""
-    return error(estimate.mean, truth, position)[:, FIRST:].square().mean(-1)
