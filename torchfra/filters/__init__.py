@@ -1,8 +1,7 @@
 """The filters themselves; ``torchfra.presets`` has them ready made."""
 
 from torchfra.filters.alphabeta import AlphaBeta
-from torchfra.filters.alphabeta.bank import AlphaBetaBank
-from torchfra.filters.alphabeta.memory import AlphaBetaInfo
+from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaInfo
 from torchfra.filters.base import Filter
 from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.forecast import Forecast

@@ -1,8 +1,7 @@
 """Constant-gain filters: design of gains, a single filter, and a bank that switches."""
 
-from torchfra.filters.alphabeta.bank import AlphaBetaBank
+from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaBankState, AlphaBetaInfo
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.alphabeta.memory import AlphaBetaBankState, AlphaBetaInfo
 from torchfra.filters.alphabeta.single import AlphaBeta, AlphaBetaState
 
 __all__ = [

@@ -115,6 +115,23 @@ def variances(alpha: Tensor, beta: Tensor) -> Variances:
     )
 
 
+def residual_variance(gains: Gains) -> Tensor:
+    """Steady-state variance ``(..., N)`` of each level's residuals, in units of that of the noise, for a step of 1.
+
+    A level whose ``gamma`` is 0 has two gains.
+    """
+    alpha, beta, gamma = gains
+    two = 1 + variances(alpha, beta).prediction
+    if gamma is None:
+        return two
+    has_gamma = gamma > 0
+    column = torch.stack([alpha, beta, torch.where(has_gamma, gamma, 0.1 * beta) / 2], -1)
+    rows = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+    transition = torch.tensor(rows, dtype=alpha.dtype, device=alpha.device)
+    predicted = (transition[0].unsqueeze(-2) @ steady_root(transition, column)).squeeze(-2)
+    return torch.where(has_gamma, 1 + predicted.square().sum(-1), two)
+
+
 def steady_root(transition: Tensor, gain: Tensor) -> Tensor:
     """Lower root ``(..., k, k)`` of the steady-state covariance of ``x = (I - gain H) F x + gain noise``.
 

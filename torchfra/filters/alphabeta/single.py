@@ -10,17 +10,18 @@ from torch.distributions import constraints
 
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.axes import (
+    ConstantGainFilter,
     corrected_root,
     full_root,
     predict_axes,
     predict_root,
+    record,
     residual_spread,
     root_rows,
     short_step_gains,
     startup_gains,
     update_axes,
 )
-from torchfra.filters.alphabeta.base import ConstantGainFilter, record
 from torchfra.filters.alphabeta.gains import Gains
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
@@ -104,7 +105,7 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         dt, since = frame.dt.unsqueeze(-1), state.since + frame.dt.unsqueeze(-1)
         predicted = predict_axes(self._components(state.mean), dt)
         residual = frame.measured * (frame.z - predicted[0])
-        gains = self._gains_now(self._gains(residual), since, state.used)
+        gains = self._gains(since, state.used)
         std, rows = frame.measurement_noise.std, predict_root(root_rows(state.root), dt)
         mean = torch.cat(update_axes(predicted, gains, since, residual), -1)
         root = corrected_root(rows, gains, since, frame.measured, std)
@@ -112,13 +113,10 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         state = AlphaBetaState(mean, root, state.used + frame.measured, since * (1 - frame.measured))
         return state, record(state, residual, frame, residual_spread(rows, std), None)
 
-    def _gains(self, like: Tensor) -> list[Tensor]:
-        """Gains of position, velocity(, acceleration)."""
-        gains = [h(like).unsqueeze(-1) for h in (self.alpha, self.beta)]
-        return gains if self.gamma is None else [*gains, self.gamma(like).unsqueeze(-1) / 2]
-
-    def _gains_now(self, gains: list[Tensor], since: Tensor, used: Tensor) -> list[Tensor]:
+    def _gains(self, since: Tensor, used: Tensor) -> list[Tensor]:
         """Gains of this step: larger for the first measurements, smaller for short steps."""
+        gains = [h(since).unsqueeze(-1) for h in (self.alpha, self.beta)]
+        gains += [] if self.gamma is None else [self.gamma(since).unsqueeze(-1) / 2]
         if self.expanding:
             line = design.expanding_memory(used + 1)
             gains = [torch.maximum(*pair) for pair in zip(gains, line[:2], strict=True)]
