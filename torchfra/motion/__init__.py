@@ -2,9 +2,8 @@
 
 from torchfra.motion.augmented import Augmented
 from torchfra.motion.bank import Bank, Embedded, aircraft, people, ships, vehicles
-from torchfra.motion.base import Adaptation, Motion
+from torchfra.motion.base import KINDS, Adaptation, Motion
 from torchfra.motion.bicycle import Bicycle
-from torchfra.motion.components import KINDS
 from torchfra.motion.correlated import CurrentStatistical, GaussMarkov, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
 from torchfra.motion.level import Level
 from torchfra.motion.odometry import Odometry

@@ -14,8 +14,11 @@ from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply
 from torchfra.motion.blocks import acceleration_gain
-from torchfra.motion.components import check_components, usual
 from torchfra.tree import event_ranks
+
+KINDS = ("position", "velocity", "acceleration", "angle", "rate", "bias", "clock", "parameter", "other")
+"""Kinds of components; a rate is that of an angle, rad/s; a parameter is a property of the target, such as its drag."""
+AXES = ("x", "y", "z")
 
 
 @event_ranks(response=2, scale=1, decrease=1)
@@ -139,9 +142,9 @@ class Motion(nn.Module):
         if not set(self.angles) <= set(range(self.size)):
             expected = f"numbers of components, 0 to {self.size - 1}"
             raise ValueError(f"angles: expected {expected}, received {self.angles}")
-        names, usual_kinds = usual(self.size, dims, orders, self.position, self.velocity, self.angles)
+        names, usual_kinds = _usual(self.size, dims, orders, self.position, self.velocity, self.angles)
         self.components, self.kinds = tuple(components or names), tuple(kinds or usual_kinds)
-        check_components(self.size, self.components, self.kinds)
+        _check_components(self.size, self.components, self.kinds)
         self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
         if "angle" in self.stated and not self.angles:
             raise ValueError("angles: expected the components of kind angle that differences wrap, received none")
@@ -227,3 +230,39 @@ class Motion(nn.Module):
     def extra_repr(self) -> str:
         """Dimensions of space and of the state, and the state's components."""
         return f"dims={self.dims}, size={self.size}, state=[{', '.join(self.components)}]"
+
+
+def _usual(
+    size: int, dims: int, orders: int, position: slice, velocity: slice, angles: Sequence[int]
+) -> tuple[list[str], list[str]]:
+    """Names and kinds by the layout of a state: ``x y vx vy ax ay``, and the index of any other component."""
+    names, kinds = [f"state {i}" for i in range(size)], ["other"] * size
+    parts = [("position", "", position), ("velocity", "v", velocity)]
+    if orders > 2 and (position, velocity) == (slice(0, dims), slice(dims, 2 * dims)):
+        parts.append(("acceleration", "a", slice(2 * dims, 3 * dims)))
+    for kind, letter, where in parts:
+        for axis, i in enumerate(range(size)[where]):
+            names[i], kinds[i] = letter + axis_name(axis, dims), kind
+    for i in angles:
+        names[i], kinds[i] = names[i] if kinds[i] != "other" else f"angle {i}", "angle"
+    return names, kinds
+
+
+def axis_name(axis: int, dims: int) -> str:
+    """``x``, ``y`` or ``z``; a number in a space of more dimensions."""
+    return AXES[axis] if dims <= len(AXES) else f"x{axis}"
+
+
+def _check_components(size: int, names: Sequence[str], kinds: Sequence[str]) -> None:
+    """Checks the names and kinds of a state's components.
+
+    Raises:
+        ValueError: not one for each component, a name twice, or an unknown kind.
+    """
+    for argument, values in (("components", names), ("kinds", kinds)):
+        if len(values) != size:
+            raise ValueError(f"{argument}: expected one for each of {size} components, received {list(values)}")
+    if len(set(names)) < size:
+        raise ValueError(f"components: expected different names, received {list(names)}")
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        raise ValueError(f"kinds: expected some of {', '.join(KINDS)}, received {unknown[0]!r}")

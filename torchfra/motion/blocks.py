@@ -27,11 +27,6 @@ def per_axis(block: Tensor, dims: int) -> Tensor:
     return product.flatten(-2).flatten(-3, -2)
 
 
-def scaled_per_axis(scale: Tensor, block: Tensor, dims: int) -> Tensor:
-    """``per_axis`` of ``scale (...)`` times ``block (..., a, b)``."""
-    return per_axis(scale[..., None, None] * block, dims)
-
-
 def zero_padded(matrix: Tensor, size: int) -> Tensor:
     """``(..., a, b)`` padded with zeros to ``(..., size, size)``."""
     return pad(matrix, (0, size - matrix.shape[-1], 0, size - matrix.shape[-2]))
@@ -110,8 +105,3 @@ def arc_of_rate(angle: Tensor) -> tuple[Tensor, Tensor]:
     safe = torch.where(small, 1.0, angle)
     along = torch.where(small, angle * series, (safe - safe.sin()) / safe.square())
     return along, torch.sinc(angle / (2 * torch.pi)).square() / 2
-
-
-def zero_rows(root: Tensor, size: int) -> Tensor:
-    """``(..., a, r)`` with rows of zeros below, up to ``size``."""
-    return pad(root, (0, 0, 0, size - root.shape[-2]))

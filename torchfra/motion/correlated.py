@@ -15,7 +15,7 @@ from torch.distributions import constraints
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Adaptation, Motion
-from torchfra.motion.blocks import gauss_legendre, per_axis, scaled_per_axis
+from torchfra.motion.blocks import gauss_legendre, per_axis
 from torchfra.motion.polynomial import ConstantAcceleration
 
 
@@ -69,7 +69,7 @@ class Singer(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)``."""
-        return scaled_per_axis(self.q(dt).sqrt(), self._unit_root(dt), self.dims)
+        return per_axis(self.q(dt).sqrt()[..., None, None] * self._unit_root(dt), self.dims)
 
     def _unit_root(self, dt: Tensor) -> Tensor:
         """Root of the process noise of one axis, ``(..., 3, 3)``, for an acceleration of variance 1."""
@@ -110,7 +110,8 @@ class IntegratedOrnsteinUhlenbeck(Motion):
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)``."""
         alpha = self.alpha(dt)
-        return scaled_per_axis((2 * alpha * self.q(dt)).sqrt(), white_noise_root(alpha, dt, 2), self.dims)
+        scale = (2 * alpha * self.q(dt)).sqrt()[..., None, None]
+        return per_axis(scale * white_noise_root(alpha, dt, 2), self.dims)
 
 
 class CurrentStatistical(Singer):
@@ -141,7 +142,7 @@ class CurrentStatistical(Singer):
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)`` at an acceleration of 0."""
         spread = math.sqrt((4 - math.pi) / math.pi) * self.limit(dt)
-        return scaled_per_axis(spread, self._unit_root(dt), self.dims)
+        return per_axis(spread[..., None, None] * self._unit_root(dt), self.dims)
 
     def adaptation(self, dt: Tensor) -> Adaptation:
         """The estimated acceleration shifts the state and scales the process noise, axis by axis."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
-from torchfra.motion.blocks import acceleration_gain, per_axis, taylor, white_root, zero_padded, zero_rows
+from torchfra.motion.blocks import acceleration_gain, per_axis, taylor, white_root, zero_padded
 
 
 class _Polynomial(Motion):
@@ -53,10 +54,9 @@ class ConstantVelocity(_Polynomial):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims)``: ``sqrt(q) [dt^2/2; dt; 0]``; with ``spectral`` ``(..., n, 2 dims)``."""
-        if self.spectral:
-            return zero_rows(white_root(dt, self.q(dt), 2, self.dims), self.size)
-        root = acceleration_gain(dt, self.q(dt), (2, 1), self.dims)
-        return zero_rows(root, self.size)
+        q = self.q(dt)
+        root = white_root(dt, q, 2, self.dims) if self.spectral else acceleration_gain(dt, q, (2, 1), self.dims)
+        return pad(root, (0, 0, 0, self.size - root.shape[-2]))
 
 
 class ConstantAcceleration(_Polynomial):

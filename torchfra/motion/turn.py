@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
-from torchfra.motion.base import Motion
+from torchfra.motion.base import Motion, axis_name
 from torchfra.motion.blocks import (
     acceleration_gain,
     arc,
@@ -22,7 +22,6 @@ from torchfra.motion.blocks import (
     white_root,
     zero_padded,
 )
-from torchfra.motion.components import axis_name
 from torchfra.motion.polynomial import check_orders
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchfra.motion.components import KINDS
+from torchfra.motion.base import KINDS
 from torchfra.numbers import as_numbers
 
 
