@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,12 +12,12 @@ from torchfra.association.clusters import Association, GatedScans, choose, find_
 from torchfra.association.events import sum_over_events
 from torchfra.association.messages import belief_propagation, each_alone, sum_by_messages
 from torchfra.association.sets import check_sets, sum_over_sets
-from torchfra.association.tables import associate_by_tables
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_elementary, is_traced
 
-_TRACED_ITERATIONS = 50
-"""Largest number of rounds of messages where code is traced, which cannot stop early."""
+Solve = Callable[[Tensor, Tensor, Tensor, bool], tuple[Tensor, Tensor]]
+"""From ``log_ratio (K, n, j)``, ``log_miss (K, n)`` and ``weight (K,)`` of clusters, and whether they are diffuse, to
+log probabilities ``(K, n, j + 1)`` and the log ``(K,)`` of the sum over all joint events."""
 
 
 def associate(
@@ -26,7 +27,6 @@ def associate(
     diffuse: bool = False,
     log_membership: Tensor | None = None,
     exact: tuple[int, int] = (4, 10),
-    iterations: int = 200,
 ) -> Association:
     """Marginal probabilities of association, summed over all joint events of targets and measurements.
 
@@ -43,9 +43,8 @@ def associate(
         log_membership: ``(..., N, J)`` log of how far each measurement is inside each gate, if gates have soft edges: 0
             inside, minus infinity outside.  ``diffuse`` counts measurements by it.
         exact: largest number of targets and of gated measurements of a cluster whose joint events are enumerated.
-            Larger clusters use belief propagation, as do single targets, for which it is exact.
-        iterations: largest number of rounds of belief propagation; it stops earlier once its messages have converged.
-            Under ``torch.compile`` and ``torch.func`` there are 50 at most.
+            Larger clusters use belief propagation, of 200 rounds at most (50 under ``torch.compile`` and
+            ``torch.func``), as do single targets, for which it is exact.
 
     Raises:
         ValueError: no target or no measurement, or ``exact`` allows more than 300,000 combinations, ``(measurements
@@ -59,7 +58,7 @@ def associate(
     log_miss = torch.as_tensor(log_miss, dtype=log_ratio.dtype, device=log_ratio.device)
     batch = broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
     scans = _gated_scans(log_ratio, log_miss, log_membership, batch, diffuse)
-    log_weights, evidence = _associate(scans, exact, iterations)
+    log_weights, evidence = _associate(scans, exact)
     return Association(log_weights.reshape(*batch, targets, count + 1), evidence.reshape(*batch, targets))
 
 
@@ -78,7 +77,7 @@ def _gated_scans(
     return GatedScans(ratio, miss, gated, find_clusters(gated, membership), diffuse)
 
 
-def _associate(scans: GatedScans, exact: tuple[int, int], iterations: int) -> Association:
+def _associate(scans: GatedScans, exact: tuple[int, int]) -> Association:
     """Each cluster the way that its size asks for."""
     (targets, count), clusters, traced = scans.log_ratio.shape[-2:], scans.clusters, is_traced(scans.log_ratio)
     if is_elementary():
@@ -91,11 +90,88 @@ def _associate(scans: GatedScans, exact: tuple[int, int], iterations: int) -> As
     association = each_alone(scans)
     if traced:
         if (targets, count) != table:
-            found = belief_propagation(scans, min(iterations, _TRACED_ITERATIONS))
-            association = choose(several, found, association)
+            association = choose(several, belief_propagation(scans), association)
     elif bool(large.any()):
-        solve = partial(sum_by_messages, iterations=iterations)
-        association = associate_by_tables(scans, large, (targets, count), solve, association)
+        association = _associate_by_tables(scans, large, (targets, count), sum_by_messages, association)
     if targets > 1 and min(table) >= 1 and (traced or bool(small.any())):
-        association = associate_by_tables(scans, small, table, sum_over_events, association)
+        association = _associate_by_tables(scans, small, table, sum_over_events, association)
     return association
+
+
+class _Table(NamedTuple):
+    """K clusters, each as a table of n targets and j measurements at most; each is known by its first target."""
+
+    first: Tensor
+    """``(R, N)`` number of the first target of each target's cluster."""
+    place: Tensor
+    """``(K,)`` number of the first target among those of all scans, ``run * N + head``."""
+    run: Tensor
+    """``(K,)`` number of the scan."""
+    head: Tensor
+    """``(K,)`` number of the first target in its scan."""
+    log_ratio: Tensor
+    """``(K, n, j)``."""
+    log_miss: Tensor
+    """``(K, n)``."""
+    gated: Tensor
+    """``(K, J)`` bool: which measurements are in the gates of the cluster."""
+
+
+def _associate_by_tables(
+    scans: GatedScans, chosen: Tensor, table: tuple[int, int], solve: Solve, otherwise: Association
+) -> Association:
+    """Association of some clusters, all by the same way to sum over their joint events.
+
+    Args:
+        scans: measurements against targets.
+        chosen: ``(R, N)`` bool: whether the target's cluster is one of them.
+        table: number of targets and of gated measurements that the largest of them has, or more.
+        solve: sums over the events of each.
+        otherwise: the association of the other targets.
+    """
+    packed = _pack(scans, chosen, table)
+    weight = scans.clusters.weight[packed.run, packed.head]
+    solved = solve(packed.log_ratio, packed.log_miss, weight, scans.diffuse)
+    return choose(chosen, _unpack(scans, packed, *solved), otherwise)
+
+
+def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Table:
+    """The chosen clusters as tables; where code is traced, a table for every target, since shapes must be known."""
+    runs, targets, _ = scans.log_ratio.shape
+    first = scans.clusters.members.to(torch.int64).argmax(-1)
+    numbers = torch.arange(runs * targets, device=chosen.device)
+    if is_traced(scans.log_ratio):
+        place = numbers
+    else:
+        heads = chosen & (first == numbers[:targets])
+        place = numbers[heads.flatten()]
+        table = int(scans.clusters.size[heads].amax()), max(int(scans.clusters.gated[heads].amax()), 1)
+    run, head = place // targets, place % targets
+    members = scans.clusters.members[run, head]  # (K, N)
+    gated = (members.unsqueeze(-1) & scans.gated[run]).any(-2)  # (K, J)
+    rows, columns = _true_first(members, table[0]), _true_first(gated, table[1])  # (K, n), (K, j)
+    used = members.gather(-1, rows)
+    log_ratio = scans.log_ratio[run.unsqueeze(-1), rows].gather(-1, columns.unsqueeze(-2).expand(-1, table[0], -1))
+    log_ratio = torch.where(used.unsqueeze(-1), log_ratio, -torch.inf)
+    log_miss = torch.where(used, scans.log_miss[run.unsqueeze(-1), rows], 0.0)
+    return _Table(first, place, run, head, log_ratio, log_miss, gated)
+
+
+def _true_first(mask: Tensor, count: int) -> Tensor:
+    """``(..., count)`` indices of ``mask (..., n)``: first the true entries in order, then the false ones."""
+    return mask.to(torch.int8).sort(dim=-1, descending=True, stable=True)[1][..., :count]
+
+
+def _unpack(scans: GatedScans, packed: _Table, log_weights: Tensor, log_total: Tensor) -> Association:
+    """Each target looks up its cluster's table, its row there, and the column of each measurement."""
+    runs, targets, _ = scans.log_ratio.shape
+    slots, columns = log_weights.shape[-2], log_weights.shape[-1] - 1
+    numbers = torch.arange(runs * targets, device=log_weights.device)
+    tables = torch.zeros_like(numbers).index_put((packed.place,), numbers[: len(packed.place)])
+    table = tables[numbers[:runs].unsqueeze(-1) * targets + packed.first]  # (R, N)
+    row = (scans.clusters.members.cumsum(-1) - 1).diagonal(dim1=-2, dim2=-1).clamp(0, slots - 1)
+    target = log_weights[table, row]  # (R, N, j + 1)
+    column = (packed.gated.cumsum(-1) * packed.gated)[table]  # 0 for measurements in no gate of the cluster
+    column = torch.where(column <= columns, column, 0)
+    measured = torch.where(column > 0, target.gather(-1, column), -torch.inf)
+    return Association(torch.cat([target[..., :1], measured], -1), log_total[table] / scans.clusters.size)

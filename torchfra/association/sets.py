@@ -124,17 +124,14 @@ def _of_sets(scans: GatedScans, log_sum: Tensor) -> tuple[Tensor, Tensor]:
     within = log_sum.unsqueeze(-2) + (together * log_miss.unsqueeze(-2)) @ (1 - inside)  # (R, N, 2^N), of each cluster
     overall = log_sum + (log_miss.unsqueeze(-2) @ (1 - inside)).squeeze(-2)
     if scans.diffuse:
-        factor = _log_false(clusters.weight.unsqueeze(-1), together @ inside)
+        # Any number f of false measurements is equally probable: with d detections the factor is f! / (f + d)!.
+        count = clusters.weight.unsqueeze(-1)
+        factor = torch.lgamma((count - together @ inside).clamp_min(0.0) + 1) - torch.lgamma(count + 1)
         within, overall = within + factor, overall + (factor / clusters.size.unsqueeze(-1)).sum(-2)
     within = torch.where((1 - together) @ inside == 0, within, -torch.inf)
     within = _fewest(within, (together * always.unsqueeze(-2)) @ (1 - inside))
     overall = _fewest(overall, (always.unsqueeze(-2) @ (1 - inside)).squeeze(-2))
     return overall.softmax(-1), within.logsumexp(-1) / clusters.size
-
-
-def _log_false(weight: Tensor, detections: Tensor) -> Tensor:
-    """Log factor of the false among gated measurements, any number of them being equally probable: f! / (f + d)!."""
-    return torch.lgamma((weight - detections).clamp_min(0.0) + 1) - torch.lgamma(weight + 1)
 
 
 def _fewest(log_event: Tensor, misses: Tensor) -> Tensor:
