@@ -12,7 +12,7 @@ from torchfra.gaussian.cubature import unscented
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
-from torchfra.presets.sides import Share, States, robust_side
+from torchfra.presets.single import Share, States, robust_side
 from torchfra.robust.base import Robust
 from torchfra.sensors.base import Sensor
 

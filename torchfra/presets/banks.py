@@ -20,8 +20,7 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
 from torchfra.presets.feedback import fra
 from torchfra.presets.learning import with_learning
-from torchfra.presets.sides import Share, States
-from torchfra.presets.single import srckf
+from torchfra.presets.single import Share, States, srckf
 from torchfra.presets.values import with_values
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor

@@ -65,18 +65,13 @@ def alphabeta(
         confirm: whether a start or restart needs a third measurement that fits; no if None (yes).
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    thresholds = _thresholds(
-        motion.orders == 3 and gains is None, manoeuvre=manoeuvre, outlier=outlier, degrees=degrees, margin=margin,
-        hysteresis=hysteresis, dwell=dwell, onset=onset, confirm=confirm,
-    )  # fmt: skip
+    chosen = {"manoeuvre": manoeuvre, "outlier": outlier, "degrees": degrees, "margin": margin,
+              "hysteresis": hysteresis, "dwell": dwell, "onset": onset, "confirm": confirm}  # fmt: skip
+    defaults = _TUNED if motion.orders == 3 and gains is None else _PAPER
+    thresholds = defaults | {name: value for name, value in chosen.items() if value is not None}
     f = AlphaBetaBank(
         motion, sensor, gains, limit=limit, votes=votes, patience=patience, longest=longest, converged=converged,
         flag_on_reject=flag_on_reject, detect=detect, expect=expect, temperature=temperature, initiation=initiation,
         period=period, **thresholds,
     )  # fmt: skip
     return with_learning(f, learn)
-
-
-def _thresholds(tuned: bool, **chosen: Any) -> dict[str, Any]:
-    """The tuned defaults or those of the paper, with the arguments that are not None in their place."""
-    return (_TUNED if tuned else _PAPER) | {name: value for name, value in chosen.items() if value is not None}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import copy
+from collections.abc import Callable, Collection, Sequence
+from typing import TypeVar
 
 from torchfra import register
 from torchfra.filters.srckf import SRCKF
@@ -11,15 +13,37 @@ from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
-from torchfra.presets.sides import robust_side
 from torchfra.presets.values import with_values
 from torchfra.robust.base import Robust
 from torchfra.robust.regression import HuberRegression
 from torchfra.robust.score import HuberScore
-from torchfra.robust.weights import ThreeSegment
+from torchfra.robust.weights import Huber, ThreeSegment
 from torchfra.sensors.base import Sensor
 
 __all__ = ["ekf", "ghckf", "hghckf", "hghckf1", "hghckf2", "mr_ckf", "rsrckf", "srckf", "ukf"]
+
+States = slice | Sequence[slice] | None
+"""State components that fade: one group, or several; None for the default of ``Fading``."""
+Share = Value | Sequence[float] | None
+"""Share of the fading factor of each group; None for 1."""
+R = TypeVar("R", bound=Robust)
+
+
+def robust_side(
+    sensor: Sensor, robust: R | None, threshold: Value | None, per_element: bool, learn: Collection[str]
+) -> R | Huber:
+    """The robust update of the argument (a copy, if anything learns), or Huber weights with a threshold.
+
+    Raises:
+        ValueError: a robust update together with options of Huber weights.
+    """
+    if robust is None:
+        return Huber(1.345 if threshold is None else threshold, elements=sensor.size if per_element else None)
+    if threshold is not None or per_element:
+        raise ValueError(
+            "robust, threshold, per_element: expected a robust update or options of Huber weights, not both"
+        )
+    return copy.deepcopy(robust) if learn else robust
 
 
 @register.filter("ukf", words="unscented Kalman filter")
