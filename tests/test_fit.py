@@ -9,7 +9,7 @@ from torch.utils.data import DataLoader, TensorDataset
 
 import torchfra
 from torchfra import Gaussian, presets, scenarios
-from torchfra.fitting import sweep
+from torchfra.fitting import Sweep, sweep
 from torchfra.fitting.data import batch_of
 from torchfra.fitting.judging import judged
 from torchfra.motion import ConstantVelocity
@@ -410,6 +410,11 @@ def test_a_sweep_finds_the_combination_that_made_the_tracks(data):
     )
     assert found.best == {"std": STD, "q": Q}
     assert len(found.points) == len(found.losses) == 9
+
+
+def test_the_best_of_a_sweep_is_no_combination_at_which_the_filter_diverges():
+    found = Sweep(["q", "std"], [(1.0, 2.0), (1.0, 3.0), (4.0, 2.0)], [float("nan"), 7.0, 5.0], [])
+    assert found.best == {"q": 4.0, "std": 2.0}
 
 
 def test_a_sweep_says_at_every_point_what_a_filter_with_these_values_says(data):

@@ -4,8 +4,8 @@
 tracks.  ``sweep`` tries a grid of values in one program.  ``torchfra/fitting/README.md`` shows both.
 """
 
-from torchfra.fitting.again import Bootstrap, Profile
 from torchfra.fitting.data import Batch
+from torchfra.fitting.errors import Bootstrap, Profile
 from torchfra.fitting.fitted import Fitted
 from torchfra.fitting.from_tracks import fit
 from torchfra.fitting.judging import Figure, HeldOutComparison, Judged

@@ -1,4 +1,7 @@
-"""The data of a fit: tracks as one batch, from scenarios, functions, tensors, loaders or recordings."""
+"""The data of a fit: tracks as one batch, from scenarios, functions, tensors, loaders or recordings.
+
+Tracks without a prior get one from their first measurement.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 from torch.utils.data import DataLoader, Dataset
 
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
-from torchfra.fitting.starts import First, first_measurements, from_first_measurement, started
+from torchfra.motion.base import Motion
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
+from torchfra.sensors.base import Sensor
+from torchfra.targets.births import OnePoint
+from torchfra.targets.places import place
 from torchfra.tree import flatten, map_tensors
 from torchfra.types import Gaussian
 
@@ -26,6 +33,17 @@ FIELDS = ("z", "dt", "u", "prior", "truth")
 """Names of tensors; all but ``z`` are optional."""
 Simulator = Callable[..., Any]
 Source = Scenario | Simulator | Tensor | Tracks | Mapping[str, Any] | Iterable[Any]
+
+
+class First(NamedTuple):
+    """The first measurement of a track, from which its prior is made with the current noise; it is not used again."""
+
+    z: Tensor
+    """``(N, m)``."""
+    u: Tensor | None
+    """``(N, k)`` inputs of the sensor."""
+    speed: Tensor
+    """``(N,)`` m/s, the standard deviation of the velocity in each direction."""
 
 
 class Batch(NamedTuple):
@@ -67,13 +85,13 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
     """The tracks of any source as one batch, where the filter is.
 
     Args:
-        f: the filter that learns, whose models say what a track is.
+        f: the filter that learns.
         data: see ``torchfra.fit``.
         runs: tracks of a scenario or a function.
         seed: of a scenario or a function.
 
     Raises:
-        ValueError: data of no known form, shapes that do not fit, or no prior where the sensor tells no place.
+        ValueError: data of no known form, shapes that do not fit, or no prior where the sensor does not locate targets.
     """
     if isinstance(data, Scenario):
         return _whole(f, {**data.simulate(runs, seed)._asdict(), "dt": data.dt})
@@ -204,7 +222,7 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
     """The batch of tensors, all with tracks first.
 
     Raises:
-        ValueError: a shape that does not fit, or no prior where the sensor tells no place.
+        ValueError: a shape that does not fit, or no prior where the sensor does not locate targets.
     """
     z = torch.as_tensor(given["z"]).to(next(chain(f.parameters(), f.buffers())).device)
     rank = 3 + f.scans
@@ -237,12 +255,59 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
 
 
 def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor | None) -> Batch:
-    """Tracks without a prior: their first whole measurement becomes it."""
-    if f.sensor.locates:
-        parts = iter(from_first_measurement(z, dt, u, truth))
-        z, dt = next(parts), next(parts)
-        u, truth = (None if x is None else next(parts) for x in (u, truth))
+    """Tracks without a prior: their first complete measurement becomes it.
+
+    The velocity is uncertain by twice the speed of a typical first step.
+
+    Raises:
+        ValueError: the sensor does not locate targets, a track without a complete measurement, or tracks of one step.
+    """
+    if not f.sensor.locates:
+        expected = f"one belief per track, as {f.sensor.describe()} does not tell where a target is (locates, locate)"
+        raise ValueError(f"prior: expected {expected}, received none")
+    z, dt, u, truth = _from_first_measurement(z, dt, u, truth)
+    if z.shape[1] < 2:
+        raise ValueError("data: expected two steps or more in tracks without a prior, received one")
+    inputs = [None if u is None else u[:, k] for k in (0, 1)]
     with torch.no_grad():
-        first = first_measurements(f.motion, f.sensor, z, dt, u)
+        here, there = (place(f.motion, f.sensor, z[:, k], inputs[k]).mean for k in (0, 1))
+    speed = ((there - here) / dt[:, 1:2]).square().sum(-1).nanmean().sqrt()
+    speed = torch.where(speed > 0, 2.0 * speed, OnePoint().velocity)
+    first = First(z[:, 0], inputs[0], speed.expand(len(z)))
     u, truth = (None if x is None else x[:, 1:] for x in (u, truth))
     return Batch(z[:, 1:], first, dt[:, 1:], u, truth)
+
+
+def _from_first_measurement(
+    z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
+    """Tracks ``(N, T, ...)`` shifted so that they begin with their first complete measurement.
+
+    Measurements are padded with NaN, all else with the last step.
+    """
+    complete = ~z.isnan().any(-1)
+    if not bool(complete.any(1).all()):
+        lacking = (~complete.any(1)).nonzero().flatten().tolist()
+        raise ValueError(f"data: expected a whole measurement in each track, received none in tracks {lacking[:5]}")
+    steps = torch.arange(z.shape[1], device=z.device) + complete.to(torch.int8).argmax(1, keepdim=True)  # (N, T)
+    over, steps = steps >= z.shape[1], steps.clamp_max(z.shape[1] - 1)
+
+    def moved(x: Tensor) -> Tensor:
+        index = steps.reshape(*steps.shape, *[1] * (x.dim() - 2)).expand(*steps.shape, *x.shape[2:])
+        return x.gather(1, index)
+
+    u, truth = (None if x is None else moved(x) for x in (u, truth))
+    return torch.where(over.unsqueeze(-1), torch.nan, moved(z)), moved(dt), u, truth
+
+
+def started(motion: Motion, sensor: Sensor, first: First) -> Gaussian:
+    """Beliefs ``(..., N, n)`` at the first measurements, with the sensor's current noise and a velocity of 0.
+
+    All other components are those of a birth (``torchfra.targets.births.OnePoint``).
+    """
+    at = place(motion, sensor, first.z, first.u)
+    dims = at.mean.shape[-1]
+    free = first.speed[:, None, None] * torch.eye(dims, dtype=at.mean.dtype, device=at.mean.device)
+    free = free.expand_as(at.scale_tril)
+    both = torch.cat([pad(at.scale_tril, (0, dims)), pad(free, (dims, 0))], -2)
+    return OnePoint().belief(motion, pad(at.mean, (0, dims)), both)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -72,12 +72,12 @@ def _at_least(least: int, name: str, value: Any) -> None:
 
 
 class Descent:
-    """The state of R descents.
+    """Gradient descents from R starts, side by side.
 
     Args:
         objective: the loss.
         train: tracks to learn from.
-        valid: tracks that say when to stop.
+        valid: tracks for validation, by which the descent stops.
         starts: ``(R, P)`` unconstrained values.
         settings: of the fit.
     """
@@ -95,7 +95,7 @@ class Descent:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to do."""
+        """Whether the last iteration is done, or validation has not improved for long."""
         return self.iteration >= self.settings.iterations or self.since >= self.settings.patience
 
     def validation(self, raw: Tensor) -> Tensor:
@@ -103,7 +103,7 @@ class Descent:
         return self.objective.losses(raw.unsqueeze(1), self.valid).mean(1).nan_to_num(nan=math.inf)
 
     def advance(self) -> dict[str, float]:
-        """One iteration; what is to be said of it."""
+        """One iteration; its row of the learning curve."""
         loss, gradient, left_out = self._gradient()
         self.raw.grad = gradient
         self.optimiser.param_groups[0]["lr"] = falling(self.settings.lr, self.iteration / self.settings.iterations)
@@ -176,11 +176,6 @@ def starting_points(raw: Tensor, directions: Tensor, settings: Settings) -> Tens
     noise = torch.randn(settings.restarts, directions.shape[1], generator=generator, dtype=torch.float64)
     noise[0] = 0.0
     return raw + settings.spread * noise @ directions.mT
-
-
-def key_of(settings: Settings, names: list[str], digest: str, starts: Tensor) -> str:
-    """Identifies a fit by its settings, values, tracks and starts."""
-    return f"{asdict(settings)} {names} {starts.tolist()} {digest}"
 
 
 def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Tensor, Tensor]:

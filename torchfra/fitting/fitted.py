@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from torchfra.filters import Filter
-from torchfra.fitting.again import Bootstrap, Profile, bootstrap, profile
 from torchfra.fitting.data import Batch
 from torchfra.fitting.descent import Settings
-from torchfra.fitting.errors import Certainty
+from torchfra.fitting.errors import Bootstrap, Certainty, Profile, bootstrap, profile
 from torchfra.fitting.judging import HeldOutComparison, Judged, judged
 from torchfra.fitting.newton import Sums
 from torchfra.fitting.objective import Objective
@@ -35,7 +34,7 @@ QUANTITIES = {
 
 
 @dataclass(frozen=True)
-class Tracks:
+class FitTracks:
     """The tracks of a fit, and their losses."""
 
     objective: Objective
@@ -85,7 +84,7 @@ class Fitted:
     seconds: float
     notes: list[str]
     """Warnings, and departures from the arguments."""
-    _tracks: Tracks = field(repr=False)
+    _tracks: FitTracks = field(repr=False)
     _raw: Tensor = field(repr=False)
 
     @property
@@ -128,11 +127,11 @@ class Fitted:
         return HeldOutComparison(self.quantity, len(tracks.test.z), rows)
 
     def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
-        """Profile of the loss over one number, minimised over all others: ``fitting.again.profile``."""
+        """Profile of the loss over one number, minimised over all others: ``fitting.errors.profile``."""
         return profile(self._tracks.sums, self._raw, self.certainty, name, points=points, reach=reach)
 
     def bootstrap(self, resamples: int = 100) -> Bootstrap:
-        """Standard errors by fits to tracks drawn with replacement: ``fitting.again.bootstrap``."""
+        """Standard errors by fits to tracks drawn with replacement: ``fitting.errors.bootstrap``."""
         return bootstrap(self._tracks.sums, self._raw, resamples, self.settings.seed)
 
     @property

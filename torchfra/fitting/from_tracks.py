@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -12,43 +13,42 @@ from torch import Tensor
 from torchfra import losses, state_files
 from torchfra.filters import Filter
 from torchfra.fitting.data import Batch, Source, batch_of
-from torchfra.fitting.descent import Descent, Settings, key_of, starting_points
+from torchfra.fitting.descent import Descent, Settings, starting_points
 from torchfra.fitting.errors import certainty
-from torchfra.fitting.fitted import Fitted, Tracks
+from torchfra.fitting.fitted import Fitted, FitTracks
 from torchfra.fitting.judging import Judged, judged
 from torchfra.fitting.newton import Sums, minimised
-from torchfra.fitting.objective import Objective, Own
-from torchfra.fitting.preparing import compiled, copied, objective_of
-from torchfra.fitting.vector import Vector
+from torchfra.fitting.objective import LossFunction, Objective, compiled, objective_of
+from torchfra.fitting.vector import Vector, copied
 from torchfra.running import checkpoints, distributed
 from torchfra.running.progress import progress_bar
 
 FEWEST = 4
 """Tracks of a fit."""
 WORSE = 4.0
-"""Standard errors by which validation tracks must speak against the last steps.  They have chosen the values before
-those, which are often better there by 2 of them, even if the last steps are right."""
+"""Increase of the validation loss by the last steps, in its standard errors, beyond which they are undone.  The values
+before them were chosen by that loss, and so are often better by 2 standard errors even if the last steps are right."""
 
 
 def fit(
-    filter: Filter, data: Source, *, learn: Collection[str] | None = None, loss: str | Own | None = None,
+    filter: Filter, data: Source, *, learn: Collection[str] | None = None, loss: str | LossFunction | None = None,
     scale: float | None = None, skip: int = 0, runs: int = 400, iterations: int = 200, batch: int = 64,
     lr: float = 0.1, clip: float = 10.0, validate_every: int = 10, patience: int = 5, held_out: float = 0.3,
     restarts: int = 1, spread: float = 1.0, polish: bool = True, errors: str | None = None,
     compile: bool | None = None, checkpoint: str | Path | None = None, resume: bool = False, seed: int = 0,
     quiet: bool = False,
 ) -> Fitted:  # fmt: skip
-    """Learns values of a filter from tracks, and says how well it knows them; all runs on the filter's device.
+    """Learns values of a filter from tracks, with standard errors; all runs on the filter's device.
 
-    The tracks are split at random: most to learn from, half of the others to stop by, the last to judge by.  Adam
+    The tracks are split at random: most are for learning, half of the others for validation, the rest for a test.  Adam
     follows the mean gradient of minibatches, each track's bounded; from the values of the best validation Newton's
-    method goes on over all tracks that are learned from, and its Hessian gives the standard errors.
+    method continues over all tracks for learning, and its Hessian gives the standard errors.
 
     Args:
         filter: any preset; it stays as it is.
         data: a ``Scenario``; a function of a seed, or of a seed and a number of runs; measurements ``z (N, T, m)``; a
             dictionary of tensors ``z, dt, u, prior, truth`` (or a scenario's ``Tracks``); a sequence of these, one for
-            each track or batch, a ``DataLoader`` say, which is read once to its end; or recordings of
+            each track or batch, such as a ``DataLoader``, which is read once to its end; or recordings of
             ``torchfra.readers``, whose fixes are the measurements.  Without a ``prior``, tracks begin ten standard
             deviations wide around their first whole measurement, which needs a sensor that ``locates``.
         learn: names of hyperparameters; None for those that are learnable already (``presets.gpb(..., learn=...)``).
@@ -98,13 +98,14 @@ def fit(
     train, valid, test = _split(used, settings)
 
     descent = Descent(objective, train, valid, starting_points(start, vector.directions, settings), settings)
-    _descend(descent, path, resume, key_of(settings, vector.names, used.digest(), start), quiet)
+    key = f"{asdict(settings)} {vector.names} {start.tolist()} {used.digest()}"
+    _descend(descent, path, resume, key, quiet)
     best = descent.best[int(descent.scores.argmin())]
     sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
     vector.store(raw)
     f.requires_grad_(False)
-    held = _judged(own := Tracks(objective, sums, test), start, raw, seed)
+    held = _judged(own := FitTracks(objective, sums, test), start, raw, seed)
     lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
     return Fitted(
         f, _named(vector, start), _named(vector, raw), known, held, descent.rows,
@@ -132,7 +133,7 @@ def _finite(objective: Objective, tracks: Batch, raw: Tensor) -> tuple[Batch, in
 
 
 def _split(tracks: Batch, settings: Settings) -> tuple[Batch, Batch, Batch]:
-    """Tracks to learn from, to stop by, to judge by."""
+    """Tracks for learning, for validation and for the test."""
     order = torch.randperm(len(tracks.z), generator=torch.Generator().manual_seed(settings.seed))
     out = min(max(2, round(settings.held_out * len(order))), len(order) - 2)
     test, valid, train = order.split([out // 2, out - out // 2, len(order) - out])
@@ -180,7 +181,7 @@ def _descend(descent: Descent, path: Path | None, resume: bool, key: str, quiet:
 
 
 def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tuple[Sums, Tensor, list[str]]:
-    """The tracks that decide, the values where the sum of their losses is least, and what is to be said of both."""
+    """Tracks whose losses are not chaotic, the values where the sum of their losses is least, and notes on both."""
     raw, count = best, len(sums.batch.z)
     for _ in range(2):
         calm = sums.calm(raw[None, None])
@@ -196,7 +197,7 @@ def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tup
     return sums, raw, notes
 
 
-def _judged(own: Tracks, start: Tensor, raw: Tensor, seed: int) -> dict[str, Judged]:
+def _judged(own: FitTracks, start: Tensor, raw: Tensor, seed: int) -> dict[str, Judged]:
     """Before and after on held-out tracks: the loss, and the position error where there is a truth."""
     objective, test = own.objective, own.test
     before, after = (objective.losses(x[None, None], test)[0] for x in (start, raw))

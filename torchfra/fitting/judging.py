@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -81,18 +81,20 @@ def _figure(x: Tensor) -> Figure:
     return Figure(float(x[0]), low, high)
 
 
+@dataclass(frozen=True, repr=False)
 class HeldOutComparison:
     """Filters by the loss of a fit on its held-out tracks; printed, a table, its last column the median over tracks.
 
     ``torchfra.compare`` compares any filters by their errors, as papers do.
     """
 
-    def __init__(self, quantity: str, tracks: int, rows: Mapping[str, Judged]) -> None:
-        self.quantity, self.tracks, self.rows = quantity, tracks, dict(rows)
+    quantity: str
+    """The loss in words."""
+    tracks: int
+    """Number of held-out tracks."""
+    rows: dict[str, Judged]
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         head = [f"{self.quantity}, {self.tracks} held-out tracks", "value", "minus the first's", "median"]
         rows = [[name, *map(str, (row.after, row.change, row.middle))] for name, row in self.rows.items()]
         return text_table(head, rows, align="<")
-
-    __repr__ = __str__

@@ -14,14 +14,14 @@ STEP = 1e-4
 """Difference of the unconstrained values, in float64: errors near 1e-8 of the curvature."""
 LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
 """Lengths of a step that are tried at once."""
-REACH = 2.0
+LONGEST = 2.0
 """Longest step, in unconstrained values: a factor of 7 for what is above 0."""
-MOST = 30
-"""Iterations."""
-STILL = 0.02
-"""Standard errors of the gradient below which it counts as 0."""
-WILD = 30.0
-"""Times the median over tracks that the curvature of one may be."""
+ITERATIONS = 30
+"""Largest number of iterations."""
+CONVERGED = 0.02
+"""Size of the gradient, in its standard errors, below which it counts as 0."""
+CHAOTIC = 30.0
+"""Ratio to the median over tracks above which the curvature of a track's loss counts as chaotic."""
 
 
 class Curvature(NamedTuple):
@@ -81,7 +81,7 @@ class Sums:
         """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``.
 
         All from one call of the filter: one step of the differences is enough in float64.  ``filters.hessian`` takes
-        two, one after the other, and says how far they agree.
+        two, one after the other, and estimates their error.
         """
         offsets = STEP * torch.cat([torch.zeros_like(self.directions[:, :1]), self.directions, -self.directions], 1).mT
         points = (raw.unsqueeze(1) + offsets[:, None]).flatten(0, 1)  # (R (1 + 2 Q), G, P)
@@ -92,15 +92,15 @@ class Sums:
         return loss.unflatten(0, (len(raw), -1))[:, 0], gradient[:, 0], (change + change.mT) / 2
 
     def calm(self, raw: Tensor) -> Tensor:
-        """``(N,)`` bool: whether the loss of each track bends as those of others do, at ``raw (1, G, P)``.
+        """``(N,)`` bool: whether the curvature of each track's loss is near that of the others, at ``raw (1, G, P)``.
 
-        That of a track on which the filter nearly diverges can change by any amount from values to values next to
-        them.  A few such tracks would decide where the sum is least, and how sharply.
+        The loss of a track on which the filter nearly diverges can change by any amount over a tiny change of the
+        values.  A few such tracks would dominate the minimum of the sum and its curvature.
         """
         bends = self.of_tracks(raw)[2][0]
         scale = bends.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
         size = torch.linalg.matrix_norm(bends / scale / scale.unsqueeze(-1))
-        calm: Tensor = size <= WILD * size.nanmedian()
+        calm: Tensor = size <= CHAOTIC * size.nanmedian()
         return calm
 
     def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
@@ -122,8 +122,8 @@ def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
         raw: ``(R, G, P)`` where to begin.
     """
     curvature = sums.curvature(raw)
-    for _ in range(MOST):
-        going = curvature.off > STILL
+    for _ in range(ITERATIONS):
+        going = curvature.off > CONVERGED
         if not bool(going.any()):
             break
         steps = _steps(curvature) @ sums.directions.mT
@@ -147,5 +147,5 @@ def _steps(curvature: Curvature) -> Tensor:
     bends = bends.abs()
     bends = torch.maximum(bends, 1e-10 * bends.amax(-1, keepdim=True)).clamp_min(1e-300)
     steps: Tensor = -(axes @ ((axes.mT @ gradient.unsqueeze(-1)) / bends.unsqueeze(-1))).squeeze(-1)
-    longest: Tensor = torch.linalg.vector_norm(steps, dim=-1, keepdim=True).clamp_min(REACH)
-    return REACH * steps / longest
+    longest: Tensor = torch.linalg.vector_norm(steps, dim=-1, keepdim=True).clamp_min(LONGEST)
+    return LONGEST * steps / longest

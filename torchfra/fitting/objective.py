@@ -14,11 +14,12 @@ from torchfra import losses
 from torchfra.filters import Filter
 from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.srckf import SRCKF
-from torchfra.fitting.data import Batch
+from torchfra.fitting.data import Batch, Source
 from torchfra.fitting.vector import Vector
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
-from torchfra.types import Estimate, Gaussian
+from torchfra.scenarios.base import Scenario
+from torchfra.types import CompileError, Estimate, Gaussian
 
 LOSSES = ("likelihood", "smoothed", "robust", "mse", "nll")
 NEEDS_TRUTH = ("robust", "mse", "nll")
@@ -26,8 +27,8 @@ LARGEST = 2_000_000
 """Largest number of steps of tracks in one call of the filter; more are divided into parts, to bound the memory."""
 FOLDS = 5
 """Number of folds of the smoothed likelihood: each hides every fifth measurement."""
-Own = Callable[[Estimate, Batch], Tensor]
-"""A loss function of a user: from an estimate and its tracks to one number per track ``(..., N)``."""
+LossFunction = Callable[[Estimate, Batch], Tensor]
+"""A user's loss function: from an estimate and its tracks to one number per track, ``(..., N)``."""
 
 
 class Objective:
@@ -47,7 +48,7 @@ class Objective:
     """
 
     def __init__(
-        self, f: Filter, vector: Vector, loss: str | Own, *, scale: float, states: slice, skip: int = 0,
+        self, f: Filter, vector: Vector, loss: str | LossFunction, *, scale: float, states: slice, skip: int = 0,
         convert: Callable[[Estimate], Estimate] | None = None,
     ) -> None:  # fmt: skip
         if not callable(loss):
@@ -134,7 +135,7 @@ class Objective:
         counted = Estimate(mean[..., skip:, :], root[..., skip:, :, :], nis[..., skip:], density[..., skip:], info)
         if not isinstance(self.loss, str):
             return _of_tracks(self.loss(counted, batch), batch)
-        if self.loss == "likelihood":  # of the whole track: its sum, not its mean, so that long tracks say more
+        if self.loss == "likelihood":  # the sum over a track, not its mean, so that long tracks weigh more
             total = losses.innovation_nll(counted) * counted.log_likelihood.shape[-1]
             return total.flatten(2).sum(-1) if total.dim() > 2 else total
         assert batch.truth is not None
@@ -173,6 +174,73 @@ def _of_tracks(found: Any, batch: Batch) -> Tensor:
         received = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
         raise ValueError(f"loss: expected one number for each of {len(batch.z)} tracks, received {received}")
     return found
+
+
+def objective_of(
+    f: Filter,
+    vector: Vector,
+    data: Source,
+    tracks: Batch,
+    loss: str | LossFunction | None,
+    scale: float | None,
+    skip: int,
+) -> Objective:
+    """The loss of a fit.
+
+    Args:
+        f: the filter that learns.
+        vector: of its values.
+        data: that was given.
+        tracks: that it came to.
+        loss: by name, of one's own, or None for the robust error where there is a truth, else the likelihood.
+        scale: of the robust loss; None for the median over tracks of the error at the start.
+        skip: steps at the start of each track that do not count.
+
+    Raises:
+        ValueError: a loss that needs a truth where there is none, or a number out of its range.
+    """
+    kind = loss or ("likelihood" if tracks.truth is None else "robust")
+    if isinstance(kind, str) and kind in NEEDS_TRUTH and tracks.truth is None:
+        raise ValueError(f"loss: expected 'likelihood' or 'smoothed' for data without a truth, received {kind!r}")
+    if not isinstance(skip, int) or not 0 <= skip < tracks.z.shape[1]:
+        raise ValueError(f"skip: expected less than the {tracks.z.shape[1]} steps of the tracks, received {skip}")
+    states, convert = f.motion.position, None
+    if isinstance(data, Scenario):
+        states, convert = data.truth_position, data.cartesian
+    if kind == "robust" and scale is None:
+        scale = _error(f, tracks, states, convert)
+    scale = 1.0 if scale is None else scale
+    if not isinstance(scale, int | float) or not 0 < scale < float("inf"):
+        raise ValueError(f"scale: expected a number above 0, received {scale!r}")
+    return Objective(f, vector, kind, scale=scale, skip=skip, states=states, convert=convert)
+
+
+@torch.no_grad()
+def _error(f: Filter, tracks: Batch, states: slice, convert: Callable[[Estimate], Estimate] | None) -> float:
+    """The median over tracks of the error at the start, in the coordinates of the truth."""
+    estimate = f(tracks.z, tracks.belief(f), dt=tracks.dt, u=tracks.u)
+    estimate = estimate if convert is None else convert(estimate)
+    assert tracks.truth is not None
+    return float(losses.mse(estimate.mean, tracks.truth, states).nanmedian().sqrt())
+
+
+def compiled(objective: Objective, tracks: Batch, wanted: bool | None) -> tuple[list[str], bool]:
+    """Compiles the filter where it can be compiled; notes for the user, and whether it runs as kernels."""
+    if wanted is False or not (tracks.z.is_cpu or tracks.z.is_cuda):
+        return [], False
+    from torchfra.compiler.llvm import binding  # only where it is needed
+
+    try:
+        if tracks.z.is_cpu:
+            binding()
+        objective.compile()
+        objective.gradients(objective.vector.raw()[None, None], tracks.rows(slice(1)))
+    except (CompileError, NotImplementedError) as error:
+        if wanted:
+            raise
+        objective.interpret()
+        return [f"the filter runs interpreted: {' '.join(str(error).split())}"], False
+    return [], True
 
 
 class _Call(nn.Module):

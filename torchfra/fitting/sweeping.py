@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence, Sized
 from typing import NamedTuple
 
@@ -10,9 +11,8 @@ import torch
 
 from torchfra.filters import Filter
 from torchfra.fitting.data import Source, batch_of
-from torchfra.fitting.objective import Own
-from torchfra.fitting.preparing import compiled, copied, objective_of
-from torchfra.fitting.vector import Vector
+from torchfra.fitting.objective import LossFunction, compiled, objective_of
+from torchfra.fitting.vector import Vector, copied
 from torchfra.tables import text_table
 
 
@@ -29,8 +29,9 @@ class Sweep(NamedTuple):
 
     @property
     def best(self) -> dict[str, float]:
-        """The combination of the least loss."""
-        return dict(zip(self.names, self.points[self.losses.index(min(self.losses))], strict=True))
+        """The combination of the least loss; a loss that is NaN, as of a filter that diverges, is the largest."""
+        place = min(range(len(self.losses)), key=lambda i: (math.isnan(self.losses[i]), self.losses[i]))
+        return dict(zip(self.names, self.points[place], strict=True))
 
     def __str__(self) -> str:
         rows = [[*(f"{v:.5g}" for v in point), f"{loss:.6g}"]
@@ -39,7 +40,7 @@ class Sweep(NamedTuple):
 
 
 def sweep(
-    filter: Filter, data: Source, values: Mapping[str, Sequence[float]], *, loss: str | Own | None = None,
+    filter: Filter, data: Source, values: Mapping[str, Sequence[float]], *, loss: str | LossFunction | None = None,
     scale: float | None = None, skip: int = 0, runs: int = 400, compile: bool | None = None, seed: int = 0,
 ) -> Sweep:  # fmt: skip
     """The mean loss over all tracks at every combination of some values.

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints, transform_to
 
-from torchfra.hyper import Hyper, element_names, hypers
+from torchfra.filters import Filter
+from torchfra.hyper import Hyper, element_names, hypers, named, provide
 
+F = TypeVar("F", bound=Filter)
 NORMAL_95 = 1.959963984540054
 """Standard deviations of a normal distribution on either side that hold 95 % of it."""
 
@@ -110,6 +114,27 @@ class Vector:
     def _split(self, raw: Tensor) -> Sequence[Tensor]:
         parts: Sequence[Tensor] = raw.split([hyper.raw.numel() for hyper in self.hypers.values()], -1)
         return parts
+
+
+def copied(f: F, learn: Collection[str] | None) -> F:
+    """A copy whose values of these names learn, and no others.
+
+    Raises:
+        ValueError: no filter, or names that are none.
+    """
+    if not isinstance(f, Filter):
+        raise ValueError(f"filter: expected a filter, received {type(f).__name__}")
+    if not isinstance(learn, Collection | None):
+        raise ValueError(f"learn: expected names of hyperparameters, received {learn!r}")
+    f = copy.deepcopy(f)
+    if learn is not None:
+        for parameter in f.parameters():
+            parameter.requires_grad_(False)
+        provide(f, learn)
+        for path, hyper in named(f, learn).items():
+            hyper.learn(path)
+            hyper.raw.requires_grad_()
+    return f
 
 
 def _directions(hyper: Hyper) -> Tensor:
