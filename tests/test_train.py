@@ -17,9 +17,7 @@ from torchfra.cli import main as cli
 from torchfra.types import Gaussian
 from train import checkpoints, tune
 from train.batches import Batch, simulate
-from train.log import Log
 from train.runs import RUNS, configured
-from train.search import search
 from train.training import Training
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
@@ -50,7 +48,7 @@ def prepare(name, *changes):
 
 def iterate(training, out):
     """The training loop, with nothing printed."""
-    tune.train(training, out, Log(training.config, out, begin=training.iteration, quiet=True))
+    tune.train(training, out, tune.Log(training.config, out, begin=training.iteration, quiet=True))
 
 
 def learned(out):
@@ -282,7 +280,7 @@ def test_a_named_run_takes_a_step(name, tmp_path):
     assert all(after[path] != value for path, value in before.items() if path.rpartition(".")[2] not in searched)
 
 
-def test_what_no_gradient_reaches_is_searched_on_validation_tracks():
+def test_what_no_gradient_reaches_is_searched_on_validation_tracks(monkeypatch):
     training = prepare("switching", "batch=1", "validation_runs=1", "compile=false")
     training.best["score"] = 10.0
 
@@ -290,7 +288,8 @@ def test_what_no_gradient_reaches_is_searched_on_validation_tracks():
         f = training.filter
         return abs(f.subset.unlikely().item() - 0.1) + abs(f.subset.principal().item() - 0.3)
 
-    search(training, score)
+    monkeypatch.setattr(tune, "validate", score)
+    tune.search(training)
     training.filter.load_state_dict(training.best["filter"])
     assert training.filter.subset.unlikely().item() == pytest.approx(0.1)
     assert training.filter.subset.principal().item() == pytest.approx(0.3)

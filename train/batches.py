@@ -92,21 +92,16 @@ def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, dev
     share = distributed.share(runs)
     count, steps = len(share), max(scenario.steps for scenario in tasks)
     parts = [scenario.simulate(count, seed, first=first + share.start) for scenario in tasks]
-    us = [_padded(_batched(part.u, count), steps, 0.0, -2) for part in parts if part.u is not None]
+    us = [part.u.expand(count, *part.u.shape[-2:]) for part in parts if part.u is not None]  # the same for all, or not
     roots = [part.prior.scale_tril.expand(*part.prior.mean.shape, part.prior.mean.shape[-1]) for part in parts]
     return Batch(
         z=torch.cat([_padded(part.z, steps, math.nan, 1) for part in parts]).to(device),
         truth=torch.cat([_padded(part.truth, steps, math.nan, -2) for part in parts]).to(device),
-        u=torch.cat(us).to(device) if us else None,
+        u=torch.cat([_padded(u, steps, 0.0, -2) for u in us]).to(device) if us else None,
         prior=Gaussian(torch.cat([part.prior.mean for part in parts]).to(device), torch.cat(roots).to(device)),
         dt=torch.cat([torch.full((count, 1), scenario.dt, dtype=torch.float64) for scenario in tasks]).to(device),
         task=torch.arange(len(tasks)).repeat_interleave(count).to(device),
     )
-
-
-def _batched(u: Tensor, count: int) -> Tensor:
-    """``(T, k)`` inputs, the same for all tracks, as ``(B, T, k)``."""
-    return u if u.dim() > 2 else u.expand(count, *u.shape)
 
 
 def _padded(x: Tensor, steps: int, fill: float, time_dim: int) -> Tensor:

@@ -17,7 +17,7 @@ from train.training import Training
 _BEST: dict[str, type] = {"score": float, "iteration": int, "filter": dict}
 _KINDS: dict[str, type] = {"config": dict, "iteration": int, "stopped": bool, "filter": dict, "optimiser": dict,
                            "best": dict, "rows": list}  # fmt: skip
-"""What a checkpoint holds, and its best values."""
+"""Names and types of the contents of a checkpoint, and of its best values."""
 NEWEST, BEST, LOG = "checkpoint.pt", "state_dict.pt", "log.csv"
 FILES = NEWEST, checkpoints.previous(Path(NEWEST)).name, BEST, LOG
 

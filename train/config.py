@@ -1,4 +1,4 @@
-"""What a run of ``train.tune`` does: its settings, how the command line changes them, and what they may be."""
+"""The settings of a run of ``train.tune``, how the command line changes them, and their ranges."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchfra.hyper import one_of
 LOSSES = ("mse", "robust", "nll", "innovation", "teacher", "regret")
 MODELS = ("motion", "bank", "any")
 LARGEST = 10**9
-"""Of all numbers that count something, and of seeds."""
+"""Largest seed, and largest number of anything that is counted."""
 
 
 @dataclass(frozen=True)

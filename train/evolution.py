@@ -69,12 +69,12 @@ class Evolution:
         return torch.randn(self.population, len(self.mean), generator=generator, dtype=self.mean.dtype)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes."""
+        """The values that change from generation to generation."""
         keys = ("mean", "step", "variances", "path", "step_path", "generation")
         return {key: getattr(self, key) for key in keys}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """What ``state_dict`` gave.
+        """Takes values that ``state_dict`` has given.
 
         Raises:
             KeyError: a value is missing.

@@ -25,7 +25,7 @@ from train.evolution import Evolution
 from train.training import Training
 
 POWER = 60
-"""Of the ratios in the loss: the sum over the tasks is about as large as the worst of them."""
+"""Exponent of the ratios in the loss: the sum over the tasks is about as large as the worst of them."""
 AHEAD, BEHIND = 0.7, 12.0
 """Ratios beyond which nothing is gained or lost: in a task that is far ahead there is no need to get further."""
 
@@ -106,7 +106,7 @@ class Regrets(Training):
         return f.to(config.device)
 
     def _held(self) -> Tensor:
-        """Which numbers of all parameters stay as they are."""
+        """Bool, the numbers of all parameters that do not change."""
         held = []
         for path, value in self.filter.named_parameters():
             which = torch.tensor(self.config.hold.get(path.removesuffix(".raw"), []), dtype=torch.long)
@@ -148,7 +148,7 @@ class Regrets(Training):
 
     @torch.no_grad()
     def generation(self) -> tuple[Tensor, dict[str, float]]:
-        """An iteration: the best losses ``(tasks,)`` of a candidate, and what the log says of it."""
+        """An iteration: the best losses ``(tasks,)`` of a candidate, and further columns of the log."""
         search, losses = cast(Evolution, self.optimiser), []
         for candidate in search.ask():
             self._take(candidate)

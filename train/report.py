@@ -1,4 +1,4 @@
-"""What a run learned: values before and after, and position errors on unseen tracks."""
+"""The report of a run: values before and after, and position errors on unseen tracks."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from torchfra.running.progress import progress_bar
 from torchfra.running.versions import versions
 from torchfra.tables import text_table
 from train.batches import simulate
-from train.filters import make_filter, set_temperature
 from train.regret import Regrets
-from train.training import Training
+from train.training import Training, make_filter, set_temperature
 
 
 def report(training: Training, start: dict[str, float], *, quiet: bool = True) -> dict[str, Any]:
-    """What results.json holds.
+    """The contents of results.json.
 
     Args:
         training: at its end; its filter gets the best values.

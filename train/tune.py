@@ -19,10 +19,12 @@ with the errors on unseen tracks before and after.  To use the learned values:
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +35,60 @@ from torchfra import plotting
 from torchfra.catalogue import FILTERS
 from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
 from torchfra.fitting.descent import bounded, falling
-from torchfra.hyper import hypers
+from torchfra.hyper import hypers, named
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
+from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 from torchfra.types import CompileError
 from train import checkpoints
 from train.batches import Batch, simulate
 from train.config import Config
-from train.log import Log
 from train.regret import Regrets
 from train.report import not_finite, report, report_text
 from train.runs import RUNS, configured
-from train.search import search
 from train.training import Training
 
 WRITTEN = (*checkpoints.FILES, "config.json", "results.json", "learning.png")
+
+
+class Log:
+    """Shows each iteration.
+
+    Args:
+        config: of the run.
+        out: folder of the TensorBoard log, if ``config.tensorboard``.
+        begin: the first iteration.
+        quiet: whether to print nothing.
+
+    Raises:
+        ImportError: TensorBoard is asked for and not installed.
+    """
+
+    def __init__(self, config: Config, out: Path, *, begin: int, quiet: bool) -> None:
+        self.name, self.quiet = printable(config.name), quiet
+        self.board = _tensorboard(out) if config.tensorboard and distributed.rank() == 0 else None
+        self.bar = progress_bar(range(begin, config.iterations), self.name, not quiet)
+        """The numbers of the iterations, behind a progress bar on a terminal."""
+
+    def show(self, row: Mapping[str, float]) -> None:
+        """One iteration: in the bar, or without one a line for each validation."""
+        iteration, loss = row["iteration"], row["loss"]
+        if hasattr(self.bar, "set_postfix"):
+            self.bar.set_postfix(loss=f"{loss:.4f}", left_out=row["left out"])
+        elif not self.quiet and "validation" in row:
+            print(f"{self.name} {iteration}: loss {loss:.4f}, validation {row['validation']:.4f}", flush=True)
+        if self.board is not None:
+            for key, value in row.items():
+                self.board.add_scalar(key, value, iteration)
+
+
+def _tensorboard(out: Path) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise ImportError("tensorboard=true needs TensorBoard: pip install 'torchfra[tensorboard]'") from None
+    return SummaryWriter(out)
 
 
 def train(training: Training, out: Path, log: Log) -> None:
@@ -59,13 +99,13 @@ def train(training: Training, out: Path, log: Log) -> None:
             break
         begun = time.perf_counter()
         rate, temperature = schedule(config, training.iteration / config.iterations)
-        losses, said = iteration(training, rate, temperature)
+        losses, columns = iteration(training, rate, temperature)
         training.iteration += 1
 
         row = {"iteration": training.iteration, "loss": float(training.task_weights @ losses)}
         if len(config.tasks) > 1:
             row |= {f"loss {i + 1}": value for i, value in enumerate(losses.tolist())}
-        row |= said | training.learned_values() | {"seconds": time.perf_counter() - begun}
+        row |= columns | training.learned_values() | {"seconds": time.perf_counter() - begun}
         if training.iteration % config.validate_every == 0 or training.iteration == config.iterations:
             row["validation"] = validate(training)
             if row["validation"] < training.best["score"]:
@@ -79,7 +119,7 @@ def train(training: Training, out: Path, log: Log) -> None:
 
 
 def iteration(training: Training, rate: float, temperature: float) -> tuple[Tensor, dict[str, float]]:
-    """Changes the values once; the losses ``(tasks,)`` and what else the log says of it."""
+    """Changes the values once; the losses ``(tasks,)`` and further columns of the log."""
     # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
     if isinstance(training, Regrets):
         return training.generation()
@@ -92,15 +132,13 @@ def iteration(training: Training, rate: float, temperature: float) -> tuple[Tens
         parameter.grad = part.reshape(parameter.shape).clone()
     training.optimiser.param_groups[0]["lr"] = rate
     training.optimiser.step()
-    said = {"gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature}
-    return losses, said
+    return losses, {"gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature}
 
 
 def schedule(config: Config, progress: float) -> tuple[float, float]:
-    """Learning rate and temperature after this part of all iterations."""
-    return falling(config.lr, progress), config.temperature * (
-        config.cold / config.temperature
-    ) ** progress if config.temperature else 0.0
+    """Learning rate and temperature after this share of all iterations."""
+    temperature = config.temperature and config.temperature * (config.cold / config.temperature) ** progress
+    return falling(config.lr, progress), temperature
 
 
 def track_gradients(training: Training, batch: Batch, temperature: float) -> tuple[Tensor, Tensor]:
@@ -151,6 +189,20 @@ def validate(training: Training) -> float:
     return float(training.task_weights @ distributed.summed(sums) / c.validation_runs)
 
 
+def search(training: Training) -> None:
+    """Coordinate search over values that no gradient reaches: each in turn takes the one of the best validation."""
+    f = training.filter
+    f.load_state_dict(training.best["filter"])
+    for name, values in training.config.search.items():
+        for hyper in named(f, (name,)).values():
+            for value in values:
+                hyper.set(value, name)
+                score = validate(training)
+                if score < training.best["score"]:
+                    training.best |= {"score": score, "filter": copy.deepcopy(f.state_dict())}
+            f.load_state_dict(training.best["filter"])
+
+
 def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False) -> dict[str, Any]:
     """A run from its start, or from its last checkpoint, to its report: what results.json holds.
 
@@ -173,7 +225,7 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
     if first:
         write_json(out / "config.json", dataclasses.asdict(config))
     train(training, out, log)
-    search(training, validate)
+    search(training)
     if first:
         checkpoints.save(training, out)
     result = report(training, start, quiet=quiet)

@@ -6,7 +6,7 @@
     python -m train.values --sets 'fra-*' --cells reentry      some sets, some scenarios
 
 Each set is compared with the preset's defaults where it was learned (the tasks of its run) and in all other scenarios
-of the catalogue that the filter takes, on the same runs, of a seed that no training has seen.  All is written to
+of the catalogue that the filter takes, on the same runs, of a seed that no training has used.  All is written to
 torchfra/presets/values.json, which ``torchfra.values()`` prints, after each scenario anew: a command that was ended
 goes on with ``--resume``.
 """
@@ -20,8 +20,9 @@ import math
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -38,8 +39,9 @@ from torchfra.scenarios import Scenario
 from train.batches import task_scenario
 from train.config import Task
 from train.runs import RUNS
-from train.table import Figures, add_result, matches, measured, name_of, read, take_results
 
+Figures = dict[str, Any]
+"""A set of values with its results, or one of these, as the file has them."""
 CHUNK = 100
 """Runs that are filtered at once: a bank of seven motions takes megabytes for each."""
 
@@ -60,7 +62,7 @@ SOURCES = {
     "contaminated": Source("contaminated", "three in ten measurements with 15 times the standard deviation"),
     "association": Source("clutter", "two targets among false measurements, noise as assumed and four times that"),
 }  # fmt: skip
-"""What each run is called, and from what it learned."""
+"""The name of each run's set, and the data of its learning."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -90,7 +92,9 @@ def measure(options: argparse.Namespace) -> None:
     check_files({"out": options.out})
     sets = {name_of(record): record for record in read(FILE)["sets"]}
     sets |= {name_of(record): record for record in map(taken, options.take)}
-    _check_seed(options.seed, list(sets.values()))
+    if used := [record["run"] for record in sets.values() if options.seed in record["seeds"]]:
+        expected = "one that no set was learned on"
+        raise ValueError(f"seed: expected {expected}, received {options.seed}, of {', '.join(used)}")
     settings = {"seed": options.seed, "versions": versions(), "by": "python -m train.values"}
     take_results(sets, settings, options.out, everything=(options.sets, options.cells) == ("*", "*"))
     cells = {name: list(cells_of(record)) for name, record in sets.items() if matches(name, options.sets)}
@@ -127,8 +131,8 @@ def taken(folder: Path) -> Figures:
     if "gate.size" in arguments:
         arguments["gate"] = {"size": arguments.pop("gate.size"), "least": 0.9999}
     head = {"preset": config["filter"], "values": SOURCES[run].name, "run": f"python -m train.tune {run}"}
-    said = {"learned_on": SOURCES[run].learned_on, "seeds": [config["seed"], config["validation_seed"]]}
-    return {**head, **said, "versions": result["versions"], "arguments": arguments, "factors": factors, "results": []}
+    data = {"learned_on": SOURCES[run].learned_on, "seeds": [config["seed"], config["validation_seed"]]}
+    return {**head, **data, "versions": result["versions"], "arguments": arguments, "factors": factors, "results": []}
 
 
 def _put(arguments: Figures, path: str, value: float) -> None:
@@ -145,11 +149,6 @@ def _put(arguments: Figures, path: str, value: float) -> None:
             place.append([])
         place = place[index]
     place.append(value)
-
-
-def _check_seed(seed: int, sets: list[Figures]) -> None:
-    if seen := [of["run"] for of in sets if seed in of["seeds"]]:
-        raise ValueError(f"seed: expected one that no set was learned on, received {seed}, of {', '.join(seen)}")
 
 
 def cells_of(record: Figures) -> Iterator[tuple[Task, bool]]:
@@ -204,6 +203,60 @@ def compared(record: Figures, task: Task, learned_on: bool, runs: int, seed: int
     figures |= {"defaults": before.mean().item(), "set": after.mean().item()}
     figures |= {"change": ratio - 1, "half": 1.96 * spread}
     return figures | {f"{kind}_lost": comparison.results[kind]["divergence_rate"] for kind in filters}
+
+
+def read(file: Path) -> Figures:
+    """The contents of a file of sets; no sets if it does not exist."""
+    contents: Figures = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"sets": []}
+    return contents
+
+
+def name_of(record: Figures) -> str:
+    """The name of a set: its preset and its own name."""
+    return f"{record['preset']}-{record['values']}"
+
+
+def take_results(sets: dict[str, Figures], settings: Figures, file: Path, *, everything: bool) -> None:
+    """Gives each set the results that a file already has of it, with equal settings and values; else none.
+
+    Args:
+        sets: changed in place.
+        settings: of what is to be measured.
+        file: where it is to be written.
+        everything: whether all is measured, so that nothing is lost that the file holds.
+
+    Raises:
+        ValueError: the file has other settings, and only a part is measured.
+    """
+    before = read(file)
+    if before["sets"] and before["settings"] != settings and not everything:
+        expected = f"expected all, as {file} has results of other settings, {before['settings']}"
+        raise ValueError(f"cells: {expected}, received a part of them")
+    known = {name_of(record): record for record in before["sets"] if before["settings"] == settings}
+    for name, record in sets.items():
+        same = name in known and all(known[name][part] == record[part] for part in ("arguments", "factors"))
+        record["results"] = known[name]["results"] if same else []
+
+
+def measured(record: Figures, task: Task, runs: int) -> bool:
+    """Whether a set has a result of a scenario, of so many runs."""
+    return any(_is_of(result, task) and result["runs"] == runs for result in record["results"])
+
+
+def add_result(record: Figures, figures: Figures, tasks: list[Task]) -> None:
+    """Puts a result in place of the one of the same scenario, in the order of the tasks."""
+    results = [figures, *record["results"]]
+    found = (next((result for result in results if _is_of(result, task)), None) for task in tasks)
+    record["results"] = [result for result in found if result is not None]
+
+
+def _is_of(result: Figures, task: Task) -> bool:
+    return (result["scenario"], result["options"], result["models"]) == (task.scenario, task.options, task.models)
+
+
+def matches(name: str, patterns: str) -> bool:
+    """Whether a name is one of a comma-separated list of names and patterns."""
+    return any(fnmatchcase(name, pattern) for pattern in patterns.split(","))
 
 
 if __name__ == "__main__":
