@@ -4,6 +4,8 @@ import pytest
 import torch
 
 from torchfra import presets
+from torchfra.filters import FixedLag
+from torchfra.stream import Tracker
 
 TYPES = [torch.float32, torch.float64]
 
@@ -40,6 +42,34 @@ def test_so_are_single_steps(scenario, data):
         return f.step(f.init(prior), z[:, 0], u=u[0])[0].belief
 
     without, under = both(step)
+    torch.testing.assert_close(under, without, rtol=0, atol=0, equal_nan=True)
+
+
+def test_so_is_a_fixed_lag(scenario, data):
+    z, prior, u = data
+    stream = FixedLag(presets.srckf(scenario.motion, scenario.sensor), lag=2)
+
+    def lagged():
+        state = stream.init(prior)
+        for k in range(4):
+            state, _ = stream.step(state, z[:, k], u=u[k])
+        return state.lagged
+
+    without, under = both(lagged)
+    torch.testing.assert_close(under, without, rtol=0, atol=0, equal_nan=True)
+
+
+def test_so_are_estimates_of_a_tracker_and_what_it_smooths(scenario, data):
+    z, prior, u = data
+    f = presets.srckf(scenario.motion, scenario.sensor)
+
+    def beliefs():
+        tracker = Tracker(f, prior, lag=10.0)
+        for k in range(4):
+            tracker.update(k + 1.0, z[:, k], u=u[k])
+        return [tracker.belief, *(at.belief for at in tracker.smoothed())]
+
+    without, under = both(beliefs)
     torch.testing.assert_close(under, without, rtol=0, atol=0, equal_nan=True)
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from torch import Tensor, nn
 
 from torchfra import tree
-from torchfra.filters.base import Filter
+from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.checks import check_lengths
 from torchfra.filters.engine import backward_pass
 from torchfra.filters.fusion import joined
@@ -76,6 +76,7 @@ class FixedLag(nn.Module):
         """The state before the first measurement: see ``Filter``."""
         return FixedLagState(self.filter.init(prior))
 
+    @in_full_precision
     def step(
         self,
         state: FixedLagState,

@@ -172,7 +172,7 @@ class Origin:
         return Gaussian(mean.double() + self.offset.to(mean.device), root.to(torch.float64, copy=True))
 
     def measured(self, sensor: Sensor, z: Tensor, u: Tensor | None = None) -> Tensor:
-        """A measurement ``(..., m)`` from outside, as one of local positions, with what the models need to know.
+        """A measurement ``(..., m)`` from outside, in local coordinates, with the inputs ``u`` of the models.
 
         An element that a common shift of positions does not shift, such as a range, is measured from the sensor's own
         position, which must be local.

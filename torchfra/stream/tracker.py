@@ -1,4 +1,4 @@
-"""A track in a loop: measurements in whatever order they come, the estimate after each."""
+"""A filter in a loop: measurements in any order, the estimate after each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from torchfra.types import Alarm, Gaussian, Innovation
 
 OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
 FORMAT = 1
-"""Of the dictionary of a saved track."""
+"""Version of the dictionary of a saved track."""
 Alarms = tuple[Alarm, ...]
 """The alarm of each sensor at its last measurement; empty for filters without alarms."""
 P = ParamSpec("P")
@@ -66,36 +66,37 @@ class Known(NamedTuple):
 
 
 class Tracker:
-    """A filter in a loop: times and measurements in, estimates out.
+    """A filter in a loop, from times and measurements to estimates.
 
-    Measurements may come late: those since ``lag`` seconds before the newest are kept with the states after them, and
-    one in between filters all after it again, so that estimates are those of the same measurements in the order of
-    their times, to the last bit.  (At one instant sensors come in their order.)  A measurement that has come before
-    (time, sensor, value, noise and ``u`` the same) is left out.  NaN is missing.  No gradients flow.
+    Measurements may come late.  Those of the last ``lag`` seconds are kept with the states after them; after a late one
+    all later ones are filtered again, so that estimates are, to the last bit, those of the same measurements in the
+    order of their times (at one instant, in the order of the sensors).  A measurement that has come before, with the
+    same time, sensor, value, noise and ``u``, is left out.  NaN is missing.  No gradients flow.
 
     With an ``origin`` the filter has positions relative to it, and beliefs and measurements outside are in double
     precision.  At 6e6 m, with a sensor of 1 m, a float32 ``srckf`` is then within 2 mm of the float64 one up to 10 km
     from the origin and within 2 cm up to 100 km, ``gpb`` within 2 cm and 10 cm; without an origin they are 0.6 and 3 m
-    off.  What a sensor reads of positions by adding to them is shifted; other elements, as ranges, are measured from
-    a place that must stand relative to the origin, and so must ``u``.
+    off.  Elements of a measurement that a shift of positions shifts are shifted to the origin; others, such as ranges,
+    are measured from the sensor's position, which must be relative to the origin, as must ``u``.
 
     Args:
-        filter: any of tracks; compiled, it runs so.
+        filter: any filter of single targets, compiled or not.
         prior: the belief at ``time``; its batch is that of several streams, measured at the same times.
         time: seconds, by any clock.
         sensors: by name, where there are others than the filter's own: see ``Filter.with_sensor``.
-        lag: seconds that a measurement may come late; infinity for all there are.
-        steps: measurements that are kept at most, but all of the newest instant; None for as many as ``lag`` has.
-        old: ``"refuse"`` a measurement that comes later than that by an error, or ``"count"`` it and leave it out.
-        jump: seconds above ``lag``: a measurement that is so much before the newest comes from a clock that was set
-            back.  It then counts as a usual step (the last one) after the newest, and times go on from there; late
-            ones by the clock as it was are known by being far ahead.  None for a clock that never is.
+        lag: seconds that a measurement may come late; infinity to keep all.
+        steps: largest number of measurements that are kept, beside those of the newest instant; None for any number.
+        old: ``"refuse"`` a measurement that comes later than that, by an error, or ``"count"`` it and leave it out.
+        jump: seconds above ``lag``: a measurement that is so long before the newest comes from a clock that was set
+            back.  It counts as one step after the newest, as long as the last step was, and times continue from there.
+            Late measurements with times of the clock before are recognised, as these are far ahead.  None for a clock
+            that is never set back.
         origin: ``(dims,)`` position, m.
         dtype: of the filter; None for the prior's.
 
     Raises:
-        ValueError: what is none of those, a sensor that the filter cannot have, or a motion that is not the same
-            everywhere, beside an origin.
+        ValueError: an argument that is none of those, a sensor that the filter cannot have, or an origin beside a
+            motion that depends on the position.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class Tracker:
 
     @property
     def belief(self) -> Gaussian:
-        """The estimate now, by all that has come in."""
+        """The estimate now, by all measurements so far."""
         return self._intake.outward(self.state.belief)
 
     @property
@@ -157,7 +158,7 @@ class Tracker:
     def alarms(self) -> dict[str, Alarm]:
         """For each sensor whether it is faulty, since when, and by how much; empty for filters without alarms.
 
-        It is as of the sensor's last measurement; ``lasted`` goes on to now.
+        It is that of the sensor's last measurement, but for ``lasted``, which counts to now.
         """
         return dict(zip(self._intake.names, self._now.alarms, strict=False))
 
@@ -178,13 +179,13 @@ class Tracker:
         std: Any = None,
         noise: Any = None,
     ) -> Report:
-        """Takes a measurement in.
+        """The estimate after one more measurement.
 
         Args:
             time: seconds, by the same clock as all others.
             z: ``(..., m)`` numbers; NaN is missing.
             sensor: its name, if the tracker has several.
-            u: ``(..., k)`` what the models need to know at that time.
+            u: ``(..., k)`` inputs that the models need at that time.
             std: ``(..., m)`` standard deviations of this measurement's noise, or a number, instead of the sensor's.
             noise: ``(..., m, m)`` root of its covariance, instead of the sensor's.
 
@@ -212,7 +213,7 @@ class Tracker:
         Args:
             time: seconds, not before the measurements that are kept; the estimate is that of the last one up to it.
             sensor: whose measurement is expected, by name; by default the only one's, or of several the filter's own.
-            u: ``(..., k)`` what the models need to know at that time.
+            u: ``(..., k)`` inputs that the models need at that time.
 
         Raises:
             ValueError: a time before that, or no such sensor.
@@ -233,13 +234,14 @@ class Tracker:
 
         Args:
             risk: probability that it is farther.
-            fault: share of the time with a fault that nobody has noticed, and the standard deviation of its error, m.
+            fault: share of the time with an undetected fault, and the standard deviation of its error, m.
 
         Raises:
             ValueError: a risk or a fault out of its range.
         """
         return protection_level(self.filter, self.state, risk=risk, fault=fault)
 
+    @in_full_precision
     @torch.no_grad()
     def smoothed(self) -> list[At]:
         """Estimates at the times of all measurements that are kept, each by all of them, the oldest first.
