@@ -13,11 +13,11 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import choose, diagnose, replace_failed
+from torchfra.filters.failures import diagnose, without_failed_gradients
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
-from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo, scores
+from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo
 from torchfra.gaussian.arguments import check, check_belief
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import (
@@ -32,8 +32,9 @@ from torchfra.gaussian.inputs import (
 from torchfra.gaussian.model import Carried, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import smooth_step
-from torchfra.gaussian.update import innovation
+from torchfra.gaussian.update import density, innovation
 from torchfra.linalg.batches import broadcast_shapes
+from torchfra.linalg.safe import safe_square
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -339,18 +340,9 @@ class Filter(nn.Module, Generic[S]):
         noise: Tensor | None = None,
         sensor: Sensor | None = None,
     ) -> tuple[S, Innovation, Alarm | None]:
-        """``step``, and whether the sensor is faulty.
+        """``step``, with its arguments, and whether the sensor is faulty.
 
         For another sensor than the filter's own only this measurement counts; ``stream.Tracker`` remembers each sensor.
-
-        Args:
-            state: see ``step``.
-            z: see ``step``.
-            dt: see ``step``.
-            u: see ``step``.
-            std: see ``step``.
-            noise: see ``step``.
-            sensor: see ``step``.
 
         Returns:
             The next state, the innovation, and the alarm; None for a filter without alarms (``alarms``).
@@ -418,13 +410,16 @@ class Filter(nn.Module, Generic[S]):
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
         if past:
-            return f._with_past(measurements, prior, checkpoint, truncate)
-        estimate = f._run(measurements, prior, checkpoint, truncate)[0]
-        replaced = replace_failed(f, estimate, measurements, prior)
-        if replaced is None:
+            f.check_smooths()
+            estimate, kept = f._filtered(measurements, prior, checkpoint, truncate, None)
+            return estimate._replace(past=kept)
+
+        def estimated(measurements: Measurements, prior: Gaussian) -> Estimate:
+            estimate: Estimate = f._run(measurements, prior, checkpoint, truncate)[0]
             return estimate
-        good = f._run(replaced.measurements, replaced.prior, checkpoint, truncate)[0]
-        return choose(replaced.failed, estimate, good)
+
+        estimate = estimated(measurements, prior)
+        return without_failed_gradients(f, estimate, estimate, measurements, prior, estimated)
 
     if TYPE_CHECKING:  # torch types a call as one that may return anything
         __call__ = forward
@@ -453,21 +448,14 @@ class Filter(nn.Module, Generic[S]):
         the filtered beliefs, and fading factors widen the predictions as before.  (The weights that Huber's regression
         gives to the prediction are not used.)
 
-        Args:
-            z: see ``forward``.
-            prior: see ``forward``.
-            dt: see ``forward``.
-            u: see ``forward``.
-            std: see ``forward``.
-            noise: see ``forward``.
-            truncate: steps after which gradients of the forward pass flow no further back; nor do those of predictions
-                in the backward pass.
-            checkpoint: steps between states that are kept for gradients, in both passes.
-            lag: number of later steps whose measurements count for the estimate of a step; None for all.
-            estimate: the result of ``forward`` for the same arguments, so that the filter need not run again.  A filter
-                of several models runs again nevertheless, unless ``forward`` was called with ``past=True``.
-            sensors: see ``forward``.
-            which: see ``forward``.
+        It has the arguments of ``forward``, ``past`` excepted, and these:
+
+        - ``truncate``: steps after which gradients of the forward pass flow no further back; nor do those of
+          predictions in the backward pass.
+        - ``checkpoint``: steps between states that are kept for gradients, in both passes.
+        - ``lag``: number of later steps whose measurements count for the estimate of a step; None for all.
+        - ``estimate``: the result of ``forward`` for the same arguments, so that the filter need not run again.  A
+          filter of several models runs again nevertheless, unless ``forward`` was called with ``past=True``.
 
         Returns:
             Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
@@ -484,12 +472,12 @@ class Filter(nn.Module, Generic[S]):
         measurements = Measurements(z, dt, u, std, noise)
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
-        smoothed = self._smoothed(f, measurements, prior, checkpoint, lag, truncate, estimate)
-        replaced = replace_failed(f, smoothed.info.filtered, measurements, prior)
-        if replaced is None:
-            return smoothed
-        good = self._smoothed(f, replaced.measurements, replaced.prior, checkpoint, lag, truncate, None)
-        return choose(replaced.failed, smoothed, good)
+
+        def smoothed(measurements: Measurements, prior: Gaussian, estimate: Estimate | None = None) -> Estimate:
+            return self._smoothed(f, measurements, prior, checkpoint, lag, truncate, estimate)
+
+        found = smoothed(measurements, prior, estimate)
+        return without_failed_gradients(f, found, found.info.filtered, measurements, prior, smoothed)
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
@@ -638,8 +626,9 @@ class Filter(nn.Module, Generic[S]):
         return make_frames(measurements, self.frame_motion, self.sensor, rank)
 
     def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
-        """Normalised innovation squared and log likelihood."""
-        return scores(record.normalised, record.root, log_norm, record.density)
+        """Normalised innovation squared and log density ``(...)``, constants and the units of the noise included."""
+        log_density = density(record.root, record.normalised) if record.density is None else record.density
+        return safe_square(record.normalised).sum(-1), log_norm + log_density
 
     def innovation_of(self, record: Record, frame: Frame) -> Innovation:
         """The innovation of a step, in the units of the measurement."""
@@ -648,29 +637,11 @@ class Filter(nn.Module, Generic[S]):
         residual, root = noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
         return Innovation(residual, root, *self._scores(record, noise.log_norm))
 
-    def _with_past(
-        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None
-    ) -> Estimate:
-        """The filtered estimate, with its past."""
-        self.check_smooths()
-        estimate, past = self._filtered(measurements, prior, checkpoint, truncate, None)
-        return estimate._replace(past=past)
-
     def _smoothed(
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, lag: int | None,
         truncate: int | None, estimate: Estimate | None,
     ) -> Estimate:  # fmt: skip
-        """The smoothed estimate.
-
-        Args:
-            f: this filter, or a view of it in which each step has a sensor of its own.
-            measurements: of whole tracks, checked.
-            prior: see ``smooth``.
-            checkpoint: see ``smooth``.
-            lag: see ``smooth``.
-            truncate: see ``smooth``.
-            estimate: see ``smooth``.
-        """
+        """The smoothed estimate by ``f``: this filter, or a view of it in which each step has a sensor of its own."""
         filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
         rank = filtered.mean.dim() - 2
         smoothed = self.engine.backward(

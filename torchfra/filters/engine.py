@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, Protocol
 
 import torch
@@ -199,18 +198,16 @@ def backward_pass(
     carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
     steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
     state, end = f.last(past[-1])
-    if lag is None:
-        back = partial(_back, f)
-    else:
-        back, state = partial(_lagged, f), tree.stack([state] * lag, 0)
+    if lag is not None:
+        state = tree.stack([state] * lag, 0)
+
+    def back(after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
+        stepped: tuple[Any, Smoothed] = f.retreat(step, after) if lag is None else _lagged(f, after, step)
+        return stepped
+
     _, smoothed = scan(back, state, steps[::-1], checkpoint)
     stacked: Smoothed = tree.stack([*smoothed[::-1], end], rank)
     return stacked
-
-
-def _back(f: Any, after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
-    stepped: tuple[Any, Smoothed] = f.retreat(step, after)
-    return stepped
 
 
 def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:

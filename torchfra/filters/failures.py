@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -46,53 +47,53 @@ def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaus
     return Failure(step, torch.where(step < 0, int(Cause.NONE), cause))
 
 
-class Replaced(NamedTuple):
-    """Data in which a good track stands in the place of each track that has failed."""
+def without_failed_gradients(
+    f: Any, estimate: Estimate, filtered: Estimate, measurements: Measurements, prior: Gaussian,
+    again: Callable[[Measurements, Gaussian], Estimate],
+) -> Estimate:  # fmt: skip
+    """The estimate, where gradients are needed without those of failed tracks.
 
-    failed: Tensor
-    """``(...)`` bool, which tracks have failed."""
-    measurements: Measurements
-    prior: Gaussian
+    NaN and infinity of a failed track would reach the gradients of values that tracks share, even if the loss leaves
+    that track out, as 0 times infinity is NaN.  So all tracks are estimated once more, with the data of a good track in
+    place of each failed one, whose own estimate has no gradient.
 
-
-def replace_failed(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Replaced | None:
-    """Replaces the data of failed tracks by those of a good one; None if no gradient needs that.
-
-    Otherwise NaN and infinity of a failed track would reach the gradients of values that tracks share, even if the loss
-    leaves that track out, as 0 times infinity is NaN.
+    Args:
+        f: the filter.
+        estimate: filtered or smoothed, of all tracks.
+        filtered: the filtered estimate, whose ``failure`` names the failed tracks.
+        measurements: of all tracks.
+        prior: the beliefs before the first step.
+        again: makes the estimate from other measurements and another prior.
     """
-    outputs = estimate.mean, estimate.scale_tril, estimate.log_likelihood
+    outputs = filtered.mean, filtered.scale_tril, filtered.log_likelihood
     if f.scans or is_traced(*outputs) or not (torch.is_grad_enabled() and any(x.requires_grad for x in outputs)):
-        return None
-    assert estimate.failure is not None
-    failed = estimate.failure.step >= 0
+        return estimate
+    assert filtered.failure is not None
+    failed = filtered.failure.step >= 0
     if not bool(failed.any()) or bool(failed.all()):
-        return None
+        return estimate
     good = int((~failed).flatten().to(torch.int8).argmax())
+
+    def over(event: int) -> Tensor:
+        """``failed`` with as many dimensions of an event behind it."""
+        return failed.reshape(*failed.shape, *[1] * event)
 
     def replaced(x: Any, event: int) -> Any:
         if not isinstance(x, Tensor) or x.shape[: x.dim() - event].numel() <= 1:
             return x  # all tracks share it
         every = x.expand(*failed.shape, *x.shape[x.dim() - event :])
-        return torch.where(
-            failed.reshape(*failed.shape, *[1] * event), every.flatten(0, -event - 1)[good].detach(), every
-        )
+        return torch.where(over(event), every.flatten(0, -event - 1)[good].detach(), every)
+
+    def chosen(x: Tensor, other: Tensor) -> Tensor:
+        if x.shape[: failed.dim()] != failed.shape:
+            return other
+        return torch.where(over(x.dim() - failed.dim()), x.detach(), other)
 
     z, dt, u, std, noise = measurements
     data = Measurements(replaced(z, 2), replaced(dt, 1), replaced(u, 2), replaced(std, 2), replaced(noise, 3))
-    return Replaced(failed, data, Gaussian(replaced(prior.mean, 1), replaced(prior.scale_tril, 2)))
-
-
-def choose(failed: Tensor, estimate: Estimate, good: Estimate) -> Estimate:
-    """The tracks that have ``failed (...)`` from ``estimate``, without gradients, all others from ``good``."""
-
-    def either(x: Tensor, other: Tensor) -> Tensor:
-        if x.shape[: failed.dim()] != failed.shape:
-            return other
-        return torch.where(failed.reshape(*failed.shape, *[1] * (x.dim() - failed.dim())), x.detach(), other)
-
-    result: Estimate = tree.map_tensors(either, estimate, good)
-    return result
+    result = again(data, Gaussian(replaced(prior.mean, 1), replaced(prior.scale_tril, 2)))
+    either: Estimate = tree.map_tensors(chosen, estimate, result)
+    return either
 
 
 def _broken(mean: Tensor, root: Tensor) -> Tensor:

@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from torchfra.gaussian.update import density
-from torchfra.linalg.safe import safe_square
 from torchfra.types import Estimate, Gaussian
 
 
@@ -75,9 +73,3 @@ class Past(NamedTuple):
     """Belief and factor before the next measurement, for a filter that decides a step by the next one."""
     info: Any = None
     """``Estimate.info`` of the step, for a ``retreat`` that reads it."""
-
-
-def scores(normalised: Tensor, root: Tensor, log_norm: Tensor, log_density: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Normalised innovation squared and log density ``(...)``, constants and the units of the noise included."""
-    nis = safe_square(normalised).sum(-1)
-    return nis, log_norm + (density(root, normalised) if log_density is None else log_density)
