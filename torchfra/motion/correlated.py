@@ -163,22 +163,20 @@ class GaussMarkov(Motion):
     Args:
         std: stationary standard deviation, in the unit of the measurement to which it is added.
         time: correlation time, s, after which the correlation is ``exp(-1)``.
-        dims: number of components, independent of each other.
-        kind: their kind, out of ``torchfra.motion.KINDS``.
+        dims: number of components of kind "bias", independent of each other.
 
     Raises:
-        ValueError: ``std`` below 0, ``time`` not above 0, ``dims`` below 1, an unknown kind.
+        ValueError: ``std`` below 0, ``time`` not above 0, ``dims`` below 1.
 
     Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 3.6.
     """
 
     linear = True
 
-    def __init__(self, std: Value, time: Value, dims: int = 1, *, kind: str = "bias") -> None:
+    def __init__(self, std: Value, time: Value, dims: int = 1) -> None:
         super().__init__(
             dims, 1, None, size=dims, position=slice(0, 0), velocity=slice(0, 0),
-            angles=range(dims) if kind == "angle" else (),
-            components=[f"{kind} {i}" for i in range(dims)] if dims > 1 else [kind], kinds=[kind] * dims,
+            components=[f"bias {i}" for i in range(dims)] if dims > 1 else ["bias"], kinds=["bias"] * dims,
         )  # fmt: skip
         self.std = Hyper(std, constraints.nonnegative, name="std")
         self.time = Hyper(time, name="time")

@@ -30,7 +30,7 @@ def alphabeta(
     outlier: Value | None = None, degrees: Value | Sequence[float] | None = None, limit: Value = 60.0,
     margin: Value | None = None, hysteresis: Value | None = None, dwell: Value | None = None, votes: int = 2,
     patience: int = 5, longest: float = math.inf, converged: int = 5, flag_on_reject: str = "raw",
-    detect: str = "cartesian", onset: str | None = None, expect: str = "paper", temperature: float = 0.0,
+    detect: str = "cartesian", onset: str | None = None, temperature: float = 0.0,
     initiation: str = "two-point", period: Value | None = None, confirm: bool | None = None,
     learn: Collection[str] = (),
 ) -> AlphaBetaBank:  # fmt: skip
@@ -58,7 +58,6 @@ def alphabeta(
         flag_on_reject: flag of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the vote.
         detect: in ``"cartesian"`` or ``"polar"`` coordinates.
         onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; shared if None (fastest).
-        expect: thresholds are constant, ``"paper"``, or grow with the ``"level"``.
         temperature: 0 for hard choices, above for soft ones, to train by.
         initiation: from two measurements, ``"two-point"``, or the ``"prior"``.
         period: seconds between measurements for which the gains are designed.
@@ -71,7 +70,7 @@ def alphabeta(
     thresholds = defaults | {name: value for name, value in chosen.items() if value is not None}
     f = AlphaBetaBank(
         motion, sensor, gains, limit=limit, votes=votes, patience=patience, longest=longest, converged=converged,
-        flag_on_reject=flag_on_reject, detect=detect, expect=expect, temperature=temperature, initiation=initiation,
+        flag_on_reject=flag_on_reject, detect=detect, temperature=temperature, initiation=initiation,
         period=period, **thresholds,
     )  # fmt: skip
     return with_learning(f, learn)

@@ -121,8 +121,7 @@ def rsrckf(
 
 @register.filter("mr_ckf", words="srckf with weights in three segments")
 def mr_ckf(
-    motion: Motion, sensor: Sensor, *, low: Value = 5.991, high: Value = 10000.0, squared: bool = False,
-    learn: Collection[str] = (),
+    motion: Motion, sensor: Sensor, *, low: Value = 5.991, high: Value = 10000.0, learn: Collection[str] = (),
 ) -> SRCKF:  # fmt: skip
     """Robust: one weight in three segments for the whole measurement, at every step.
 
@@ -131,12 +130,11 @@ def mr_ckf(
         sensor: what is measured.
         low: normalised innovation squared up to which the weight is 1: ``robust.ThreeSegment``.
         high: normalised innovation squared from which on the weight is 0: ``robust.ThreeSegment``.
-        squared: whether the weight falls with the square of the distance: ``robust.ThreeSegment``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Source: Wu et al. (2015), in the reading of ``robust.ThreeSegment``.
     """
-    return with_learning(SRCKF(motion, sensor, robust=ThreeSegment(low, high, squared=squared)), learn)
+    return with_learning(SRCKF(motion, sensor, robust=ThreeSegment(low, high)), learn)
 
 
 @register.filter("ghckf", words="fifth-degree cubature Kalman filter")

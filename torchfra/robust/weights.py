@@ -72,7 +72,6 @@ class ThreeSegment(Weights):
     Args:
         low: normalised innovation squared up to which the weight is 1.
         high: normalised innovation squared from which on it is 0.
-        squared: whether ``nis``, ``low`` and ``high`` themselves take the place of ``d``, ``a`` and ``b``.
 
     Raises:
         ValueError: ``high`` is not above ``low``.
@@ -81,9 +80,9 @@ class ThreeSegment(Weights):
     (2015), print its thresholds only; the form of the weight is our reading.
     """
 
-    def __init__(self, low: Value = 5.991, high: Value = 10000.0, *, squared: bool = False) -> None:
+    def __init__(self, low: Value = 5.991, high: Value = 10000.0) -> None:
         super().__init__()
-        self.low, self.high, self.squared = Hyper(low, name="low"), Hyper(high, name="high"), squared
+        self.low, self.high = Hyper(low, name="low"), Hyper(high, name="high")
         if not bool((self.high() > self.low()).all()):
             raise ValueError(f"high: expected a value above low, received {high} with low {low}")
 
@@ -91,7 +90,6 @@ class ThreeSegment(Weights):
         """Weights ``(..., m)``, all equal, for the normalised innovation squared ``nis (...)``."""
         low, high = self.low(nis), self.high(nis)
         # The clamps keep the square root and its gradient away from 0, where the weight is 1 anyway.
-        d = nis.clamp_min(low) if self.squared else nis.clamp_min(low).sqrt()
-        a, b = (low, high) if self.squared else (low.sqrt(), high.sqrt())
+        d, a, b = nis.clamp_min(low).sqrt(), low.sqrt(), high.sqrt()
         weight = a / d * ((b - d).clamp_min(0.0) / (b - a)).square()
         return torch.where(nis > low, weight, 1.0).unsqueeze(-1).expand(nis.shape + residual.shape[-1:])

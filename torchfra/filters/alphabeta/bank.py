@@ -198,8 +198,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             decide for all axes.
         onset: the state at the onset of a manoeuvre: ``"shared"`` the one as it is, which lags after small gains, or
             ``"fastest"`` that of the fastest filter, which then runs all the time.
-        expect: the threshold of residuals: ``"paper"`` a constant one, ``"level"`` one in proportion to the residuals
-            of the level in use in its steady state.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
         initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
@@ -212,7 +210,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
 
     Source: Xu et al., "multilevel combined alpha-beta filter"; reconstructed where its formulas are lost.  Differs:
-    after rejections the velocity gain is divided by the time since the last used measurement.  ``onset``, ``expect``,
+    after rejections the velocity gain is divided by the time since the last used measurement.  ``onset``,
     ``confirm`` and the soft choices are additions.
     """
 
@@ -236,7 +234,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         flag_on_reject: str = "raw",
         detect: str = "cartesian",
         onset: str = "shared",
-        expect: str = "paper",
         temperature: float = 0.0,
         initiation: str = "two-point",
         period: Value | None = None,
@@ -244,7 +241,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     ) -> None:
         super().__init__(motion, sensor, initiation, period)
         self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
-        self.flag_on_reject, self.detect, self.onset, self.expect = flag_on_reject, detect, onset, expect
+        self.flag_on_reject, self.detect, self.onset = flag_on_reject, detect, onset
         self.confirm = confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
@@ -261,7 +258,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             flag_on_reject=(self.flag_on_reject, ("raw", "hold")),
             detect=(self.detect, ("cartesian", "polar")),
             onset=(self.onset, ("shared", "fastest")),
-            expect=(self.expect, ("paper", "level")),
         )
         even = is_integer(self.votes, 2) and self.votes % 2 == 0
         if not (even and is_integer(self.patience, 1) and is_integer(self.converged, 3)):
@@ -289,7 +285,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def _set_thresholds(
         self, gains: Gains, manoeuvre: Value | None, outlier: Value | None, degrees: Value | None
     ) -> None:
-        slowest = design.residual_variance(Gains(gains.alpha[..., -1], gains.beta[..., -1]))
+        slowest = 1 + design.variances(gains.alpha[..., -1], gains.beta[..., -1]).prediction
         manoeuvre = 3 * slowest.sqrt() if manoeuvre is None else as_numbers(manoeuvre, "manoeuvre").double()
         outlier = 3 * manoeuvre if outlier is None else as_numbers(outlier, "outlier").double()
         if bool((outlier < manoeuvre).any()):
@@ -358,8 +354,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Vote:
         """The vote on a manoeuvre: the flag of this measurement, and the majority of the last flags."""
         channels = innovation.channels
-        expected = 1.0 if self.expect == "paper" else self._expected_ratio(state.level)
-        threshold = self.manoeuvre(channels).unsqueeze(-1) * expected
+        threshold = self.manoeuvre(channels).unsqueeze(-1)
         threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(channels).unsqueeze(-1)))
         flag = self._above(channels / threshold, 1.0)
         enough = self._above(state.used, self.converged - 0.5) * self._above(state.flag_count, self.votes - 0.5)
@@ -443,13 +438,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             return flags
         none: Tensor = reduce(torch.mul, (1 - flags).split(1, -1))
         return 1 - none
-
-    def _expected_ratio(self, level: Tensor) -> Tensor:
-        """Ratio of the steady-state residuals of the level in use to those of the slowest level."""
-        gamma = None if self.gamma is None else self.gamma(level)
-        variance = design.residual_variance(Gains(self.alpha(level), self.beta(level), gamma))
-        ratio: Tensor = (of_level(level, variance) / variance[..., -1:]).sqrt()
-        return ratio
 
     # ------------------------------------------------------------ the update of beliefs
 

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from torchfra.hyper import Value
-from torchfra.linalg.triangular import hstack, tria
 from torchfra.numbers import as_numbers
 
 
@@ -113,38 +112,6 @@ def variances(alpha: Tensor, beta: Tensor) -> Variances:
         2 * beta.square() / scale,
         (square + product) / scale,
     )
-
-
-def residual_variance(gains: Gains) -> Tensor:
-    """Steady-state variance ``(..., N)`` of each level's residuals, in units of that of the noise, for a step of 1.
-
-    A level whose ``gamma`` is 0 has two gains.
-    """
-    alpha, beta, gamma = gains
-    two = 1 + variances(alpha, beta).prediction
-    if gamma is None:
-        return two
-    has_gamma = gamma > 0
-    column = torch.stack([alpha, beta, torch.where(has_gamma, gamma, 0.1 * beta) / 2], -1)
-    rows = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
-    transition = torch.tensor(rows, dtype=alpha.dtype, device=alpha.device)
-    predicted = (transition[0].unsqueeze(-2) @ steady_root(transition, column)).squeeze(-2)
-    return torch.where(has_gamma, 1 + predicted.square().sum(-1), two)
-
-
-def steady_root(transition: Tensor, gain: Tensor) -> Tensor:
-    """Lower root ``(..., k, k)`` of the steady-state covariance of ``x = (I - gain H) F x + gain noise``.
-
-    Args:
-        transition: ``F (..., k, k)``, position first.
-        gain: ``(..., k)``.
-    """
-    eye = torch.eye(gain.shape[-1], dtype=gain.dtype, device=gain.device)
-    step = (eye - gain.unsqueeze(-1) * eye[0]) @ transition
-    root = gain.unsqueeze(-1)
-    for _ in range(12):  # each iteration doubles the number of steps
-        root, step = tria(hstack(root, step @ root)), step @ step
-    return root
 
 
 def stable(gains: Gains) -> bool:
