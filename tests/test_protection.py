@@ -9,8 +9,8 @@ from oracles import protection as oracle
 
 from torchfra import Gaussian, presets
 from torchfra.filters import protection_level
-from torchfra.motion import ConstantVelocity, CoordinatedTurn
-from torchfra.sensors import Correlated, Position
+from torchfra.motion import Clock, ConstantVelocity, CoordinatedTurn, Spherical
+from torchfra.sensors import Correlated, Position, Sensor
 from torchfra.stream import Tracker
 
 F64 = {"dtype": torch.float64}
@@ -111,6 +111,23 @@ def test_a_tracker_has_it():
     t = Tracker(f, prior())
     t.update(1.0, [1.0, 2.0])
     torch.testing.assert_close(t.protection_level(fault=(0.1, 5.0)), protection_level(f, t.state, fault=(0.1, 5.0)))
+
+
+class Reading(Sensor):
+    """The first component of a state."""
+
+    def __init__(self):
+        super().__init__(1, [False], 1.0)
+
+    def forward(self, x, u=None):
+        return x[..., :1]
+
+
+@pytest.mark.parametrize("motion", [Spherical(motion(3)), Clock(1.0, 1.0)], ids=["angles", "clock"])
+def test_a_state_without_a_position_in_metres_is_refused(motion):
+    f = presets.srckf(motion, Reading())
+    with pytest.raises(ValueError, match=r"f: expected a filter of a motion with a position in metres, .* received"):
+        protection_level(f, f.init(Gaussian(torch.ones(motion.size, **F64), torch.eye(motion.size, **F64))))
 
 
 def test_an_estimate_without_its_past_and_what_is_neither_are_refused():

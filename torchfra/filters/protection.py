@@ -26,7 +26,7 @@ def protection_level(
     how often there is such an error and how large it is, and the whole of it is taken to be in the estimate.
 
     Args:
-        f: the filter.
+        f: the filter, of a motion whose state has a position in metres, of 1 to 3 dimensions.
         estimate: of whole tracks, made by the filter with ``past=True``, or the filter's state after a step.
         risk: probability between 0 and 1.
         fault: share of the time with an undetected fault, from 0 to 1, and the standard deviation per axis of its
@@ -38,12 +38,13 @@ def protection_level(
         deviation of any direction.  It has no gradient.
 
     Raises:
-        ValueError: a risk or a fault out of its range, an estimate without its past, or no estimate and no state.
+        ValueError: a motion without such a position, a risk or a fault out of its range, an estimate without its past,
+            or no estimate and no state.
 
     Source: Blanch, Walter, Enge et al. (2015), "Baseline Advanced RAIM User Algorithm and Possible Improvements", eqs.
     (28)-(30), for levels of several hypotheses.  Differs: hypotheses are weighed by what has been measured.
     """
-    _check(risk, fault)
+    _check(f, risk, fault)
     beliefs, log_weights = f.hypotheses(_past_or_state(estimate))
     centre = estimate.mean if isinstance(estimate, Estimate) else estimate.belief.mean  # type: ignore[attr-defined]  # a state
     where = f.motion.position
@@ -98,12 +99,17 @@ def _past_or_state(estimate: object) -> object:
     return estimate
 
 
-def _check(risk: float, fault: tuple[float, float] | None) -> None:
+def _check(f: Filter, risk: float, fault: tuple[float, float] | None) -> None:
     """Checks arguments.
 
     Raises:
         ValueError: names the first that is wrong.
     """
+    motion = f.motion
+    kinds = motion.kinds[motion.position]
+    if len(kinds) not in _TAILS or set(kinds) != {"position"}:
+        expected = "a filter of a motion with a position in metres, of 1 to 3 dimensions"
+        raise ValueError(f"f: expected {expected}, received one of [{', '.join(motion.components)}]")
     if not 0 < risk < 1:
         raise ValueError(f"risk: expected a probability between 0 and 1, received {risk}")
     if fault is not None and not (len(fault) == 2 and 0 <= fault[0] <= 1 and 0 <= fault[1] < math.inf):
