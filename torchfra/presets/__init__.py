@@ -31,7 +31,6 @@ A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as
 # In the order in which commands and tables list filters; each file says in __all__ which presets it has.
 from torchfra.presets.regimes import *
 from torchfra.presets.single import *
-from torchfra.presets.adaptive import *
 from torchfra.presets.feedback import *
 from torchfra.presets.banks import *
 from torchfra.presets.constant_gains import *

@@ -13,9 +13,8 @@ from torchfra.filters.base import Filter
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
-from torchfra.presets.adaptive import iaukf
 from torchfra.presets.learning import with_learning
-from torchfra.presets.single import srckf, ukf
+from torchfra.presets.single import iaukf, srckf, ukf
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
