@@ -12,6 +12,7 @@ from torchfra.gaussian.arguments import check_belief, check_kinds
 from torchfra.gaussian.inputs import Measurements
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
+from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.correlated import Correlated
 from torchfra.types import Gaussian
@@ -126,5 +127,5 @@ def check_lengths(**lengths: int | None) -> None:
         ValueError: names the first that is not.
     """
     for name, length in lengths.items():
-        if length is not None and not (isinstance(length, int) and length >= 1):
+        if length is not None and not is_integer(length, 1):
             raise ValueError(f"{name}: expected at least 1 step, received {length!r}")

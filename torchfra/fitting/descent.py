@@ -15,6 +15,7 @@ from torchfra.fitting.data import Batch
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
 from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
+from torchfra.numbers import is_integer
 from torchfra.running import distributed
 
 KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "optimiser": dict, "best": torch.Tensor,
@@ -48,10 +49,11 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("batch", "validate_every", "patience", "restarts", "runs"):
-            _at_least(1, name, getattr(self, name))
-        for name in ("iterations", "skip", "seed"):
-            _at_least(0, name, getattr(self, name))
+        positive = dict.fromkeys(("batch", "validate_every", "patience", "restarts", "runs"), 1)
+        for name, least in {**positive, **dict.fromkeys(("iterations", "skip", "seed"), 0)}.items():
+            value = getattr(self, name)
+            if not is_integer(value, least):
+                raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
         for name in ("lr", "clip", "spread"):
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0 < value < math.inf:
@@ -64,11 +66,6 @@ class Settings:
         """The settings with the chosen loss, and the kind of standard errors, by default the one for that loss."""
         kind = errors or ("hessian" if objective.name == "likelihood" else "sandwich")
         return replace(self, loss=objective.name, scale=objective.scale, errors=kind)
-
-
-def _at_least(least: int, name: str, value: Any) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
 
 
 class Descent:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.fitting.newton import Curvature, Sums, minimised
 from torchfra.fitting.vector import NORMAL_95, Vector
+from torchfra.numbers import as_number, is_integer
 from torchfra.tables import text_table
 
 KINDS = ("hessian", "sandwich")
@@ -158,7 +159,7 @@ def profile(
             ``reach`` out of range.
     """
     vector = sums.objective.vector
-    if not isinstance(points, int) or points < 2 or not reach > 0:
+    if not is_integer(points, 2) or not as_number(reach) > 0:
         raise ValueError(f"points, reach: expected 2 or more, and a number above 0, received {points!r}, {reach!r}")
     best = vector.natural(raw)[vector.names.index(name)].item() if name in vector.names else 1.0
     vector.unconstrained(name, [best])
@@ -192,7 +193,7 @@ def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
 
     Source: Efron & Tibshirani (1993), "An Introduction to the Bootstrap", chapter 6.
     """
-    if not isinstance(resamples, int) or resamples < 10:
+    if not is_integer(resamples, 10):
         raise ValueError(f"resamples: expected 10 or more, received {resamples!r}")
     generator, count = torch.Generator().manual_seed(seed), len(sums.batch.z)
     drawn = torch.randint(count, (resamples, count), generator=generator)

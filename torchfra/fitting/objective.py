@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,6 +19,7 @@ from torchfra.fitting.data import Batch, Source
 from torchfra.fitting.vector import Vector
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
+from torchfra.numbers import is_integer
 from torchfra.scenarios.base import Scenario
 from torchfra.types import CompileError, Estimate, Gaussian
 
@@ -202,7 +204,7 @@ def objective_of(
     kind = loss or ("likelihood" if tracks.truth is None else "robust")
     if isinstance(kind, str) and kind in NEEDS_TRUTH and tracks.truth is None:
         raise ValueError(f"loss: expected 'likelihood' or 'smoothed' for data without a truth, received {kind!r}")
-    if not isinstance(skip, int) or not 0 <= skip < tracks.z.shape[1]:
+    if not is_integer(skip, 0) or skip >= tracks.z.shape[1]:
         raise ValueError(f"skip: expected less than the {tracks.z.shape[1]} steps of the tracks, received {skip}")
     states, convert = f.motion.position, None
     if isinstance(data, Scenario):
@@ -210,7 +212,7 @@ def objective_of(
     if kind == "robust" and scale is None:
         scale = _error(f, tracks, states, convert)
     scale = 1.0 if scale is None else scale
-    if not isinstance(scale, int | float) or not 0 < scale < float("inf"):
+    if not isinstance(scale, int | float) or not 0 < scale < math.inf:
         raise ValueError(f"scale: expected a number above 0, received {scale!r}")
     return Objective(f, vector, kind, scale=scale, skip=skip, states=states, convert=convert)
 
