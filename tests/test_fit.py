@@ -397,7 +397,7 @@ def test_validation_does_not_turn_down_the_last_steps_where_the_model_holds():
     for seed in (10, 22):  # where it is two standard errors better before them
         found = torchfra.fit(start(), {"z": walks(seed, 30, 10)[1], "prior": PRIOR}, learn=("q", "std"), quiet=True,
                              compile=False, iterations=12, lr=0.5, validate_every=1, patience=20)  # fmt: skip
-        assert found.certainty.off < 0.1
+        assert found.certainty.gradient_size < 0.1
         assert not any("validation" in note for note in found.notes)
 
 

@@ -180,7 +180,7 @@ def coverage(sets, runs, steps, seed, compiled=False):
     z = walks(seed, sets * runs, steps)[1]
     vector, sums = sums_of(f, z, group=torch.arange(sets).repeat_interleave(runs))
     raw, curvature = minimised(sums, vector.raw().expand(1, sets, 2))
-    assert (curvature.off < 0.1).all()
+    assert (curvature.gradient_size < 0.1).all()
     error = torch.linalg.inv(curvature.hessian).diagonal(dim1=-2, dim2=-1).sqrt()
     known = torch.stack([vector.unconstrained("motion.q", [Q])[0], vector.unconstrained("sensor.std", [STD])[0]])
     return ((raw - known).abs() <= NORMAL_95 * error).double().mean((0, 1)).tolist()

@@ -16,9 +16,9 @@ from torchfra.tables import text_table
 KINDS = ("hessian", "sandwich")
 WIDEST = math.log(10.0)
 """Widest 95 % interval of an identified value, in unconstrained units: a factor of 10 for a value above 0."""
-OFF = 0.5
-"""Gradient at the fitted values, in its standard errors, above which they are not at the minimum of the loss."""
-RATIO = 1.6
+LARGEST_GRADIENT = 0.5
+"""Size of the gradient at the fitted values, in its standard errors, above which they are not at a minimum."""
+LARGEST_RATIO = 1.6
 """Ratio of scatter (``Certainty.ratio``) above which the two kinds of standard errors differ by a quarter."""
 WITHIN = 3.841458820694124
 """Twice the increase of minus the log likelihood at the ends of a 95 % interval: chi-squared of one degree."""
@@ -42,8 +42,8 @@ class Certainty(NamedTuple):
     the tracks do not identify some direction at all."""
     weakest: str
     """The direction that the tracks identify least, in words."""
-    off: float
-    """The gradient in units of its standard errors, 0 at a minimum."""
+    gradient_size: float
+    """Size of the gradient in units of its standard errors, 0 at a minimum."""
     ratio: float
     """Scatter of the tracks' gradients over its expectation by the Hessian: 1 if the loss is the likelihood of a model
     that holds, and only then are standard errors by the Hessian right (White's information matrix)."""
@@ -56,9 +56,11 @@ class Certainty(NamedTuple):
         lines = []
         if bool(self.covariance.isnan().any()):
             lines.append("the loss has no minimum here: there are no standard errors")
-        elif not self.off <= OFF:
-            lines.append(f"the gradient is {self.off:.2g} of its standard errors from 0: standard errors are rough")
-        elif self.kind == "hessian" and not 1 / RATIO < self.ratio < RATIO:
+        elif not self.gradient_size <= LARGEST_GRADIENT:
+            lines.append(
+                f"the gradient is {self.gradient_size:.2g} of its standard errors from 0: standard errors are rough"
+            )
+        elif self.kind == "hessian" and not 1 / LARGEST_RATIO < self.ratio < LARGEST_RATIO:
             scatter = f"gradients of tracks scatter {self.ratio:.2g} times as the Hessian says"
             lines.append(f"{scatter}, so the model does not hold: take errors='sandwich'")
         return lines
@@ -77,8 +79,8 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     Source: van der Vaart (1998), "Asymptotic Statistics", theorem 5.23; White (1982), Econometrica 50.
     """
     hessian, scores = curvature.hessian[0, 0], curvature.scores[0, 0]
-    bends, axes = torch.linalg.eigh(hessian.nan_to_num())
-    if bool(hessian.isfinite().all()) and bool(bends[0] > 1e-12 * bends[-1].clamp_min(1e-300)):
+    eigenvalues, axes = torch.linalg.eigh(hessian.nan_to_num())
+    if bool(hessian.isfinite().all()) and bool(eigenvalues[0] > 1e-12 * eigenvalues[-1].clamp_min(1e-300)):
         inverse = torch.linalg.inv(hessian)
         inner = inverse if kind == "hessian" else inverse @ scores @ inverse
     else:
@@ -91,7 +93,7 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     low, high = vector.intervals(raw, covariance)
     return Certainty(
         covariance, vector.errors(raw, covariance), low, high, (2 * reach < WIDEST).tolist(), condition,
-        _words(vector, vector.directions @ axes[:, 0], inner, axes[:, 0]), float(curvature.off[0, 0]),
+        _words(vector, vector.directions @ axes[:, 0], inner, axes[:, 0]), float(curvature.gradient_size[0, 0]),
         float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
     )  # fmt: skip
 

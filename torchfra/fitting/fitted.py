@@ -148,7 +148,7 @@ class Fitted:
                        "interval": list(self.intervals[name]), "identified": identified}
                 for name, identified in zip(self.learned, certainty.identified, strict=True)
             },
-            "condition": certainty.condition, "weakest": certainty.weakest, "gradient": certainty.off,
+            "condition": certainty.condition, "weakest": certainty.weakest, "gradient": certainty.gradient_size,
             "held_out": {name: {when: figure._asdict() for when, figure in row.figures.items()}
                          for name, row in self.held_out.items()},
             "restarts": self.restarts, "tracks": self.counts, "settings": dataclasses.asdict(self.settings),

@@ -37,8 +37,8 @@ class Curvature(NamedTuple):
     """``(R, G, Q, Q)``."""
 
     @property
-    def off(self) -> Tensor:
-        """``(R, G)`` how many of its standard errors the gradient is away from 0."""
+    def gradient_size(self) -> Tensor:
+        """``(R, G)`` size of the gradient in units of its standard errors, 0 at a minimum."""
         solved = torch.linalg.pinv(self.scores, hermitian=True) @ self.gradient.unsqueeze(-1)
         square: Tensor = (self.gradient * solved.squeeze(-1)).sum(-1)
         return square.clamp_min(0).sqrt()
@@ -70,10 +70,10 @@ class Sums:
 
     def curvature(self, raw: Tensor) -> Curvature:
         """At ``raw (R, G, P)``, by central differences along the directions."""
-        loss, gradient, bends = self.of_tracks(raw)
+        loss, gradient, hessians = self.of_tracks(raw)
         scores = self._summed((gradient.unsqueeze(-1) * gradient.unsqueeze(-2)).flatten(-2), squared=True)
         count = self.directions.shape[1]
-        hessian = self._summed(bends.flatten(-2)).unflatten(-1, (count, count))
+        hessian = self._summed(hessians.flatten(-2)).unflatten(-1, (count, count))
         total = self._summed(loss.unsqueeze(-1))[..., 0]
         return Curvature(total, self._summed(gradient), scores.unflatten(-1, (count, count)), hessian)
 
@@ -97,9 +97,9 @@ class Sums:
         The loss of a track on which the filter nearly diverges can change by any amount over a tiny change of the
         values.  A few such tracks would dominate the minimum of the sum and its curvature.
         """
-        bends = self.of_tracks(raw)[2][0]
-        scale = bends.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
-        size = torch.linalg.matrix_norm(bends / scale / scale.unsqueeze(-1))
+        hessians = self.of_tracks(raw)[2][0]
+        scale = hessians.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
+        size = torch.linalg.matrix_norm(hessians / scale / scale.unsqueeze(-1))
         calm: Tensor = size <= CHAOTIC * size.nanmedian()
         return calm
 
@@ -123,7 +123,7 @@ def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
     """
     curvature = sums.curvature(raw)
     for _ in range(ITERATIONS):
-        going = curvature.off > CONVERGED
+        going = curvature.gradient_size > CONVERGED
         if not bool(going.any()):
             break
         steps = _steps(curvature) @ sums.directions.mT
@@ -143,9 +143,9 @@ def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
 def _steps(curvature: Curvature) -> Tensor:
     """``(R, G, Q)`` downhill: Newton's with the sizes of the curvatures."""
     hessian, gradient = curvature.hessian.nan_to_num(), curvature.gradient.nan_to_num()
-    bends, axes = torch.linalg.eigh(hessian)
-    bends = bends.abs()
-    bends = torch.maximum(bends, 1e-10 * bends.amax(-1, keepdim=True)).clamp_min(1e-300)
-    steps: Tensor = -(axes @ ((axes.mT @ gradient.unsqueeze(-1)) / bends.unsqueeze(-1))).squeeze(-1)
+    curvatures, axes = torch.linalg.eigh(hessian)
+    curvatures = curvatures.abs()
+    curvatures = torch.maximum(curvatures, 1e-10 * curvatures.amax(-1, keepdim=True)).clamp_min(1e-300)
+    steps: Tensor = -(axes @ ((axes.mT @ gradient.unsqueeze(-1)) / curvatures.unsqueeze(-1))).squeeze(-1)
     longest: Tensor = torch.linalg.vector_norm(steps, dim=-1, keepdim=True).clamp_min(LONGEST)
     return LONGEST * steps / longest
