@@ -75,6 +75,16 @@ def test_errors_are_per_axis_over_all_rows(tmp_path):
     assert found.figures["rmse_axis"] == pytest.approx(by_hand)
 
 
+def test_a_bias_is_in_covariances_and_changes_no_estimate(tmp_path):
+    track = nclt.read(day(tmp_path))
+    track = track._replace(std=torch.full_like(track.z, 3.0))
+    f, prior = nclt.make("srckf", track)
+    plain, found = measured(f, prior, track, nclt.METRIC), measured(f, prior, track, nclt.METRIC, bias=nclt.BIAS)
+    torch.testing.assert_close(found.mean, plain.mean)
+    for name in ("nees", "nees_smoothed"):
+        assert 0 < found.figures[name] < plain.figures[name]
+
+
 def test_positions_that_are_wrong_for_minutes_do_not_move_the_robot_of_interacting_models(tmp_path):
     yaw = torch.zeros(1).double()
     for _ in range(50):

@@ -48,9 +48,9 @@ COMPASS = (-0.138, -0.059, 0.043, -0.069, -0.027)
 twice the heading, as iron beside a compass causes it (Bowditch, "The American Practical Navigator", on deviation)."""
 GPS = 5.0
 """Standard deviation of a satellite position, m, for filters that take its errors for white."""
-WALKS = (1e-2, 1e-8, 9e-8)
+WALKS = (6e-3, 1e-8, 9e-8)
 """Densities of the walks of position, heading error and scale for these: m^2/s, rad^2/s, 1/s."""
-START = (1.0, 1.0, 0.05, 0.02)
+START = (0.1, 0.1, 0.05, 0.02)
 """Standard deviations before the first step: position, m, heading error, rad, logarithm of the wheels' scale."""
 SCALE = -0.076
 """Logarithm of the wheels' scale before the first step."""
@@ -84,7 +84,8 @@ TRANSITION = (
     (0.999, 0.001, 0.0, 0.0, 0.0),
 )
 """Probabilities of what follows in 1 s on: no fault, a fault begins, is steady, moves, ends."""
-
+BIAS = ERROR
+"""Standard deviation of what positions are off by for a whole day, m, for filters that take their errors for white."""
 UNNOTICED = (0.05, 4 * ERROR)
 """Of protection levels: share of the time with an error of positions that was believed, and its standard deviation, m:
 four times that of the error that is always there, the least multiple at which the levels of ``imm`` and ``gpb`` hold on

@@ -50,6 +50,8 @@ FLATTENING_SQUARED = 0.00669438
 """Square of the first eccentricity of the Earth's ellipsoid."""
 STD = 2.0
 """Standard deviation of a pseudorange in line of sight, m."""
+BIAS = None
+"""No constant bias of pseudoranges: reflections come and go."""
 UNNOTICED = (0.05, 4 * STD)
 """Of protection levels, as of a robot on a campus."""
 WEAKEST = 30.0

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics
-from torchfra.filters import Filter, protection_level
+from torchfra.filters import Filter, biased_copies, considered, protection_level
 from torchfra.types import Estimate, Gaussian
 
 Figures = dict[str, Any]
@@ -50,8 +50,9 @@ class Found(NamedTuple):
 
 
 def measured(
-    f: Filter, prior: Gaussian, track: Track, metric: str, unnoticed: tuple[float, float] | None = None
-) -> Found:
+    f: Filter, prior: Gaussian, track: Track, metric: str, unnoticed: tuple[float, float] | None = None,
+    bias: float | None = None,
+) -> Found:  # fmt: skip
     """Errors of a filter on a track, as it filters and smoothed.
 
     Args:
@@ -60,6 +61,8 @@ def measured(
         track: the track.
         metric: what the error on line is called.
         unnoticed: of the protection level: ``fault`` of ``filters.protection_level``.
+        bias: standard deviation of a constant bias of each element of a measurement, which covariances contain and
+            nothing estimates (``filters.considered``); None for none.
 
     Returns:
         That error and ``smoothed``, m, over all steps whose truth is known, and the mean normalised estimation error
@@ -69,9 +72,15 @@ def measured(
     """
     dims = track.truth.shape[-1]
     states = slice(0, dims)
+    z, u, std = track.z, track.u, track.std
+    if bias is not None:
+        z = biased_copies(z, bias)
+        u, std = (None if x is None else x.expand(len(z), -1, -1) for x in (u, std))
     with torch.no_grad():
-        estimate = f(track.z, prior, dt=track.dt, u=track.u, std=track.std, past=True)
-        later = f.smooth(track.z, prior, dt=track.dt, u=track.u, std=track.std, estimate=estimate)
+        estimate = f(z, prior, dt=track.dt, u=u, std=std, past=True)
+        later = f.smooth(z, prior, dt=track.dt, u=u, std=std, estimate=estimate)
+        if bias is not None:
+            estimate, later = considered(f, estimate), considered(f, later)
 
     def errors(of: Estimate) -> tuple[float, float]:
         rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)

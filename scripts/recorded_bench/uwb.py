@@ -73,6 +73,8 @@ ACCELERATION, SECONDS = 1.0, 1.0
 ERROR, LASTS = 0.1, 1.0
 """Of ranges, m, and for how long one is much like the one before, s.  As many in a row tell what one tells: they are
 taken for white errors whose variance is so many times as large."""
+BIAS = 0.3
+"""Standard deviation of what each anchor's ranges are off by for a whole run, m: chosen on LOS A 1 for its NEES."""
 UNNOTICED = (0.05, 4 * ERROR)
 """Of protection levels, as of a robot on a campus."""
 OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none"}}

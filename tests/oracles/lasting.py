@@ -20,7 +20,7 @@ def lasting_errors(
     """One track z (T,m), NaN missing; F and Q lead to each step, std and time (m,) are of the errors of each element.
 
     Keys: mean (T,n), P (T,n,n), by the measurements up to each step; smoothed_mean, smoothed_P by all of them;
-    log_likelihood, of all of them.
+    log_likelihood, of all of them; bias and smoothed_bias (T,n,m), how means follow a constant in each element.
     """
     steps, n = len(z), len(mean)
     means, within = [], []
@@ -50,11 +50,13 @@ def lasting_errors(
     V = np.array([[covariance[k, a, j, b] for j, b in readings] for k, a in readings])
     C = np.einsum("kilj,bj->kilb", states, H)[:, :, rows[0], rows[1]]  # (T,n,M): states and measurements
     result: Result = {"smoothed_mean": np.zeros((steps, n)), "smoothed_P": np.zeros((steps, n, n))}
+    result |= {"bias": np.zeros((steps, n, len(H))), "smoothed_bias": np.zeros((steps, n, len(H)))}
     result |= {"mean": np.zeros((steps, n)), "P": np.zeros((steps, n, n))}
     for k in range(steps):
         for prefix, known in (("", rows[0] <= k), ("smoothed_", rows[0] >= 0)):
             gain = np.linalg.solve(V[np.ix_(known, known)], C[k][:, known].T).T
             result[prefix + "mean"][k] = means[k] + gain @ off[known]
+            result[prefix + "bias"][k] = gain @ np.eye(len(H))[rows[1][known]]
             result[prefix + "P"][k] = within[k] - gain @ C[k][:, known].T
     _, size = np.linalg.slogdet(V)
     result["log_likelihood"] = np.array(

@@ -3,6 +3,7 @@
 from torchfra.filters.alphabeta import AlphaBeta
 from torchfra.filters.alphabeta.bank import AlphaBetaBank, AlphaBetaInfo
 from torchfra.filters.base import Filter
+from torchfra.filters.considered import biased_copies, considered
 from torchfra.filters.fixed_lag import FixedLag, FixedLagState
 from torchfra.filters.forecast import Forecast
 from torchfra.filters.fra import FRA, FRAInfo, FRAState
@@ -44,5 +45,7 @@ __all__ = [
     "SmoothInfo",
     "Smoothed",
     "State",
+    "biased_copies",
+    "considered",
     "protection_level",
 ]
