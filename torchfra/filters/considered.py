@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.hyper import Value
 from torchfra.linalg.triangular import hstack, tria
-from torchfra.sensors.places import numbers
+from torchfra.numbers import as_numbers
 from torchfra.types import Estimate, Gaussian
 
 E = TypeVar("E", Estimate, Gaussian)
@@ -39,7 +39,7 @@ def biased_copies(z: Tensor, std: Value) -> Tensor:
     Raises:
         ValueError: a standard deviation below 0 or not finite, or another shape.
     """
-    m, given = z.shape[-1], numbers(std, "std")
+    m, given = z.shape[-1], as_numbers(std, "std")
     if given.shape not in ((), (m,)):
         raise ValueError(f"std: expected a number or ({m},), received {tuple(given.shape)}")
     if not bool(((given >= 0) & (given < math.inf)).all()):
