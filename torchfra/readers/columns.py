@@ -21,7 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 
-_DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
@@ -101,7 +101,7 @@ def number(value: Any) -> float:
         value = value.strip(" \t\r\n")
         if value.lower() in ("", "nan", "-nan"):
             return math.nan
-        if not _DECIMAL.fullmatch(value):
+        if not DECIMAL.fullmatch(value):
             raise ValueError
     elif isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError
@@ -163,7 +163,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
         def instant(cell: Any) -> float:
             if not isinstance(cell, str):
-                return number(cell) if kind.form == "iso" else _instant(cell, kind)
+                return _instant(cell, kind)
             if cell not in known:
                 known[cell] = _instant(cell, kind)
             return known[cell]

@@ -33,7 +33,7 @@ def csv_sheet(
     headers: str,
     repairs: Counter[str] | None,
     max_bytes: int,
-    encoding: str = UTF_8,
+    encoding: str,
 ) -> Sheet:
     """The rows of a file.
 

@@ -8,8 +8,8 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from torchfra.readers.columns import short
-from torchfra.readers.sheets import DECIMAL, Sheet, needs, points_sheet, whole_text
+from torchfra.readers.columns import DECIMAL, short
+from torchfra.readers.sheets import Sheet, needs, points_sheet, whole_text
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
 """Those of a GPX file, which gpxpy reads as Python does."""
@@ -74,7 +74,7 @@ def _gpx_sheet(text: str) -> Sheet:
         raise needs("gpxpy", "GPX") from error
     for found in _NUMBERS.finditer(text):
         value = found[2] if found[1] else found[4]
-        if value.strip() and not DECIMAL.fullmatch(value):
+        if (bare := value.strip()) and not DECIMAL.fullmatch(bare):
             raise ValueError(f"expected a number as {found[1] or found[3]}, received {short(value)}")
     try:
         gpx = gpxpy.parse(text)
