@@ -13,8 +13,7 @@ from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
 from torchfra.cli.track_command import FILES
 from torchfra.comparison.comparing import bound_of
-from torchfra.comparison.comparison import Comparison
-from torchfra.comparison.comparison_table import FORMS, table_form
+from torchfra.comparison.comparison import FORMS, Comparison, table_form
 from torchfra.evaluation import (
     BASELINE,
     Result,
