@@ -8,8 +8,7 @@ import torch
 
 from torchfra.catalogue import scenario_filters
 from torchfra.comparison.comparison import Comparison
-from torchfra.evaluation.limits import check_limit
-from torchfra.evaluation.runs import measure, results_of
+from torchfra.evaluation.runs import check_limit, measure, results_of
 from torchfra.filters.base import Filter
 from torchfra.numbers import is_integer
 from torchfra.scenarios import Bound, Scenario, Tracks, given

@@ -11,12 +11,12 @@ from torch import Tensor
 from torchfra.catalogue import reference_filter, scenario_filters
 from torchfra.cleaning.others import Fallback
 from torchfra.evaluation.compiling import compiled
-from torchfra.evaluation.limits import check_limit, divergence_limit
+from torchfra.evaluation.fixes import fixes
 from torchfra.evaluation.results import Result
 from torchfra.evaluation.running_metrics import RunningMetrics
-from torchfra.evaluation.sureness import sureness
 from torchfra.filters.base import Filter
 from torchfra.filters.engine import INTERPRETED
+from torchfra.numbers import as_number
 from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario, Tracks
@@ -26,6 +26,10 @@ MOST_RUNS = 10**9
 """More would take years, and more memory than there is."""
 _FIRST = 5
 """Steps of a first call that is not timed."""
+_TIMES = 10.0
+"""A run has diverged if its error is so many times that of the positions that single measurements imply."""
+_RUNS = 32
+"""Among which that is looked for."""
 
 
 def evaluate(
@@ -116,7 +120,7 @@ def results_of(
             "relative_time": of.seconds / reference,
         }
         each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
-        return of.summary(limit) | times | each | sureness(of) | {"limit": limit}
+        return of.summary(limit) | times | each | of.intervals() | {"limit": limit}
 
     return {name: result(metrics[name]) for name in names}
 
@@ -174,3 +178,42 @@ def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
         for name, of in other.items():
             first[name].merge(of)
     return first
+
+
+# ---------------------------------------------------------------- divergence
+
+
+def check_limit(limit: float | None) -> None:
+    """Checks a limit that a user gave; None means that none was given.
+
+    Raises:
+        ValueError: no number above 0.
+    """
+    if limit is not None and not as_number(limit) > 0:
+        raise ValueError(f"limit: expected metres above 0, received {limit!r}")
+
+
+def divergence_limit(scenario: Scenario) -> float:
+    """The position error, root mean square over time, above which a run of a scenario has diverged, m.
+
+    It is that of the scenario, ``Scenario.limit``; where it has none, ten times the median distance from the truth of
+    the positions that single measurements imply, or where they imply none the standard deviation of the prior.  By the
+    median outliers do not count.
+    """
+    if scenario.limit is not None:
+        return scenario.limit
+    tracks = scenario.simulate(min(_RUNS, len(scenario.recordings) or _RUNS))
+    off = _off(scenario, tracks)
+    known = off[off.isfinite()]
+    if len(known):
+        return _TIMES * float(known.median())
+    root = tracks.prior.scale_tril[..., scenario.motion.position, :]
+    return _TIMES * float(root.square().sum((-1, -2)).sqrt().median())
+
+
+def _off(scenario: Scenario, tracks: Tracks) -> Tensor:
+    """Distance of the position that a measurement implies from the truth; in scans, the nearest one to each target."""
+    truth = tracks.truth[..., scenario.truth_position]
+    targets = truth.unsqueeze(1) if truth.dim() == 3 else truth  # (B, N, T, d)
+    off = (fixes(scenario, tracks).unsqueeze(1) - targets.unsqueeze(3)).norm(dim=-1)
+    return torch.where(off.isnan(), torch.inf, off).amin(-1)
