@@ -14,9 +14,9 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.turn import CoordinatedTurn
-from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.scenarios.law import Law, burst_information, mixed_information
-from torchfra.scenarios.outliers import SHARE, SIZE, burst_factors
+from torchfra.scenarios.outliers import SHARE, SIZE, burst_factors, outlier_factors
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.position import Position

@@ -109,21 +109,18 @@ def clutter_crossing(
     return scans("clutter-crossing", motion, dt, conditions, counts, {"rate": rate, "dt": dt})
 
 
-def noise_change(
-    *, noise_scale: float = 5.0, change: int = 40, std: Sequence[float] = (1e-3, 1e-3, 10.0), truth_noise: float = 0.0
-) -> Scenario:
+def noise_change(*, noise_scale: float = 5.0, change: int = 40, truth_noise: float = 0.0) -> Scenario:
     """The first of the two aircraft alone, without false measurements; the measurement noise grows at 40 s.
 
     Args:
         noise_scale: as in ``clutter_straight``.
         change: as in ``clutter_straight``.
-        std: as in ``clutter_straight``.
         truth_noise: as in ``clutter_straight``.
 
     Raises:
         ValueError: an argument out of its range.
     """
-    conditions, motion = Conditions(noise_scale, change, tuple(std), truth_noise), ConstantVelocity(Q, 3)
+    conditions, motion = Conditions(noise_scale, change, (1e-3, 1e-3, 10.0), truth_noise), ConstantVelocity(Q, 3)
 
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         truth, z, prior = targets(rng, motion, DT, STARTS[:1], conditions)
