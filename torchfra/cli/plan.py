@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from torchfra.cleaning.outputs.formats import beside, check_format
 from torchfra.cleaning.outputs.summary import LONGEST_NAME
-from torchfra.cli.command import check_files
 from torchfra.readers import Recording
 from torchfra.tables import printable
 
@@ -84,21 +83,6 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     pictures = {recording: folder / f"{name}.png" for recording, name in names.items()} if drawn else {}
     overview = folder / (f"{out.stem}.png" if one else "overview.png") if several and plots is not False else None
     return Plan(tables, pictures, overview)
-
-
-def check_plan(files: Plan, inputs: Sequence[Path], **others: Path | None) -> None:
-    """Checks, before any work, that all files can be written and that none is an input.
-
-    Args:
-        files: from ``plan``.
-        inputs: files that are read.
-        others: more outputs, by option.
-
-    Raises:
-        OSError: one cannot be written.
-        ValueError: one is an input, or two are the same.
-    """
-    check_files(others | {f"out, {path.name}": path for path in files.paths()}, inputs)
 
 
 def listed(paths: Sequence[Path]) -> str:

@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> None:
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
-    plans.check_plan(files, [options.file], **others)
+    check_files(others | {f"out, {path.name}": path for path in files.paths()}, [options.file])
     tell, _ = reporters(options.compile, options.quiet)
     for said in dict.fromkeys(said for recording in recordings for said in recording.source.said):
         tell(printable(said))

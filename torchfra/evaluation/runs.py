@@ -152,10 +152,11 @@ def _accumulate(
             run(f, scenario, _beginning(first_call) if f.engine is INTERPRETED else first_call)
         for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
             tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
+            z = tracks.z if tracks.z.dim() == 3 else None  # innovations of scans are of no measurement alone
             for name, f in filters.items():
                 start = time.perf_counter()
-                estimate = run(f, scenario, tracks)
-                metrics[name].add(estimate, tracks.truth, time.perf_counter() - start, _single(tracks.z))
+                estimate, seconds = run(f, scenario, tracks), time.perf_counter() - start
+                metrics[name].add(estimate, tracks.truth, seconds, z)
                 del estimate  # before the next one is made
     return metrics
 
@@ -164,11 +165,6 @@ def _beginning(tracks: Tracks) -> Tracks:
     """The first steps, each of which an interpreted filter computes as it computes all others."""
     u = tracks.u if tracks.u is None else tracks.u[..., :_FIRST, :]
     return tracks._replace(truth=tracks.truth[..., :_FIRST, :], z=tracks.z[:, :_FIRST], u=u)
-
-
-def _single(z: Tensor) -> Tensor | None:
-    """Measurements of single targets; None of scans, whose innovations are of no measurement alone."""
-    return z if z.dim() == 3 else None
 
 
 def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
-from torchfra.plotting.labels import SIZE, Array, beside, in_free_places, show
+from torchfra.plotting.labels import SIZE, beside, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
 
 _MANY = 50
@@ -91,14 +91,10 @@ def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
         for mask, mark, colour in ((~of.rejected, ".", GREY), (of.rejected, "x", RED)):
             axes.plot(of.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
                       zorder=1 if mark == "." else 3)  # fmt: skip
-    _note_beyond(axes, band.mean if band.recorded is None else band.recorded, limits)
-    axes.set(ylabel=label, ylim=limits)
-
-
-def _note_beyond(axes: Axes, values: Array, limits: tuple[float, float]) -> None:
-    """Writes beside an axis how many values are outside its limits."""
+    values = band.mean if band.recorded is None else band.recorded
     if count := int(((values < limits[0]) | (values > limits[1])).sum()):
         axes.set_title(f"{count:,} outside", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
+    axes.set(ylabel=label, ylim=limits)
 
 
 def _draw_innovations(axes: Axes, of: View) -> None:

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torchfra.cleaning.outputs.colours import BLACK, BLUE, PALE_BLUE, RED, REGIMES
-from torchfra.plotting.labels import Array, beside, name_lines
+from torchfra.plotting.labels import beside, name_lines
 from torchfra.plotting.style import TITLE, finish, line_styles, without_box, words
 
 _ROOM = 30.0
@@ -39,7 +39,10 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
     lines = {name: _line(axes, dt * np.arange(1, len(of) + 1), of, styles[name]) for name, of in curves.items()}
     unit = {"position": ", m", "velocity": ", m/s"}.get(quantity, "")
     axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=words(title, TITLE))
-    _limit(axes, list(curves.values()))
+    values = np.concatenate(list(curves.values()))
+    known = values[np.isfinite(values) & (values > 0)]
+    if len(known):
+        axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
     return _finished(figure, {axes: lines})
 
 
@@ -139,14 +142,6 @@ def _finished(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> Fig
         finish(axes)
     name_lines(figure, lines)
     return figure
-
-
-def _limit(axes: Axes, curves: Sequence[Array]) -> None:
-    """Gives a logarithmic axis limits around what informs."""
-    values = np.concatenate(curves)
-    known = values[np.isfinite(values) & (values > 0)]
-    if len(known):
-        axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
 
 
 def bands(errors: Mapping[str, tuple[Tensor, Tensor]], dt: float, ylabel: str, title: str) -> Figure:

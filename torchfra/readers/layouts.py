@@ -130,7 +130,8 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     others = f"; not {listed(unused)} (--time takes another)" if unused else ""
     lines = (
         *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
-        *_said(columns, length, options, wanted), *_sides_said(sides), *noise.said,
+        *_said(columns, length, options, wanted),
+        *([f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []), *noise.said,
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
@@ -306,10 +307,6 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
         if letters and letters <= {*_SIDES[role]} and min(values, default=-1) >= 0:
             sides[columns[role]] = name
     return sides
-
-
-def _sides_said(sides: Mapping[str, str]) -> list[str]:
-    return [f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []
 
 
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:

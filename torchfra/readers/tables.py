@@ -25,7 +25,7 @@ from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.spelling import found, plain
-from torchfra.readers.xml_files import is_xml, xml_sheet
+from torchfra.readers.xml_files import xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
 """The columns to read by their names, and the kind of their numbers; None for text."""
@@ -95,7 +95,7 @@ def read_table(
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)
-        if is_xml(start):
+        if start[:1] == b"<":
             return xml_sheet(file, max_bytes)
         if is_nmea(start, suffix):
             return nmea_sheet(file, max_bytes)

@@ -156,7 +156,8 @@ def seconds_of(text: str, form: str) -> float:
         return _since_1970(datetime.fromisoformat(_plain_iso(text)))
     if form in GPS:
         week, passed = map(float, text.split())
-        return _from_gps(_GPS_START + _WEEK * week + passed / GPS[form])
+        gps = _GPS_START + _WEEK * week + passed / GPS[form]
+        return gps - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), gps, side="right"))
     bare = form.replace(".%f", "")
     pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
@@ -175,11 +176,6 @@ def usual_iso_seconds(cells: Sequence[Any]) -> NDArray[np.float64] | None:
     except (TypeError, ValueError):
         return None
     return np.where(np.isnat(moments), np.nan, moments.astype(np.int64) / 1e6)
-
-
-def _from_gps(moment: float) -> float:
-    """Seconds since 1970 of UTC, from those that GPS counts, without leap seconds."""
-    return moment - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), moment, side="right"))
 
 
 def _plain_iso(text: str) -> str:

@@ -17,11 +17,6 @@ _DEEPEST = 64
 """Elements around another; some ten in files of people."""
 
 
-def is_xml(start: bytes) -> bool:
-    """Whether a file begins so."""
-    return start[:1] == b"<"
-
-
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
     """The points of GPX or KML.
 

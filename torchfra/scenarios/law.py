@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -39,10 +39,6 @@ class Law:
     process_noise: Tensor | None = None
     information: Tensor | float = 1.0
     known: tuple[str, ...] = ()
-
-    def knowing(self, *known: str) -> Law:
-        """The law with further quantities taken as known."""
-        return replace(self, known=(*self.known, *known))
 
 
 def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> Tensor:

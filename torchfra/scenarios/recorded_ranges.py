@@ -105,14 +105,11 @@ def _places(recording: RangeRecording, grid: RangeGrid, height: float | None, co
     given = recording.anchors
     places[: len(given), : given.shape[1]] = given
     if given.shape[1] == 3:
-        places[: len(given), 2] -= _height(grid, recording.name) if height is None else height
+        if height is None:
+            if grid.reference is None or grid.reference.shape[1] < 3:
+                raise ValueError(f"height: expected metres, as the path of {recording.name} has no z, received None")
+            height = float(np.median(grid.reference[:, 2]))
+        places[: len(given), 2] -= height
     elif height is not None:
         raise ValueError(f"height: goes with anchors in space, received {height} for those of {recording.name}")
     return torch.from_numpy(places.flatten())
-
-
-def _height(grid: RangeGrid, name: str) -> float:
-    """The median height of the reference path."""
-    if grid.reference is None or grid.reference.shape[1] < 3:
-        raise ValueError(f"height: expected metres, as the path of {name} has no z, received None")
-    return float(np.median(grid.reference[:, 2]))

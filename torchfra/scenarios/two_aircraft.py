@@ -99,17 +99,17 @@ def scans(
     prior = belief_from_cartesian(Gaussian(STARTS, ROOT))
     return Scenario(name, Spherical(motion), conditions.sensor(), prior, dt, STEPS, block, settings, clutter=clutter,
                     detection=conditions.detection, conversion=cartesian,
-                    law=law_of(motion, dt, conditions).knowing("origins of measurements"))  # fmt: skip
+                    law=law_of(motion, dt, conditions, "origins of measurements"))  # fmt: skip
 
 
-def law_of(motion: Motion, dt: float, conditions: Conditions) -> Law:
-    """The law of one aircraft's motion in Cartesian coordinates, without false measurements."""
+def law_of(motion: Motion, dt: float, conditions: Conditions, *known: str) -> Law:
+    """The law of one aircraft's motion in Cartesian coordinates; ``known`` is what is taken as known besides."""
     sensor, noise = conditions.sensor(), motion.process_noise(torch.tensor(dt, dtype=torch.float64))
     scale = torch.where(_changed(conditions), conditions.noise_scale, 1.0).unsqueeze(-1)
     root = noise * math.sqrt(conditions.truth_noise / Q) if conditions.truth_noise else None
     std = torch.tensor(conditions.std, dtype=torch.float64) * scale
-    known = ("motion",) if root is None else ()
-    return Law(ROOT, motion, lambda x, u: sensor(from_cartesian(x)), std, root, known=(*known, "noise"))
+    known = (*(["motion"] if root is None else []), "noise", *known)
+    return Law(ROOT, motion, lambda x, u: sensor(from_cartesian(x)), std, root, known=known)
 
 
 def _changed(conditions: Conditions) -> Tensor:
