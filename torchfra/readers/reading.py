@@ -53,9 +53,7 @@ def read(
         return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
-def read_sheet(
-    sheet: Sheet, name: str, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: str | None
-) -> list[Recording]:
+def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: str | None) -> list[Recording]:
     """Reads every target of columns that are in memory, as ``read`` does of a file.
 
     Raises:
@@ -63,7 +61,7 @@ def read_sheet(
     """
     chosen = _Choice(read_options(words), name)
     with naming(name):
-        return _recordings(table_of(sheet, chosen, max_bytes), chosen, origin, name)
+        return _recordings(table_of(sheet, chosen, max_bytes), chosen, None, name)
 
 
 class SheetReader:

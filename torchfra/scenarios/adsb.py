@@ -54,7 +54,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
         return Tracks(path[2:].expand(BLOCK, -1, -1), z[:, 2:], None, Gaussian(mean, root))
 
     prior = Gaussian(path[1], root)
-    settings: dict[str, object] = {"turns": turns, "std": std}
+    settings = {"turns": turns, "std": std}
     motion, bank = ConstantAcceleration(0.02**2), adsb_models()
     law = Law(root, _moves(turns)[2:], sensor, std, known=("manoeuvres",))
     return Scenario("adsb-turns", motion, sensor, prior, DT, SAMPLES - 2, block, settings, bank, law=law)

@@ -104,8 +104,8 @@ def as_stated(
             z[torch.from_numpy(rng.random((BLOCK, steps)) < missing)] = torch.nan
         return Tracks(truth, z, None, Gaussian(mean.expand(BLOCK, -1), root))
 
-    settings: dict[str, object] = {"motion": motion, "sensor": sensor, "index": index, "outliers": outliers, "q": q,
-                                   "std": std, "missing": missing}  # fmt: skip
+    settings = {"motion": motion, "sensor": sensor, "index": index, "outliers": outliers, "q": q,
+                "std": std, "missing": missing}  # fmt: skip
     bank = Bank(stated) if len(stated) > 1 else None
     law = None if missing else _law(root, truths, real, seconds, outliers, steps)
     prior = Gaussian(mean, root)

@@ -76,7 +76,7 @@ class Scenario:
     dt: float
     steps: int
     block: Callable[[np.random.Generator, Tensor], Tracks] = field(repr=False)
-    settings: dict[str, object]
+    settings: Mapping[str, object]
     bank: Bank | None = None
     extra_quantities: Mapping[str, slice] = field(default_factory=dict)
     clutter: Clutter | None = None

@@ -128,6 +128,6 @@ def noise_change(*, noise_scale: float = 5.0, change: int = 40, truth_noise: flo
         return Tracks(truth[:, 0], z[:, 0], None, first)
 
     prior = belief_from_cartesian(Gaussian(STARTS[0], ROOT))
-    settings: dict[str, object] = {"noise_scale": noise_scale, "change": change, "truth_noise": truth_noise}
+    settings = {"noise_scale": noise_scale, "change": change, "truth_noise": truth_noise}
     return Scenario("noise-change", Spherical(motion), conditions.sensor(), prior, DT, STEPS, block, settings,
                     conversion=cartesian, law=law_of(motion, DT, conditions))  # fmt: skip

@@ -66,7 +66,7 @@ def clutter_many(
         return Tracks(torch.where(there, truth, torch.nan), z, None, prior)
 
     middle = torch.cat([_CORNERS.mean(0), torch.zeros(3, dtype=torch.float64)]).expand(count, 6)
-    settings: dict[str, object] = {"count": count, "clutter": clutter, "region": region, "detection": detection,
+    settings = {"count": count, "clutter": clutter, "region": region, "detection": detection,
                 "truth_noise": truth_noise}  # fmt: skip
     return Scenario(
         "clutter-many", Spherical(motion), conditions.sensor(), belief_from_cartesian(Gaussian(middle, ROOT)), DT,

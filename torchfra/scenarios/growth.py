@@ -82,7 +82,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
         z = sensor(truth) + noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, numbers, Gaussian(prior.mean.expand(BLOCK, 1), prior.scale_tril))
 
-    settings: dict[str, object] = {"outliers": outliers, "size": size, "share": share}
+    settings = {"outliers": outliers, "size": size, "share": share}
     noise, tells = torch.eye(1, dtype=torch.float64), mixed_information(outliers, size, share, 1)
     law = Law(torch.zeros_like(noise), motion, sensor, 1.0, noise, tells, ("start",))
     return Scenario("growth", motion, sensor, prior, 1.0, STEPS, block, settings, law=law)

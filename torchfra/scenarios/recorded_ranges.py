@@ -63,7 +63,7 @@ def recorded_ranges(
         return Tracks(truth, z, places.unsqueeze(1).expand(-1, steps, -1), Gaussian(start, root))
 
     names = tuple(one.name for one in recordings)
-    settings: dict[str, object] = {
+    settings = {
         "recordings": list(names),
         "std": std,
         "q": q,

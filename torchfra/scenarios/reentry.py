@@ -115,7 +115,7 @@ def reentry(
         z = sensor(truth, station) + std * noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, station, Gaussian(prior.mean.expand(BLOCK, 5), prior.scale_tril))
 
-    settings: dict[str, object] = {
+    settings = {
         "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
         "method": method,
     }  # fmt: skip

@@ -44,7 +44,7 @@ def level_then_weave(outliers: str = "planted") -> Scenario:
         z = truth[1:, :3] + STD * draw + planted
         return Tracks(truth[1:].expand(BLOCK, -1, -1), z, None, Gaussian(truth[0] + start @ _ROOT, _ROOT))
 
-    settings: dict[str, object] = {"outliers": outliers}
+    settings = {"outliers": outliers}
     motion, prior = ConstantAcceleration(4.0, 3), Gaussian(truth[0], _ROOT)
     sensor, known = Position(STD, dims=3), ("accelerations", *(["outliers"] if outliers == "planted" else []))
     law = Law(_ROOT, ConstantVelocity(0.0, 3, orders=3), sensor, STD, known=known)
