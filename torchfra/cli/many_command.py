@@ -10,14 +10,7 @@ from typing import Any
 
 from torchfra.cleaning import DEFAULT, check_settings
 from torchfra.cleaning.many import Work, clean_part, summed
-from torchfra.cli.command import (
-    IncompleteError,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    check_folder,
-    complain,
-)
+from torchfra.cli.command import IncompleteError, add_json_option, add_quiet_option, check_files, check_folder, complain
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from torchfra.evaluation.results import Result, report
+from torchfra.evaluation.results import Result, infinite, report
 from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.running.atomic_write import write, write_json
@@ -71,7 +71,7 @@ class Comparison:
         """The filter with the smallest mean error, or the largest mean log likelihood."""
         sign = 1 if self.by == ERROR else -1
         means = {name: sign * float(self.of_runs(name).nanmean()) for name in self.results}
-        return min(means, key=lambda name: math.inf if math.isnan(means[name]) else means[name])
+        return min(means, key=lambda name: infinite(means[name]))
 
     def tests(self) -> list[Test]:
         """A paired test of each two filters."""

@@ -137,7 +137,7 @@ def headline(results: dict[str, Result], runs: int) -> str:
     first, *others = results
     lost = results[first]["diverged"]
     words = f"{first}: {_metres(results[first])}, " + (f"{lost} of {runs} runs lost" if lost else "no run lost")
-    best = min(others, key=lambda name: _rank(results[name]["mean_rmse_position"]), default=None)
+    best = min(others, key=lambda name: infinite(results[name]["mean_rmse_position"]), default=None)
     if best is not None:
         words += f"; best of the others: {best}, {_metres(results[best])}"
     if BASELINE in results and BASELINE not in (first, best):
@@ -173,13 +173,14 @@ def leaders(results: dict[str, Result], most: int = 5) -> list[str]:
     """
     own = [name for name in results if name not in FILTERS]
     chosen = list(dict.fromkeys([next(iter(results)), *([BASELINE] if BASELINE in results else []), *own]))
-    for name in sorted(results, key=lambda name: _rank(results[name]["mean_rmse_position"])):
+    for name in sorted(results, key=lambda name: infinite(results[name]["mean_rmse_position"])):
         if name not in chosen and not any(_alike(results[name], results[other]) for other in chosen):
             chosen.append(name)
     return chosen[:most]
 
 
-def _rank(error: float) -> float:
+def infinite(error: float) -> float:
+    """NaN as infinity: what is not known is as bad as it can be."""
     return math.inf if math.isnan(error) else error
 
 

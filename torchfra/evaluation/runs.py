@@ -115,10 +115,7 @@ def results_of(
     limit = divergence_limit(scenario) if limit is None else limit
 
     def result(of: RunningMetrics) -> Result:
-        times = {
-            "microseconds": of.seconds / (runs * scenario.steps) * 1e6,
-            "relative_time": of.seconds / reference,
-        }
+        times = {"microseconds": of.seconds / (runs * scenario.steps) * 1e6, "relative_time": of.seconds / reference}
         each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
         return of.summary(limit) | times | each | of.intervals() | {"limit": limit}
 

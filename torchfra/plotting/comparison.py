@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.cleaning.outputs.view import corners
 from torchfra.evaluation import Flight
+from torchfra.evaluation.results import infinite
 from torchfra.plotting.labels import SIZE, Array, at_ends, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
 
@@ -63,9 +64,9 @@ def comparison(
 
 def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: float, colours: Mapping[str, str]) -> None:
     """A row for each filter, the best on top: median, 5 to 95 % and worst of its runs, and how many diverged."""
-    names = sorted(results, key=lambda name: _infinite(results[name]["median_track_rmse"]), reverse=True)
+    names = sorted(results, key=lambda name: infinite(results[name]["median_track_rmse"]), reverse=True)
     keys = ("p05_track_rmse", "median_track_rmse", "p95_track_rmse", "worst_track")
-    values = np.array([[_infinite(results[name][key]) for key in keys] for name in names])
+    values = np.array([[infinite(results[name][key]) for key in keys] for name in names])
     low, high = _limits(values, limit)
     inside = np.clip(values, low, high)
     for row, (name, (least, median, most, worst)) in enumerate(zip(names, inside, strict=True)):
@@ -105,11 +106,6 @@ def _draw_time(
     finish(axes)
     known = {name: curve[~np.isnan(curve)] for name, curve in curves.items()}
     return {name: curve[-1] if len(curve) else high for name, curve in known.items()}
-
-
-def _infinite(value: float) -> float:
-    """NaN as infinity: what is not known is as bad as it can be."""
-    return np.inf if np.isnan(value) else value
 
 
 def _limits(values: Array, limit: float) -> tuple[float, float]:

@@ -28,12 +28,7 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 
 
 def csv_sheet(
-    file: Any,
-    options: ReadOptions | None,
-    headers: str,
-    repairs: Counter[str] | None,
-    max_bytes: int,
-    encoding: str,
+    file: Any, options: ReadOptions | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str
 ) -> Sheet:
     """The rows of a file.
 
@@ -105,10 +100,8 @@ def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) 
     Raises:
         ValueError: there is none, and the caller does not.
     """
-    first = list(
-        islice(csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " "), 1)
-    )
-    cells, asked = first[0] if first else [], {*options.columns().values()} if options else set()
+    reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
+    cells, asked = next(reader, []), {*options.columns().values()} if options else set()
     if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:
         return False
     names = [str(i + 1) for i in range(len(cells))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
@@ -75,15 +76,15 @@ def _gpx_sheet(text: str) -> Sheet:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:
         raise ValueError(f"expected GPX, received other text ({error})") from error
-    names, used = list[str](), dict[str, int]()
+    used = Counter[str]()
     columns: dict[str, list[Any]] = {name: [] for name in ("time", "latitude", "longitude", "altitude", "id", "hdop")}
     for number, track in enumerate(gpx.tracks):
         name = (track.name or "").strip() or (f"track {number + 1}" if len(gpx.tracks) > 1 else "")
-        used[name] = used.get(name, 0) + 1
-        names.append(name if used[name] == 1 else f"{name} {used[name]}")
+        used[name] += 1
+        label = name if used[name] == 1 else f"{name} {used[name]}"
         for point in (point for segment in track.segments for point in segment.points):
             time = None if point.time is None else point.time.isoformat().replace("+00:00", "Z")
-            row = (time, point.latitude, point.longitude, point.elevation, names[-1], point.horizontal_dilution)
+            row = (time, point.latitude, point.longitude, point.elevation, label, point.horizontal_dilution)
             for column, cell in zip(columns.values(), row, strict=True):
                 column.append(cell)
     others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)

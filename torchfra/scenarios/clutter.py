@@ -18,18 +18,7 @@ from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.motion.spherical import Spherical
 from torchfra.motion.turn import CoordinatedTurn
 from torchfra.scenarios.base import Scenario, Tracks
-from torchfra.scenarios.two_aircraft import (
-    DT,
-    ROOT,
-    STARTS,
-    STEPS,
-    Conditions,
-    Q,
-    cartesian,
-    law_of,
-    scans,
-    targets,
-)
+from torchfra.scenarios.two_aircraft import DT, ROOT, STARTS, STEPS, Conditions, Q, cartesian, law_of, scans, targets
 from torchfra.types import Gaussian
 
 

@@ -18,12 +18,7 @@ from torchfra.types import Gaussian
 
 
 def recorded_ranges(
-    recordings: Sequence[RangeRecording],
-    *,
-    dt: float = DT,
-    std: float = STD,
-    q: float = Q,
-    height: float | None = None,
+    recordings: Sequence[RangeRecording], *, dt: float = DT, std: float = STD, q: float = Q, height: float | None = None
 ) -> Scenario:
     """Recorded ranges and the path that was walked: run i is recording i, whatever the seed.
 
