@@ -127,11 +127,7 @@ def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filte
 
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
-    """The files that are written, by option.
-
-    Raises:
-        ValueError: a name that does not end as one of a table, or of a figure.
-    """
+    """The files that are written, by option."""
     if options.table is not None:
         table_form(options.table)
     for option, path in (("figure", options.figure), ("print", options.printed)):

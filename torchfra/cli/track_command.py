@@ -164,11 +164,7 @@ def _write(
 
 
 def _check(cleaned: Cleaned) -> None:
-    """Checks that all estimates are numbers.
-
-    Raises:
-        ValueError: one is not.
-    """
+    """Checks that all estimates are numbers."""
     if failed := int(cleaned.failed.sum()):
         raise ValueError(f"NaN or infinity in {failed} of {len(cleaned.time)} steps")
 

@@ -231,11 +231,7 @@ def table_form(path: Path) -> str:
 
 
 def _formed(form: str, rows: Mapping[str, dict[str, Cell]], good: Collection[str], caption: str) -> str:
-    """The table of all rows, without columns that are empty; the first number of ``good`` filters is bold.
-
-    Raises:
-        ValueError: an unknown form.
-    """
+    """The table of all rows, without columns that are empty; the first number of ``good`` filters is bold."""
     titles = [title for title in next(iter(rows.values())) if any(row[title] != ("-", "") for row in rows.values())]
     if form == "csv":
         halved = [title for title in titles if any(row[title][1] for row in rows.values())]

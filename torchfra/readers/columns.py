@@ -187,11 +187,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
 
 def _of_word(cell: Any, numbers: Mapping[str, float]) -> float:
-    """The number of a word; NaN if the cell is empty.
-
-    Raises:
-        ValueError: there is no such word.
-    """
+    """The number of a word; NaN if the cell is empty."""
     word = word_of(cell)
     if word and word not in numbers:
         raise ValueError

@@ -95,11 +95,7 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
 
 
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
-    """Puts numbers of the columns in front as their header, if there is none and the caller names columns so.
-
-    Raises:
-        ValueError: there is none, and the caller does not.
-    """
+    """Puts numbers of the columns in front as their header, if there is none and the caller names columns so."""
     reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
     cells, asked = next(reader, []), {*options.columns().values()} if options else set()
     if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:
@@ -156,11 +152,7 @@ def _no_csv(error: csv.Error) -> ValueError:
 
 
 def _header(row: list[str], headers: str) -> list[str]:
-    """The names of columns.
-
-    Raises:
-        ValueError: they are none, or the same.
-    """
+    """The names of columns."""
     if not row:
         raise ValueError("expected a track, received an empty file")
     names = [name.strip() for name in row]

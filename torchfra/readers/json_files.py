@@ -38,11 +38,7 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
 
 
 def _parsed(content: str) -> Any:
-    """What JSON says; a list where each line is an object of its own.
-
-    Raises:
-        ValueError: it is no JSON.
-    """
+    """What JSON says; a list where each line is an object of its own."""
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
@@ -53,11 +49,7 @@ def _parsed(content: str) -> Any:
 
 
 def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
-    """Names of the columns, the number of rows, and the cells of a column by its name.
-
-    Raises:
-        ValueError: neither records nor columns.
-    """
+    """Names of the columns, the number of rows, and the cells of a column by its name."""
     if isinstance(parsed, dict):
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
@@ -77,11 +69,7 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON.
-
-    Raises:
-        ValueError: a key comes twice.
-    """
+    """An object of JSON, in which each key comes once."""
     found = dict(pairs)
     if len(found) < len(pairs):
         raise ValueError(f"several keys named {repeated(key for key, _ in pairs)}")
@@ -92,11 +80,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
-    """Every place of the features, with their properties.
-
-    Raises:
-        ValueError: a feature is none, or its times are not as many as its places.
-    """
+    """Every place of the features, with their properties."""
     features = parsed["features"] if isinstance(parsed.get("features"), list) else [parsed]
     records, said = list[dict[str, Any]](), "GeoJSON: longitude, latitude[, altitude in metres]"
     for number, feature in enumerate(features):
@@ -149,9 +133,6 @@ def _readsb_sheet(parsed: Any) -> Sheet | None:
     and ``aircraft``, of which several moments may be in a file.  Aircraft on the ground have no altitude.
 
     Source: wiedehopf/readsb, README-json.md.
-
-    Raises:
-        ValueError: a row of a trace is none.
     """
     several = parsed if isinstance(parsed, list) else [parsed]
     if not several or not all(isinstance(one, dict) for one in several):

@@ -143,11 +143,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
-    """Columns of the coordinates, of degrees where there are both of these.
-
-    Raises:
-        ValueError: one is missing, or all.
-    """
+    """Columns of the coordinates, of degrees where there are both of these."""
     names = head.names
 
     def chosen(*roles: str) -> dict[str, str]:
@@ -238,11 +234,7 @@ def _is_whole(head: Head, name: str | None, digits: int) -> bool:
 
 
 def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: Head) -> float:
-    """Metres in the unit of x, y and z, or of altitudes.
-
-    Raises:
-        ValueError: names say several units, or one that may be another, or that heights are depths.
-    """
+    """Metres in the unit of x, y and z, or of altitudes."""
     for role in ("altitude", "z"):
         if plain(column := columns.get(role, "")) in DEPTHS:
             raise ValueError(f"{role}: expected heights, which grow upwards, received {column}: name its negative")

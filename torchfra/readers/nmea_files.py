@@ -62,11 +62,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
 
 
 def _lines(file: Any, max_bytes: int) -> Iterator[str]:
-    """The lines of a file, cut off where they are long.
-
-    Raises:
-        ValueError: there are too many.
-    """
+    """The lines of a file, cut off where they are long."""
     count = 0
     while data := file.readline(_LONGEST):
         count += 1

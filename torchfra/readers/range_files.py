@@ -124,11 +124,7 @@ def range_folders(folder: str | Path) -> list[Path]:
 
 
 def _tables_in(folder: Path) -> list[Path]:
-    """Files, sorted by name.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The CSV and JSON files of a folder, sorted by name."""
     files = sorted(path for pattern in _PATTERNS for path in folder.glob(pattern))
     if not files:
         raise ValueError(f"{folder}: expected CSV or JSON files, received none")
@@ -179,11 +175,7 @@ def _only(kind: str, path: str | Path, max_bytes: int) -> _Found:
 
 
 def _recording(name: str, found: _Found) -> RangeRecording:
-    """A recording of all that was found.
-
-    Raises:
-        ValueError: see ``read_ranges``.
-    """
+    """A recording of all that was found."""
     heard = [anchor for anchor in found.anchors if len(anchor.time)]
     found.repairs["anchors without ranges dropped"] += len(found.anchors) - len(heard)
     names = [anchor.names[0] for anchor in heard]
@@ -212,11 +204,7 @@ def _recording(name: str, found: _Found) -> RangeRecording:
 
 
 def _columns_of(names: list[str]) -> _Columns:
-    """Which of the columns of these names holds what.
-
-    Raises:
-        ValueError: several may be the same.
-    """
+    """Which of the columns of these names holds what."""
     plain: dict[str, list[str]] = {}
     for name in names:
         plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()).removeprefix("field"), []).append(name)
@@ -231,11 +219,7 @@ def _columns_of(names: list[str]) -> _Columns:
 
 
 def _kind_of(names: list[str]) -> str:
-    """What a table with columns of these names holds: ``"ranges"``, a ``"path"`` or ``"places"``.
-
-    Raises:
-        ValueError: none of them.
-    """
+    """What a table with columns of these names holds: ``"ranges"``, a ``"path"`` or ``"places"``."""
     columns = _columns_of(names)
     for kind, needed in (("ranges", "time range"), ("path", "time x y"), ("places", "anchor x y")):
         if all(name in columns for name in needed.split()):
@@ -250,9 +234,6 @@ def _anchors_in(table: Table, stem: str, repairs: Counter[str]) -> list[_AnchorR
         table: of ranges.
         stem: of the file's name, which an anchor has that the table does not name or only by its ``id``.
         repairs: where to count them.
-
-    Raises:
-        ValueError: times that differ in their unit, or an anchor that moves.
     """
     columns = _columns_of(table.names)
     data = np.stack([_seconds(table, columns), table.column(columns["range"])], 1)
@@ -268,11 +249,7 @@ def _anchors_in(table: Table, stem: str, repairs: Counter[str]) -> list[_AnchorR
 
 
 def _places_in(table: Table) -> dict[str, Array]:
-    """Where the anchors of a table are, ``(3,)`` each with NaN where it does not say, by their names.
-
-    Raises:
-        ValueError: an anchor in several places.
-    """
+    """Where the anchors of a table are, ``(3,)`` each with NaN where it does not say, by their names."""
     columns = _columns_of(table.names)
     places = _places_of(table, columns)
     rows = grouped(table.texts[columns["anchor"]])
@@ -280,11 +257,7 @@ def _places_in(table: Table) -> dict[str, Array]:
 
 
 def _path_in(table: Table, stem: str) -> Recording:
-    """The reference path of a table.
-
-    Raises:
-        ValueError: times that differ in their unit, or fewer than 2 rows with time and position.
-    """
+    """The reference path of a table."""
     columns = _columns_of(table.names)
     position = _places_of(table, columns)
     if np.isnan(position[:, 2]).all():
@@ -302,11 +275,7 @@ def _places_of(table: Table, columns: _Columns) -> Array:
 
 
 def _seconds(table: Table, columns: _Columns) -> Array:
-    """The times of a table, in whichever unit they are.
-
-    Raises:
-        ValueError: some are in another unit than the others.
-    """
+    """The times of a table, in whichever unit they are."""
     time = table.column(columns["time"])
     known = np.abs(time[np.isfinite(time)])
     if not len(known):
@@ -341,11 +310,7 @@ def _in_order(data: Array, what: str, repairs: Counter[str]) -> NDArray[np.intp]
 
 
 def _place(places: Array, name: str) -> Array:
-    """Where an anchor is, ``(3,)``, from rows ``(rows, 3)`` of which any may be NaN.
-
-    Raises:
-        ValueError: it is in several places.
-    """
+    """Where an anchor is, ``(3,)``, from rows ``(rows, 3)`` of which any may be NaN."""
     place = np.full(3, math.nan)
     for axis, values in enumerate(places.T):
         known = values[np.isfinite(values)]

@@ -139,11 +139,7 @@ def _recordings(
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:
-    """What becomes (0, 0, 0): by default the first fix of all.
-
-    Raises:
-        ValueError: it is nowhere.
-    """
+    """What becomes (0, 0, 0): by default the first fix of all."""
     height = 0.0 if first.height is None else float(first.height[0])
     lat, lon, up = (float(first.place[0, 0]), float(first.place[0, 1]), height) if origin is None else origin
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):

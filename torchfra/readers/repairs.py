@@ -148,11 +148,7 @@ class _Columns:
         return keep(index, moved, "held positions dropped"), repairs
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
-        """Refuses rows of several targets in one: many have the time of another row and another position.
-
-        Raises:
-            ValueError: there are such rows, and columns that may say whose they are.
-        """
+        """Refuses rows of several targets in one: many have the time of another row and another position."""
         same = np.diff(self.time[index], prepend=-math.inf) == 0
         moved = np.zeros(len(index), dtype=bool)
         for column in (self.first, self.second):

@@ -98,11 +98,7 @@ def _is_plain(text: str) -> bool:
 
 
 def _form_with_zone(texts: list[str], first: re.Match[str], day_first: bool) -> tuple[str, str] | None:
-    """The form of times with the name of a zone behind.
-
-    Raises:
-        ValueError: it is not of UTC, or the day may be the month.
-    """
+    """The form of times with the name of a zone behind."""
     zone = f"{first['gap']}{first['zone']}"
     bare = [text.removesuffix(zone) for text in texts]
     found = form_of(bare, day_first=day_first)

@@ -33,11 +33,7 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
 
 
 def _checked_root(text: str) -> str:
-    """The name of the outermost element.
-
-    Raises:
-        ValueError: the text is no XML, defines entities, or is nested so deeply that what reads it may fall over.
-    """
+    """The name of the outermost element; refuses other text, entities, and what is nested deeper than any file."""
     parser, depth, root = expat.ParserCreate(), 0, list[str]()
 
     def begin(name: str, _: dict[str, str]) -> None:
@@ -122,11 +118,7 @@ def _kml_sheet(text: str) -> Sheet:
 
 
 def _add(columns: dict[str, list[Any]], times: Iterable[str | None], places: Iterable[list[str]], name: str) -> None:
-    """Adds points.
-
-    Raises:
-        ValueError: a place is none.
-    """
+    """Adds points."""
     for time, place in zip(times, places, strict=True):
         if place and not 2 <= len(place) <= 3:
             raise ValueError(f"expected longitude, latitude[, altitude], received {short(' '.join(place))}")
@@ -136,11 +128,7 @@ def _add(columns: dict[str, list[Any]], times: Iterable[str | None], places: Ite
 
 
 def _timed(columns: dict[str, list[Any]], said: tuple[str, ...], what: str) -> Sheet:
-    """A sheet of points.
-
-    Raises:
-        ValueError: there are none, or none has a time.
-    """
+    """A sheet of points."""
     if not columns["time"]:
         raise ValueError(f"expected {what} with tracks, received none")
     if not any(columns["time"]):
