@@ -223,6 +223,7 @@ def test_the_command_takes_registered_names_and_writes_tables_and_figures_for_pr
         assert figure.read(4) == b"%PDF"
 
 
+@pytest.mark.slow
 def test_the_command_takes_tracks_of_ones_own_each_once(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("walks.py").write_text("""

@@ -32,7 +32,7 @@ def load_module(place: str, argument: str) -> ModuleType:
         argument: what it was given as.
 
     Raises:
-        ValueError: there is none, or it cannot be run.
+        ValueError: no such module, or one that cannot be run.
     """
     try:
         if place.endswith(".py"):

@@ -14,9 +14,7 @@ from torchfra.readers import Recording
 from torchfra.tables import printable
 
 MOST_PICTURES = 20
-"""Targets of a file of which each has a picture unless told otherwise."""
-
-
+"""Targets of a file up to which each has a picture by default."""
 _MOST_LISTED = 5
 """Files that are listed by their names."""
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
@@ -64,7 +62,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     Args:
         recordings: one or more.
         out: a file or a folder.
-        form: of the tables in a folder, ``"csv"`` unless told otherwise.
+        form: of the tables in a folder; None for ``"csv"``.
         plots: whether each target has a picture, and several an overview; None draws no more than ``MOST_PICTURES``
             targets, and the overview.
 

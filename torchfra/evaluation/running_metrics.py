@@ -92,7 +92,7 @@ class RunningMetrics:
 
         Args:
             estimate: ``(B, T, n)``, or of several targets ``(B, N, T, n)``.
-            truth: likewise.
+            truth: as the estimate, ``(B, T, n)`` or ``(B, N, T, n)``.
             seconds: that filtering took.
             z: the measurements ``(B, T, m)``; None for no figures of innovations, of scans say.
         """

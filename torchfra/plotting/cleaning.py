@@ -102,8 +102,7 @@ def _draw_innovations(axes: Axes, of: View) -> None:
     top = MOST_STD
     for mask, mark, colour in ((~of.rejected, ".", DARK), (of.rejected, "x", RED)):
         inside = mask & (of.innovation <= top)
-        axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour,
-                  )  # fmt: skip
+        axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour)
     over = of.innovation > top
     if over.any():
         colours = np.where(of.rejected[over], RED, DARK)

@@ -75,7 +75,7 @@ class Clock:
         return " ".join(self.columns)
 
     def whole(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Times ``(rows,)`` that go on after midnight.
+        """Times ``(rows,)``; those of a clock go on after midnight.
 
         Raises:
             ValueError: they are of years before 1980, or of a clock of 12 hours that does not say which half.
@@ -113,15 +113,15 @@ class Clock:
 
 
 def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
-    """The column of times, and those that are times too and are not used.
+    """The column of times, and other columns of times, which are not used.
 
     Args:
         head: of the table.
         options: of the caller.
 
     Raises:
-        LookupError: there is none.
-        ValueError: its times are not understood.
+        LookupError: no column of times.
+        ValueError: times that are not understood.
     """
     _check_parts(head, options)
     if options.time is not None:
@@ -257,7 +257,7 @@ def _guess(values: NDArray[np.float64]) -> str:
 
 
 def days_of(values: NDArray[np.float64], name: str) -> str:
-    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" where they are none such."""
+    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" of other numbers."""
     for form, zero in DAY_OF_1970.items():
         named = form == "mjd" or "mjd" not in name.lower()
         if named and len(values) and values.min() > zero + 3652 and values.max() < zero + 29_220:

@@ -53,7 +53,7 @@ class Kind:
     said: str = "a number"
     """What an error message says is expected."""
     limit: float = 1e15
-    """The largest, far from all that moves."""
+    """Numbers of larger size are refused."""
     unit: float = 1.0
     """What they are multiplied by."""
     per_unit: float = 1.0
@@ -69,7 +69,7 @@ class Kind:
     form: str = ""
     """Of times in text: see ``times.seconds_of``."""
     absent: tuple[float, ...] = ()
-    """Numbers that mean that there is none."""
+    """Numbers that stand for a missing one."""
     joined: tuple[str, ...] = ()
     """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
     sides: str = ""
@@ -230,7 +230,7 @@ def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], 
     Args:
         cells: of a column.
         name: of the column.
-        known: texts so far, so that there is one of each in memory.
+        known: texts so far by their cells, so that equal texts are in memory once.
         first: rows before these.
 
     Raises:

@@ -34,8 +34,8 @@ def csv_sheet(
 
     Args:
         file: open for reading.
-        options: of the caller, who may name columns by their numbers, from 1 on, where there is no header; None where
-            no columns are named.
+        options: of the caller, which may name columns by their numbers, from 1 on, where there is no header; None for
+            no options.
         headers: beginning of the error message where there is no header.
         repairs: see ``tables.read_table``.
         max_bytes: of text.
@@ -72,7 +72,7 @@ def _wide(head: bytes) -> str:
 def _begin(rows: Rows, options: ReadOptions) -> str:
     """Leaves out the comments in front of the header, and finds out what separates cells.
 
-    A comment that says what the columns are is the header where the line after it is none.
+    A comment with the names of columns is the header where the line after it is not one.
     """
     text, comments, start = rows.head, list[str](), 0
     while (line := _LINE.match(text, start)) and _is_comment(line[0]):
@@ -95,7 +95,7 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
 
 
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
-    """Puts numbers of the columns in front as their header, if there is none and the caller names columns so."""
+    """Adds a header of column numbers to a text without header, if the caller names columns by numbers."""
     reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
     cells, asked = next(reader, []), {*options.columns().values()} if options else set()
     if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:

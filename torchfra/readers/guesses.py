@@ -72,7 +72,7 @@ def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
 
 
 def _polar(values: Collection[str]) -> str:
-    """What to do with columns of ranges and bearings; "" where there are none."""
+    """What to do with columns of ranges and bearings; "" without such columns."""
     ranges, bearings = ([name for name in values if form.match(plain(name))] for form in (_RANGE, _BEARING))
     if not ranges or not bearings:
         return ""

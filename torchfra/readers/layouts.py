@@ -136,7 +136,8 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
-    public |= dict(zip(["sigma"], noise.columns, strict=False))
+    if noise.columns:
+        public["sigma"] = next(iter(noise.columns))
     source = Source(name, public, clock.form, length, word, lines)
     unread_ids = () if "id" in columns else _parting(head, clock, [*ignored, *unused])
     return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, unread_ids)
@@ -162,7 +163,7 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
 
 
 def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
-    """See ``clock_of``; the coordinates are none, whatever they are called."""
+    """``clock_of`` the columns that are no coordinates, whatever they are called."""
     names = [name for name in head.names if name not in columns.values() or name == options.time]
     try:
         return clock_of(head._replace(names=names), options)
@@ -189,16 +190,15 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     calls = calls if word in ("aircraft", "ship") else []
     if not ids and len(set(filter(None, _texts(head, calls)))) > 1:
         ids = calls[:1]
-    taken = dict(zip(["id"], ids, strict=False))
-    taken |= dict(zip(["call"], [name for name in calls if name not in ids[:1]], strict=False))
+    likely = {"id": ids, "call": [name for name in calls if name not in ids[:1]]}
     if word in ANIMALS:
-        taken |= {role: column for role in MARKS for column in found(head.names, role)[:1]}
+        likely |= {role: found(head.names, role) for role in MARKS}
     if word == "aircraft":
-        taken |= dict(zip(["update"], found(head.names, "update"), strict=False))
+        likely["update"] = found(head.names, "update")
         altitudes = {plain(name): name for name in reversed(found(head.names, "altitude"))}
         if "altitude" not in altitudes and altitudes.keys() >= {"baroaltitude", "geoaltitude"}:
-            taken["second"] = altitudes["geoaltitude"]
-    return taken
+            likely["second"] = [altitudes["geoaltitude"]]
+    return {role: columns[0] for role, columns in likely.items() if columns}
 
 
 def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:

@@ -115,7 +115,7 @@ def range_folders(folder: str | Path) -> list[Path]:
     """The folders, this one or below it, that hold a recording each: those with CSV or JSON files, sorted.
 
     Raises:
-        ValueError: there is none.
+        ValueError: no folder with such files.
     """
     found = sorted({path.parent for pattern in _PATTERNS for path in Path(folder).rglob(pattern)})
     if not found:

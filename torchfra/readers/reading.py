@@ -65,10 +65,10 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
 
 
 class SheetReader:
-    """Reads sheets whose columns all hold what those of the first do, such as parts of a data set.
+    """Reads sheets of the same columns, such as parts of a data set.
 
     Args:
-        first: one or more of its rows, that show what columns hold.
+        first: some of the rows, which show what the columns hold.
         name: of the data set.
         words: see ``ReadOptions``.
 

@@ -61,7 +61,7 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     """The targets of a file that have 2 fixes or more left, in the order of the file.
 
     Raises:
-        TooFewError: there is none.
+        TooFewError: no target has as many.
     """
     ids, calls = (table.texts.get(layout.columns.get(role, "")) for role in ("id", "call"))
     members = {"": np.arange(table.rows)} if ids is None else grouped(ids)

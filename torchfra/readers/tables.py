@@ -1,4 +1,4 @@
-"""From a file to a table: the columns that somebody wants, of numbers and of text."""
+"""From a file to a table: the columns that are wanted, as numbers and as text."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def naming(path: Path | str) -> Iterator[None]:
 
 
 def _pair_of(head: Head) -> str | None:
-    """The column that holds both, as "47.1,8.2"; None where there is none, or they have columns of their own."""
+    """The column that holds both, as "47.1,8.2"; None where no column does, or each has its own."""
     if any(found(head.names, axis) for axis in (*_AXES, "x")):
         return None
     for name in head.names:

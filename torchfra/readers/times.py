@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 SINCE_1970 = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units in a second of numbers that may count since 1970, by what a ``time_format`` calls them."""
 PER_SECOND = {**SINCE_1970, "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86_400}
-"""The same, and of those that count since some start only."""
+"""Those and the units of numbers that count since some start only."""
 DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0}
 """Which day the first of 1970 is, where numbers are days of Excel, modified Julian days or those of Matlab."""
 GPS = {"gps": 1.0, "gps_ms": 1e3}
@@ -35,7 +35,7 @@ Source: IERS, Bulletin C.
 CLOCK = "%H:%M:%S"
 """Times of the day without a date: seconds since midnight, and a day more after each midnight."""
 HALF_CLOCK = "%I:%M:%S"
-"""The same of a clock of 12 hours; with AM and PM behind."""
+"""Times of the day on a clock of 12 hours; AM or PM follows."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _ISO = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
@@ -62,7 +62,7 @@ def per_second(form: str) -> float:
 
 
 def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str] | None:
-    """How to read texts, ``"iso"`` or a form of ``strptime``, and how to write them; None where they are no times.
+    """How to read texts, ``"iso"`` or a form of ``strptime``, and how to write them; None of other texts.
 
     Args:
         cells: some of a column, none of them empty.

@@ -36,7 +36,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
         std: of a reported position, m per axis.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Du & Zhang (2020), section 3.  Differs: measurement noise and the truth of the turns are our reading.
     """

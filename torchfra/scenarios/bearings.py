@@ -43,7 +43,7 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
         initial: ``"paper"`` for its initial state, 2.5 km off; ``"truth"`` for one drawn around the true state.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Wang et al. (2021), section 3.1 and table 1.
     """
@@ -62,7 +62,7 @@ def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0
             ``"paper"`` from that of scenario 1.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Wang et al. (2021), section 3.2.
     """

@@ -61,7 +61,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
         share: of the measurements that are outliers.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Qin et al. (2018), section 4.1.  The filters' initial belief is chosen here; over 500 steps
     it does not matter.

@@ -1,4 +1,4 @@
-"""The true models of a scenario's targets and measurements, as far as they are known: for bounds on errors."""
+"""The true models of a scenario's targets and measurements, for bounds on errors."""
 
 from __future__ import annotations
 

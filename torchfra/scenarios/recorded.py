@@ -68,7 +68,7 @@ def recorded(
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
-        TypeError: recordings that are none, such as names of files.
+        TypeError: something else than recordings, such as names of files.
     """
     one_of(outliers=(outliers, ("covariance", "std", "bursts", "none")))
     if not 0 <= share <= 1 or not size >= 1:

@@ -37,7 +37,7 @@ def recorded_ranges(
 
     Raises:
         ValueError: no recording, one without a reference path or without its height, or an argument out of its range.
-        TypeError: recordings that are none, such as names of files.
+        TypeError: something else than recordings, such as names of files.
     """
     alone = isinstance(recordings, RangeRecording)
     wrong = [recordings] if alone else [one for one in recordings if not isinstance(one, RangeRecording)]

@@ -96,7 +96,7 @@ def reentry(
         method: of the filters' integration, as in ``Reentry``.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Qin et al. (2018), section 4.2.  The duration and the integration are chosen here.
     """
