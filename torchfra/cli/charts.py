@@ -156,20 +156,9 @@ def _layout(title: str) -> dict[str, Any]:
 
 def _map_axes(of: View) -> dict[str, Any]:
     (left, bottom), (right, top) = of.window
-    return {
-        "xaxis": {
-            "domain": [0, 0.48],
-            "range": [left, right],
-            "zeroline": False,
-            "title": {"text": f"east, {of.unit}"},
-        },
-        "yaxis": {
-            "range": [bottom, top],
-            "scaleanchor": "x",
-            "zeroline": False,
-            "title": {"text": f"north, {of.unit}"},
-        },
-    }
+    east = {"domain": [0, 0.48], "range": [left, right], "zeroline": False, "title": {"text": f"east, {of.unit}"}}
+    north = {"range": [bottom, top], "scaleanchor": "x", "zeroline": False, "title": {"text": f"north, {of.unit}"}}
+    return {"xaxis": east, "yaxis": north}
 
 
 def _time_axes(of: View, rows: Sequence[str]) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
         "--runs",
         type=int,
         metavar="M",
-        help="tracks (default: 100; of files each window once, of ranges each recording)",
+        help="tracks (default: 100; of files each window, of recordings and tracks of your own each once)",
     )
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")

@@ -52,7 +52,7 @@ def median_interval(values: Any) -> Interval:
     if len(x) == 0:
         return Interval(math.nan, math.nan, math.nan)
     below = int(_binomial_quantile(len(x), (1 - LEVEL) / 2))
-    middle = float(x[(len(x) - 1) // 2] + x[len(x) // 2]) / 2
+    middle = float(np.median(x))
     if below < 1:
         return Interval(middle, math.nan, math.nan)
     return Interval(middle, float(x[below - 1]), float(x[len(x) - below]))
