@@ -108,8 +108,8 @@ def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None
     tell(f"{total['targets']:,} {word}: {total['fixes']:,} fixes, {total['outliers']:,} rejected")
     if total["repairs"]:
         tell(f"Repaired: {in_words(total['repairs'])}")
-    if nobody := work.data.rows - total["rows"]:
-        tell(f"Left out: {nobody:,} rows without an id")
+    if unnamed := work.data.rows - total["rows"]:
+        tell(f"Left out: {unnamed:,} rows without an id")
     tell(f"Each process: {total['rows_per_second']:,.0f} rows a second, {total['memory'] / 1e6:,.0f} MB at most")
     tell(f"Written: {work.parts:,} parts in {printable(str(work.folder))}")
     if options.json is not None:
