@@ -41,7 +41,6 @@ def evaluate(
     limit: float | None = None,
     chunk: int = 1000,
     compile: bool = False,
-    fallback: Fallback | None = None,
     progress: bool = False,
 ) -> dict[str, Result]:
     """Runs of a scenario through filters; under ``torchrun`` the processes share the runs.
@@ -56,8 +55,6 @@ def evaluate(
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
             per run, filter and metric.
         compile: whether to run compiled (``Filter.compile``); needs the extra ``compiler``.
-        fallback: called with the name of each filter that cannot be compiled and the reason; that filter then runs
-            interpreted.  None raises the error.
         progress: whether to show a bar.
 
     Returns:
@@ -65,12 +62,10 @@ def evaluate(
 
     Raises:
         ValueError: an unknown filter, fewer runs than processes, or a limit that is not above 0.
-        CompileError: ``compile`` without ``fallback``, and llvmlite is not installed or a filter has no kernel.
+        CompileError: with ``compile``, if llvmlite is not installed or a filter has no kernel.
     """
     check_limit(limit)
-    metrics = measure(
-        scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, fallback=fallback, progress=progress
-    )
+    metrics = measure(scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, progress=progress)
     return results_of(metrics, filters, scenario, runs, limit)
 
 
@@ -88,7 +83,8 @@ def measure(
 ) -> dict[str, RunningMetrics]:
     """Metrics of the filters, and of the reference for run times, with an error per run; ``evaluate`` sums them up.
 
-    Arguments and errors are those of ``evaluate``, and ``reference``: whether that one runs too.
+    Arguments and errors are those of ``evaluate``, and two more.  With a ``fallback`` a filter that cannot be compiled
+    runs interpreted, after a call with its name and the reason; ``reference`` is whether the reference runs too.
     """
     if not isinstance(filters, Mapping):
         filters = scenario_filters(filters, scenario)
