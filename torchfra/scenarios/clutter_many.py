@@ -13,7 +13,7 @@ from torchfra.coordinates import belief_from_cartesian
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.motion.spherical import Spherical
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.scenarios.two_aircraft import DT, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
+from torchfra.scenarios.clutter import DT, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
 from torchfra.types import Gaussian
 
 _CORNERS = torch.tensor([[500.0, 500.0, 500.0], [3500.0, 3500.0, 1500.0]], dtype=torch.float64)
