@@ -83,7 +83,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     return Plan(tables, pictures, overview)
 
 
-def listed(paths: Sequence[Path]) -> str:
+def in_brief(paths: Sequence[Path]) -> str:
     """The names of a few files; of many how many of each ending are in which folder."""
     if len(paths) <= _MOST_LISTED:
         return ", ".join(printable(str(path)) for path in paths)

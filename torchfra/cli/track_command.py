@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> None:
         with failures.of("json"):
             write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
     written = [*files.paths(), *filter(None, others.values())]
-    tell(f"Written: {plans.listed([path for path in written if path.exists()])}")
+    tell(f"Written: {plans.in_brief([path for path in written if path.exists()])}")
     failures.end()
 
 
