@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -220,6 +221,20 @@ def test_the_command_takes_registered_names_and_writes_tables_and_figures_for_pr
     with open("t.tex") as table, open("p.pdf", "rb") as figure:
         assert "booktabs" not in table.read()
         assert figure.read(4) == b"%PDF"
+
+
+@pytest.mark.slow
+def test_the_command_takes_tracks_of_ones_own_each_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("walks.py").write_text("""
+import torchfra
+
+def walks():
+    like = torchfra.scenarios.bearings_outliers()
+    return torchfra.scenarios.given(like.simulate(2), like.motion, like.sensor)
+""")
+    assert cli.main(["compare", "--scenario", "walks.py:walks", "--filters", "srckf", "--figure", "f.png"]) == 0
+    assert "1: track 1\n2: track 2\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("options", "said"), [

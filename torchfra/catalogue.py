@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,8 +98,7 @@ def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = N
     if entry.bank and bank is None:
         raise ValueError(f"filter: expected one of a single motion, as there is no bank of motions, received {name!r}")
     models = motion if bank is None or not (entry.bank or entry.either) else bank
-    f: Filter = made(name, entry.preset(models, sensor, **options), Filter, "(motion, sensor)")
-    return f
+    return made(name, entry.preset(models, sensor, **options), Filter, "(motion, sensor)")
 
 
 def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:
@@ -112,10 +111,8 @@ def scenario_filter(name: str, scenario: Scenario, **options: Any) -> Filter:
     if scenario.clutter is None:
         return make_filter(name, scenario.motion, scenario.sensor, scenario.bank, **options)
     clutter = {"clutter": scenario.clutter, "detection": scenario.detection}
-    f: Filter = made(
-        name, FILTERS[name].preset(scenario.motion, scenario.sensor, **clutter | options), Filter, "(motion, sensor)"
-    )
-    return f
+    f = FILTERS[name].preset(scenario.motion, scenario.sensor, **clutter | options)
+    return made(name, f, Filter, "(motion, sensor)")
 
 
 def scenario_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
@@ -186,8 +183,15 @@ def make_scenario(name: str, **options: Any) -> Scenario:
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, received {name!r}{meant(name, SCENARIOS)}")
-    chosen = {key: value for key, value in options.items() if value is not None}
-    for key in sorted(chosen.keys() - inspect.signature(SCENARIOS[name]).parameters.keys()):
-        raise ValueError(f"{key}: {name} takes no such option, received {chosen[key]!r}")
-    scenario: Scenario = made(name, SCENARIOS[name](**chosen), Scenario, "()")
-    return scenario
+    return scenario_by(name, SCENARIOS[name], {key: value for key, value in options.items() if value is not None})
+
+
+def scenario_by(name: str, make: Callable[..., Any], options: Mapping[str, Any]) -> Scenario:
+    """The scenario that a function of this name makes.
+
+    Raises:
+        ValueError: the function does not take an option, or returns something else.
+    """
+    for key in sorted(options.keys() - inspect.signature(make).parameters.keys()):
+        raise ValueError(f"{key}: {name} takes no such option, received {options[key]!r}")
+    return made(name, make(**options), Scenario, "()")

@@ -25,6 +25,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.correlated import with_errors
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def scenario(name: str) -> Callable[[F], F]:
     return add
 
 
-def made(function: str, found: object, wanted: type, arguments: str) -> Any:
+def made(function: str, found: object, wanted: type[T], arguments: str) -> T:
     """The result of a user's function, checked for its type.
 
     Raises:

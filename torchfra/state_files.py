@@ -87,11 +87,7 @@ def _digest(body: bytes) -> bytes:
 
 
 def _check_archive(data: bytes) -> None:
-    """Compares the checksums in an archive that has no digest.
-
-    Raises:
-        ValueError: they differ, or it is no archive.
-    """
+    """Compares the checksums in an archive that has no digest."""
     if not data[-22:].startswith(_PLAIN):
         raise ValueError("it is damaged, or torch.save did not write it")
     try:

@@ -7,11 +7,8 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
-LONGEST = 200
-"""Characters of a name that are shown."""
 
-
-def printable(name: str, longest: int = LONGEST) -> str:
+def printable(name: str, longest: int = 200) -> str:
     """A name from outside, a file's or a target's, such that it does nothing but be read.
 
     What cannot be printed, such as the sequences that command a terminal, is written as in a Python string, and of a
@@ -75,8 +72,8 @@ def metres(value: float) -> str:
 
 def duration(seconds: float) -> str:
     """A time in the unit that fits, with two or three digits."""
-    for size, unit, least in ((86_400, "days", 2.0), (3600, "h", 2.0), (60, "min", 2.0)):
-        if seconds >= least * size:
+    for size, unit in ((86_400, "days"), (3600, "h"), (60, "min")):
+        if seconds >= 2 * size:
             return _short(seconds / size, unit).replace(".0 ", " ")
     return f"{seconds:.3g} s"
 

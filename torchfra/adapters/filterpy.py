@@ -25,7 +25,7 @@ def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | 
         dims: how many of them are positions; None for as many as there are measured elements.
 
     Raises:
-        ValueError: another filter, one that fades (``alpha``), or an order that is none.
+        ValueError: another filter, one that fades (``alpha``), or an order that does not name each component once.
     """
     if not isinstance(kf, KalmanFilter):
         raise ValueError(f"kf: expected a filterpy.kalman.KalmanFilter, received {type(kf).__name__}")

@@ -91,7 +91,7 @@ def root_of(covariance: Any, what: str) -> Array:
     """A root ``(n, n)`` of a covariance of any rank.
 
     Raises:
-        ValueError: it is none.
+        ValueError: a matrix that is not one.
     """
     matrix = np.asarray(covariance, dtype=float)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
@@ -115,7 +115,7 @@ def checked_order(order: Sequence[int] | None, size: int) -> list[int]:
     """The numbers of the components in the order of torchfra; as they are for None.
 
     Raises:
-        ValueError: they are not all components, each once.
+        ValueError: an order that does not name each component once.
     """
     found = list(range(size)) if order is None else [int(i) for i in order]
     if sorted(found) != list(range(size)):

@@ -66,7 +66,7 @@ def motion(model: Any, *, order: Sequence[int] | None = None, dims: int | None =
         dims: how many of them are positions; None for the axes of a combined model, or half of the components.
 
     Raises:
-        ValueError: another kind of model, or an order that is none.
+        ValueError: another kind of model, or an order that does not name each component once.
     """
     if not isinstance(model, _TRANSITIONS):
         raise ValueError(f"model: expected a linear Gaussian transition model, received {type(model).__name__}")
@@ -125,7 +125,7 @@ def sensor(model: Any, *, order: Sequence[int] | None = None) -> Sensor:
         order: numbers of the state's components in torchfra's order; None if they are in that order.
 
     Raises:
-        ValueError: another kind of model, or an order that is none.
+        ValueError: another kind of model, or an order that does not name each component once.
     """
     index = checked_order(order, model.ndim_state)
     if isinstance(model, LinearGaussian):
@@ -143,7 +143,7 @@ def belief(state: GaussianState, *, order: Sequence[int] | None = None) -> Gauss
     """A Gaussian state as a belief, a prior say.
 
     Raises:
-        ValueError: an order that is none.
+        ValueError: an order that does not name each component once.
     """
     return gaussian(state.mean, state.covar, checked_order(order, state.ndim))
 
@@ -152,7 +152,7 @@ def measurements(detections: Iterable[Detection]) -> Timed:
     """Detections of one target, in order of time, as measurements ``(T, m)``.
 
     Raises:
-        ValueError: there are none, or they differ in size.
+        ValueError: no detections, or detections of several sizes.
     """
     found = sorted(detections, key=lambda detection: detection.timestamp)
     if len({detection.ndim for detection in found}) != 1:
@@ -190,7 +190,7 @@ def track(mean: Tensor, covariance: Tensor, times: Sequence[datetime], *, order:
     """Estimates ``(T, n)`` and ``(T, n, n)`` of one target as a track, its states in Stone Soup's order.
 
     Raises:
-        ValueError: times that are not one for each estimate, or an order that is none.
+        ValueError: times that are not one for each estimate, or an order that does not name each component once.
     """
     _check_times(mean, times)
     back = np.argsort(checked_order(order, mean.shape[-1]))

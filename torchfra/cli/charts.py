@@ -29,26 +29,26 @@ class Chart(NamedTuple):
 
 def chart(cleaned: Cleaned) -> Chart:
     """A map on the left, and speed, altitude, innovations and regimes over time on the right."""
-    of = view(cleaned)
-    rows = ["speed, m/s", *(["altitude, m"] if of.altitude else []), "innovation, std"]
-    rows += ["probability"] if of.regimes else []
-    data = _map(of, cleaned) + _band(of, of.speed, 2)
-    if of.altitude is not None:
-        data += _band(of, of.altitude, 3)
-    data += _innovations(of, 3 + (of.altitude is not None))
-    data += _regimes(of, len(rows) + 1)
-    layout = _layout(of.title) | _map_axes(of) | _time_axes(of, rows)
-    edge, _, said = beyond(of, *of.window)
+    track = view(cleaned)
+    rows = ["speed, m/s", *(["altitude, m"] if track.altitude else []), "innovation, std"]
+    rows += ["probability"] if track.regimes else []
+    data = _map(track, cleaned) + _band(track, track.speed, 2)
+    if track.altitude is not None:
+        data += _band(track, track.altitude, 3)
+    data += _innovations(track, 3 + (track.altitude is not None))
+    data += _regimes(track, len(rows) + 1)
+    layout = _layout(track.title) | _map_axes(track) | _time_axes(track, rows)
+    edge, _, said = beyond(track, *track.window)
     layout["annotations"] = [_words(x, y, "\u25b2", RED) for x, y in edge[:_MOST_MARKS].tolist()] + [
-        _words(middle * of.time[-1], 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
-        for middle, row, kind in placed(of, _LETTERS)
+        _words(middle * track.time[-1], 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
+        for middle, row, kind in placed(track, _LETTERS)
     ]
     if said:
         layout["annotations"] += [_words(0.0, 1.0, said, RED) | {"xref": "paper", "yref": "paper", "xanchor": "left"}]
     layout["shapes"] = [
         {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
-        for begin, end in of.shades
+        for begin, end in track.shades
     ]  # fmt: skip
     return Chart(data, layout)
 
@@ -56,68 +56,70 @@ def chart(cleaned: Cleaned) -> Chart:
 def overview(results: Sequence[Cleaned]) -> Chart:
     """All tracks on one map."""
     views = [view(cleaned) for cleaned in results]
-    metres = max(of.metres for of in views)
+    metres = max(track.metres for track in views)
     data = [
-        _scatter(1, *(of.path * of.metres / metres).T, name=cleaned.recording.name, colour=APART[i % len(APART)])
-        for i, (cleaned, of) in enumerate(zip(results, views, strict=True))
+        _scatter(1, *(track.path * track.metres / metres).T, name=cleaned.recording.name, colour=APART[i % len(APART)])
+        for i, (cleaned, track) in enumerate(zip(results, views, strict=True))
     ]
     unit = "km" if metres > 1 else "m"
     east, north = ({"title": {"text": f"{way}, {unit}"}} for way in ("east", "north"))
     return Chart(data, _layout(f"{len(results)} tracks") | {"xaxis": east, "yaxis": north | {"scaleanchor": "x"}})
 
 
-def _map(of: View, cleaned: Cleaned) -> list[dict[str, Any]]:
-    good = np.isfinite(of.sides).all((1, 2))
-    band = np.concatenate([of.sides[good, 0], of.sides[good, 1][::-1]])
-    kept = np.isfinite(of.recorded).all(1) & ~of.rejected
+def _map(track: View, cleaned: Cleaned) -> list[dict[str, Any]]:
+    good = np.isfinite(track.sides).all((1, 2))
+    band = np.concatenate([track.sides[good, 0], track.sides[good, 1][::-1]])
+    rejected = track.rejected
+    kept = np.isfinite(track.recorded).all(1) & ~rejected
     row = np.char.add("row ", cleaned.row.astype(str))
     return [
         _scatter(1, *band.T, name=f"within {SURE:g} std", colour=PALE_BLUE, fill="toself", hoverinfo="skip"),
-        *(_flown(of, begin, end) for begin, end in of.shades),
-        _scatter(1, *of.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
-        _scatter(1, *of.path.T, name="cleaned", colour=BLUE),
-        _scatter(1, *of.recorded[of.rejected].T, name="rejected", colour=RED, marks=8, text=row[of.rejected].tolist(),
+        *(_flown(track, begin, end) for begin, end in track.shades),
+        _scatter(1, *track.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
+        _scatter(1, *track.path.T, name="cleaned", colour=BLUE),
+        _scatter(1, *track.recorded[rejected].T, name="rejected", colour=RED, marks=8, text=row[rejected].tolist(),
                  symbol="x-thin-open"),
     ]  # fmt: skip
 
 
-def _flown(of: View, begin: float, end: float) -> dict[str, Any]:
+def _flown(track: View, begin: float, end: float) -> dict[str, Any]:
     """The path of a manoeuvre, wide and below the path."""
-    part = of.path[(of.time >= begin) & (of.time <= end)]
+    part = track.path[(track.time >= begin) & (track.time <= end)]
     return _scatter(1, *part.T, colour=ORANGE, line={"color": ORANGE, "width": 6}, hoverinfo="skip")
 
 
-def _band(of: View, band: Band, number: int) -> list[dict[str, Any]]:
+def _band(track: View, band: Band, number: int) -> list[dict[str, Any]]:
     low, high = band.mean - SURE * band.std, band.mean + SURE * band.std
     drawn = [
-        _scatter(number, of.time, low, colour=PALE_BLUE, hoverinfo="skip"),
-        _scatter(number, of.time, high, colour=PALE_BLUE, fill="tonexty", hoverinfo="skip"),
-        _scatter(number, of.time, band.mean, colour=BLUE),
+        _scatter(number, track.time, low, colour=PALE_BLUE, hoverinfo="skip"),
+        _scatter(number, track.time, high, colour=PALE_BLUE, fill="tonexty", hoverinfo="skip"),
+        _scatter(number, track.time, band.mean, colour=BLUE),
     ]
     if band.recorded is not None:
-        kept = np.isfinite(band.recorded) & ~of.rejected
-        drawn.append(_scatter(number, of.time[kept], band.recorded[kept], colour=GREY, marks=3))
+        kept = np.isfinite(band.recorded) & ~track.rejected
+        drawn.append(_scatter(number, track.time[kept], band.recorded[kept], colour=GREY, marks=3))
     return drawn
 
 
-def _innovations(of: View, number: int) -> list[dict[str, Any]]:
-    shown, high = np.minimum(of.innovation, MOST_STD), of.innovation > MOST_STD
-    known = np.isfinite(of.innovation)
+def _innovations(track: View, number: int) -> list[dict[str, Any]]:
+    shown, known = np.minimum(track.innovation, MOST_STD), np.isfinite(track.innovation)
+    rejected, high = track.rejected, track.innovation > MOST_STD
+    looks = (
+        (known & ~rejected & ~high, DARK, 3, "circle"), (known & rejected & ~high, RED, 6, "x-thin-open"),
+        (known & ~rejected & high, DARK, 8, "triangle-up"), (known & rejected & high, RED, 8, "triangle-up"),
+    )  # fmt: skip
     return [
-        _scatter(number, of.time[mask], shown[mask], colour=colour, marks=size, symbol=symbol)
-        for mask, colour, size, symbol in (
-            (known & ~of.rejected & ~high, DARK, 3, "circle"), (known & of.rejected & ~high, RED, 6, "x-thin-open"),
-            (known & ~of.rejected & high, DARK, 8, "triangle-up"), (known & of.rejected & high, RED, 8, "triangle-up"),
-        )
-    ]  # fmt: skip
+        _scatter(number, track.time[mask], shown[mask], colour=colour, marks=size, symbol=symbol)
+        for mask, colour, size, symbol in looks
+    ]
 
 
-def _regimes(of: View, number: int) -> list[dict[str, Any]]:
+def _regimes(track: View, number: int) -> list[dict[str, Any]]:
+    colours = [DARK if name == "others" else colour for name, colour in zip(track.regimes, REGIMES, strict=False)]
     return [
-        _scatter(number, of.time, values, name=name, colour=DARK if name == "others" else colour, stackgroup="regimes",
-                 fillcolor=DARK if name == "others" else colour)
-        for (name, values), colour in zip(of.regimes.items(), REGIMES, strict=False)
-    ]  # fmt: skip
+        _scatter(number, track.time, values, name=name, colour=colour, stackgroup="regimes", fillcolor=colour)
+        for (name, values), colour in zip(track.regimes.items(), colours, strict=False)
+    ]
 
 
 def _scatter(
@@ -154,36 +156,25 @@ def _layout(title: str) -> dict[str, Any]:
     }
 
 
-def _map_axes(of: View) -> dict[str, Any]:
-    (left, bottom), (right, top) = of.window
-    return {
-        "xaxis": {
-            "domain": [0, 0.48],
-            "range": [left, right],
-            "zeroline": False,
-            "title": {"text": f"east, {of.unit}"},
-        },
-        "yaxis": {
-            "range": [bottom, top],
-            "scaleanchor": "x",
-            "zeroline": False,
-            "title": {"text": f"north, {of.unit}"},
-        },
-    }
+def _map_axes(track: View) -> dict[str, Any]:
+    (left, bottom), (right, top) = track.window
+    east = {"domain": [0, 0.48], "range": [left, right], "zeroline": False, "title": {"text": f"east, {track.unit}"}}
+    north = {"range": [bottom, top], "scaleanchor": "x", "zeroline": False, "title": {"text": f"north, {track.unit}"}}
+    return {"xaxis": east, "yaxis": north}
 
 
-def _time_axes(of: View, rows: Sequence[str]) -> dict[str, Any]:
+def _time_axes(track: View, rows: Sequence[str]) -> dict[str, Any]:
     """One time for all panels, the first on top."""
     high, gap = 1 / len(rows), 0.03
     axes: dict[str, Any] = {
-        "xaxis2": {"domain": [0.55, 1], "range": [0, float(of.time[-1]) or 1.0], "title": {"text": of.clock},
+        "xaxis2": {"domain": [0.55, 1], "range": [0, float(track.time[-1]) or 1.0], "title": {"text": track.clock},
                    "anchor": f"y{len(rows) + 1}"}
     }  # fmt: skip
     for i, label in enumerate(rows):
         top = 1 - i * high
         axes[f"yaxis{i + 2}"] = {"domain": [top - high + gap, top], "title": {"text": label}, "anchor": "x2"}
-    if of.altitude is not None:
-        axes["yaxis3"]["range"] = list(of.altitude.limits())
-    axes["yaxis2"]["range"] = [max(0.0, of.speed.limits()[0]), of.speed.limits()[1]]
+    if track.altitude is not None:
+        axes["yaxis3"]["range"] = list(track.altitude.limits())
+    axes["yaxis2"]["range"] = [max(0.0, track.speed.limits()[0]), track.speed.limits()[1]]
     axes[f"yaxis{rows.index('innovation, std') + 2}"]["range"] = [0, 1.05 * MOST_STD]
     return axes

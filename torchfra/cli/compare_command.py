@@ -13,11 +13,9 @@ from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
 from torchfra.cli.track_command import FILES
 from torchfra.comparison.comparing import bound_of
-from torchfra.comparison.comparison import Comparison
-from torchfra.comparison.comparison_table import FORMS, table_form
+from torchfra.comparison.comparison import FORMS, Comparison, table_form
 from torchfra.evaluation import (
     BASELINE,
-    Result,
     check_limit,
     flight,
     headline,
@@ -29,7 +27,6 @@ from torchfra.evaluation import (
     results_of,
     table,
 )
-from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.filters import Filter
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
@@ -74,7 +71,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
         "--runs",
         type=int,
         metavar="M",
-        help="tracks (default: 100; of files each window once, of ranges each recording)",
+        help="tracks (default: 100; of files each window, of recordings and tracks of your own each once)",
     )
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
@@ -109,17 +106,14 @@ def run(options: argparse.Namespace) -> None:
     quiet = options.quiet or not first
     tell, fallback = reporters(options.compile, quiet)
     shown = _shown(options, filters, scenario, runs)
+    compile = choose(options.compile, runs * scenario.steps >= WORTHWHILE, tell)
     metrics = measure(
-        scenario,
-        filters,
-        runs=runs,
-        seed=options.seed,
-        compile=choose(options.compile, runs * scenario.steps >= WORTHWHILE, tell),
-        fallback=fallback,
-        progress=not quiet,
+        scenario, filters, runs=runs, seed=options.seed, compile=compile, fallback=fallback, progress=not quiet
     )
     if first:
-        _write(options, scenario, runs, metrics, filters, shown)
+        results = results_of(metrics, filters, scenario, runs, options.limit)
+        least = bound_of(scenario, runs, options.seed) if _for_paper(options) else None
+        _write(options, Comparison(scenario, runs, options.seed, results, metrics, least), filters, shown)
 
 
 def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
@@ -128,17 +122,12 @@ def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filte
     made = load_filters(names, scenario)
     if options.learned is None:
         return made
-    name, equals, _ = options.learned.rpartition("=")
-    learned = learned_filter(_learned_file(options), scenario, name if equals else "fra")
-    return made | {"learned": learned}
+    name, equals, file = options.learned.rpartition("=")
+    return made | {"learned": learned_filter(file, scenario, name if equals else "fra")}
 
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
-    """The files that are written, by option.
-
-    Raises:
-        ValueError: a name that does not end as one of a table, or of a figure.
-    """
+    """The files that are written, by option."""
     if options.table is not None:
         table_form(options.table)
     for option, path in (("figure", options.figure), ("print", options.printed)):
@@ -147,15 +136,11 @@ def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
     return {"json": options.json, "figure": options.figure, "table": options.table, "print": options.printed}
 
 
-def _learned_file(options: argparse.Namespace) -> str:
-    return str(options.learned.rpartition("=")[2])
-
-
 def _inputs(options: argparse.Namespace) -> list[str | Path]:
     """The files that are read."""
-    paths = [*options.files, *(options.ranges or []), options.anchors, options.reference]
-    learned = [] if options.learned is None else [_learned_file(options)]
-    return [path for path in paths if path is not None] + learned
+    learned = options.learned and options.learned.rpartition("=")[2]
+    paths = [*options.files, *(options.ranges or []), options.anchors, options.reference, learned]
+    return [path for path in paths if path is not None]
 
 
 def _shown(
@@ -176,21 +161,19 @@ def _shown(
 
 
 def _write(
-    options: argparse.Namespace, scenario: Scenario, runs: int, metrics: Mapping[str, RunningMetrics],
-    filters: Mapping[str, Filter], shown: Sequence[str] | None,
-) -> None:  # fmt: skip
-    results, failures = results_of(metrics, filters, scenario, runs, options.limit), Failures()
-    least = bound_of(scenario, runs, options.seed) if _wanted(options) else None
-    comparison = Comparison(scenario, runs, options.seed, results, metrics, least)
-    title = _title(scenario, runs, options.seed)
+    options: argparse.Namespace, comparison: Comparison, filters: Mapping[str, Filter], shown: Sequence[str] | None
+) -> None:
+    """Prints the results, and writes the files that are asked for."""
+    scenario, results, failures = comparison.scenario, comparison.results, Failures()
+    title = _title(scenario, comparison.runs, options.seed)
     if not options.quiet:
         numbers = recordings_table(results, scenario) if scenario.recordings else table(results, every=options.all)
-        print(f"{title}\n{headline(results, runs)}\n{numbers}", flush=True)  # whatever becomes of the files
-        if _wanted(options):
+        print(f"{title}\n{headline(results, comparison.runs)}\n{numbers}", flush=True)  # whatever becomes of the files
+        if _for_paper(options):
             print(f"\n{_TWO_TABLES}\n\n{comparison}", flush=True)
     if options.json is not None:
         with failures.of("json"):
-            write_json(options.json, report(scenario, results, runs=runs, seed=options.seed))
+            write_json(options.json, report(scenario, results, runs=comparison.runs, seed=options.seed))
     if options.table is not None:
         with failures.of("table"):
             comparison.save(options.table)
@@ -198,7 +181,7 @@ def _write(
         with failures.of("print"):
             comparison.plot(options.printed)
     with failures.of("figure"):
-        _draw(options, scenario, results, metrics, filters, shown or leaders(results, MOST_SHOWN), title)
+        _draw(options, comparison, filters, shown or leaders(results, MOST_SHOWN), title)
     failures.messages += not_finite(results)
     failures.end()
 
@@ -209,19 +192,19 @@ _TWO_TABLES = (
 )
 
 
-def _wanted(options: argparse.Namespace) -> bool:
+def _for_paper(options: argparse.Namespace) -> bool:
     """Whether intervals, tests and the bound are asked for."""
     return options.table is not None or options.printed is not None
 
 
 def _draw(
-    options: argparse.Namespace, scenario: Scenario, results: dict[str, Result], metrics: Mapping[str, RunningMetrics],
-    filters: Mapping[str, Filter], shown: Sequence[str], title: str,
-) -> None:  # fmt: skip
+    options: argparse.Namespace, comparison: Comparison, filters: Mapping[str, Filter], shown: Sequence[str], title: str
+) -> None:
     from torchfra import plotting  # matplotlib takes long to import
 
+    scenario, results = comparison.scenario, comparison.results
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
-    errors = [metrics[name].errors() for name in shown[:2]]
+    errors = [comparison.metrics[name].errors() for name in shown[:2]]
     limit = next(iter(results.values()))["limit"]
     mapped = flight(scenario, on_map, errors, options.seed, options.flight)
     plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from torchfra import register
-from torchfra.catalogue import FILTERS, scenario_filter
+from torchfra.catalogue import FILTERS, scenario_by, scenario_filter
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario
 
@@ -32,7 +32,7 @@ def load_module(place: str, argument: str) -> ModuleType:
         argument: what it was given as.
 
     Raises:
-        ValueError: there is none, or it cannot be run.
+        ValueError: no such module, or one that cannot be run.
     """
     try:
         if place.endswith(".py"):
@@ -73,11 +73,7 @@ def load_scenario(place: str, **options: Any) -> Scenario:
     Raises:
         ValueError: there is no such function, it does not take an option, or it returns something else.
     """
-    make = load_function(place, "scenario")
-    for key in sorted(options.keys() - inspect.signature(make).parameters.keys()):
-        raise ValueError(f"{key}: {place} takes no such option, received {options[key]!r}")
-    scenario: Scenario = register.made(place, make(**options), Scenario, "()")
-    return scenario
+    return scenario_by(place, load_function(place, "scenario"), options)
 
 
 def load_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
@@ -96,7 +92,7 @@ def _filter(name: str, scenario: Scenario) -> Filter:
     if not is_place(name):
         return scenario_filter(name, scenario)
     preset = load_function(name, "filters")
-    f: Filter = register.made(name, preset(scenario.motion, scenario.sensor), Filter, "(motion, sensor)")
+    f = register.made(name, preset(scenario.motion, scenario.sensor), Filter, "(motion, sensor)")
     if f.scans != (scenario.clutter is not None):
         wanted = "scans" if scenario.clutter is not None else "single targets"
         raise ValueError(f"filters: expected one of {wanted} for {scenario.name}, received {name}")

@@ -10,14 +10,7 @@ from typing import Any
 
 from torchfra.cleaning import DEFAULT, check_settings
 from torchfra.cleaning.many import Work, clean_part, summed
-from torchfra.cli.command import (
-    IncompleteError,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    check_folder,
-    complain,
-)
+from torchfra.cli.command import IncompleteError, add_json_option, add_quiet_option, check_files, check_folder, complain
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data
@@ -115,8 +108,8 @@ def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None
     tell(f"{total['targets']:,} {word}: {total['fixes']:,} fixes, {total['outliers']:,} rejected")
     if total["repairs"]:
         tell(f"Repaired: {in_words(total['repairs'])}")
-    if nobody := work.data.rows - total["rows"]:
-        tell(f"Left out: {nobody:,} rows without an id")
+    if unnamed := work.data.rows - total["rows"]:
+        tell(f"Left out: {unnamed:,} rows without an id")
     tell(f"Each process: {total['rows_per_second']:,.0f} rows a second, {total['memory'] / 1e6:,.0f} MB at most")
     tell(f"Written: {work.parts:,} parts in {printable(str(work.folder))}")
     if options.json is not None:

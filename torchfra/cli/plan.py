@@ -10,14 +10,11 @@ from typing import NamedTuple
 
 from torchfra.cleaning.outputs.formats import beside, check_format
 from torchfra.cleaning.outputs.summary import LONGEST_NAME
-from torchfra.cli.command import check_files
 from torchfra.readers import Recording
 from torchfra.tables import printable
 
 MOST_PICTURES = 20
-"""Targets of a file of which each has a picture unless told otherwise."""
-
-
+"""Targets of a file up to which each has a picture by default."""
 _MOST_LISTED = 5
 """Files that are listed by their names."""
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
@@ -65,7 +62,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     Args:
         recordings: one or more.
         out: a file or a folder.
-        form: of the tables in a folder, ``"csv"`` unless told otherwise.
+        form: of the tables in a folder; None for ``"csv"``.
         plots: whether each target has a picture, and several an overview; None draws no more than ``MOST_PICTURES``
             targets, and the overview.
 
@@ -86,22 +83,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     return Plan(tables, pictures, overview)
 
 
-def check_plan(files: Plan, inputs: Sequence[Path], **others: Path | None) -> None:
-    """Checks, before any work, that all files can be written and that none is an input.
-
-    Args:
-        files: from ``plan``.
-        inputs: files that are read.
-        others: more outputs, by option.
-
-    Raises:
-        OSError: one cannot be written.
-        ValueError: one is an input, or two are the same.
-    """
-    check_files(others | {f"out, {path.name}": path for path in files.paths()}, inputs)
-
-
-def listed(paths: Sequence[Path]) -> str:
+def in_brief(paths: Sequence[Path]) -> str:
     """The names of a few files; of many how many of each ending are in which folder."""
     if len(paths) <= _MOST_LISTED:
         return ", ".join(printable(str(path)) for path in paths)

@@ -66,7 +66,8 @@ def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
         raise ValueError(f"{name}: goes with {goes_with}, not with {source}")
     if source == "--scenario":
         make = load_scenario if is_place(options.scenario) else make_scenario
-        return make(options.scenario, **values), 100 if options.runs is None else options.runs
+        scenario = make(options.scenario, **values)
+        return scenario, (len(scenario.recordings) or 100) if options.runs is None else options.runs
     bound = {"max_bytes": values.pop("max_bytes", readers.MAX_BYTES)}
     if source == "--ranges":
         return _recorded_ranges(options.ranges, options.runs, bound, **values)

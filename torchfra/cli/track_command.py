@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> None:
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
-    plans.check_plan(files, [options.file], **others)
+    check_files(others | {f"out, {path.name}": path for path in files.paths()}, [options.file])
     tell, _ = reporters(options.compile, options.quiet)
     for said in dict.fromkeys(said for recording in recordings for said in recording.source.said):
         tell(printable(said))
@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> None:
         with failures.of("json"):
             write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
     written = [*files.paths(), *filter(None, others.values())]
-    tell(f"Written: {plans.listed([path for path in written if path.exists()])}")
+    tell(f"Written: {plans.in_brief([path for path in written if path.exists()])}")
     failures.end()
 
 
@@ -164,11 +164,7 @@ def _write(
 
 
 def _check(cleaned: Cleaned) -> None:
-    """Checks that all estimates are numbers.
-
-    Raises:
-        ValueError: one is not.
-    """
+    """Checks that all estimates are numbers."""
     if failed := int(cleaned.failed.sum()):
         raise ValueError(f"NaN or infinity in {failed} of {len(cleaned.time)} steps")
 

@@ -8,8 +8,7 @@ import torch
 
 from torchfra.catalogue import scenario_filters
 from torchfra.comparison.comparison import Comparison
-from torchfra.evaluation.limits import check_limit
-from torchfra.evaluation.runs import measure, results_of
+from torchfra.evaluation.runs import check_limit, measure, results_of
 from torchfra.filters.base import Filter
 from torchfra.numbers import is_integer
 from torchfra.scenarios import Bound, Scenario, Tracks, given
@@ -58,14 +57,15 @@ def compare(
         print(comparison)
         comparison.plot("errors.pdf")
     """
+    filters = [filters] if isinstance(filters, str) else filters
     _check(filters, runs, seed, limit, chunk)
     scenario = _scenario(filters, data, dt)
-    chosen = _filters(filters, scenario)
+    chosen = dict(filters) if isinstance(filters, Mapping) else scenario_filters(filters, scenario)
     if runs is None:
         runs = len(scenario.recordings) or 100
     metrics = measure(
-        scenario, chosen, runs=runs, seed=seed, chunk=chunk, compile=compile, fallback=_interpreted, progress=progress,
-        reference=False,
+        scenario, chosen, runs=runs, seed=seed, chunk=chunk, compile=compile, progress=progress, reference=False,
+        fallback=lambda name, reason: None,
     )  # fmt: skip
     results = results_of(metrics, chosen, scenario, runs, limit)
     return Comparison(scenario, runs, seed, results, metrics, bound_of(scenario, runs, seed) if bound else None)
@@ -74,9 +74,14 @@ def compare(
 def _check(
     filters: Mapping[str, Filter] | Sequence[str], runs: int | None, seed: int, limit: float | None, chunk: int
 ) -> None:
-    names = [filters] if isinstance(filters, str) else filters
-    if not isinstance(names, Mapping | list | tuple) or not all(isinstance(name, str) for name in names):
+    if not isinstance(filters, Mapping | list | tuple) or not all(isinstance(name, str) for name in filters):
         raise ValueError(f"filters: expected names, or filters by name, received {filters!r:.80}")
+    if isinstance(filters, Mapping):
+        if not filters:
+            raise ValueError("filters: expected one or more, received none")
+        for name, f in filters.items():
+            if not isinstance(f, Filter):
+                raise ValueError(f"filters: expected a Filter as {name}, received {type(f).__name__}")
     for name, value, least in (("runs", 1 if runs is None else runs, 1), ("seed", seed, 0), ("chunk", chunk, 1)):
         if not is_integer(value, least):
             raise ValueError(f"{name}: expected a whole number of {least} or more, received {value!r}")
@@ -95,28 +100,7 @@ def _scenario(filters: Mapping[str, Filter] | Sequence[str], data: Scenario | Tr
         return data
     if not isinstance(data, Tracks):
         raise ValueError(f"data: expected a Scenario or Tracks (truth, z, u, prior), received {type(data).__name__}")
-    if not isinstance(filters, Mapping) or not filters:
+    if not isinstance(filters, Mapping):
         raise ValueError("filters: expected filters by name with Tracks, which have no models for the catalogue's")
-    first = next(iter(_checked(filters).values()))
+    first = next(iter(filters.values()))
     return given(data, first.motion, first.sensor, dt=dt)
-
-
-def _filters(filters: Mapping[str, Filter] | Sequence[str], scenario: Scenario) -> dict[str, Filter]:
-    if isinstance(filters, str):
-        filters = [filters]
-    if isinstance(filters, Mapping):
-        return _checked(filters)
-    return scenario_filters(filters, scenario)
-
-
-def _checked(filters: Mapping[str, Filter]) -> dict[str, Filter]:
-    if not filters:
-        raise ValueError("filters: expected one or more, received none")
-    for name, f in filters.items():
-        if not isinstance(f, Filter):
-            raise ValueError(f"filters: expected a Filter as {name}, received {type(f).__name__}")
-    return dict(filters)
-
-
-def _interpreted(name: str, reason: str) -> None:
-    """A filter that cannot be compiled runs interpreted."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -12,16 +12,19 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from torchfra.comparison.comparison_table import errors_row, formed, last_row, likelihood_row, table_form, told_p
-from torchfra.evaluation.results import Result, report
+from torchfra.evaluation.results import Result, infinite, report
 from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.running.atomic_write import write, write_json
 from torchfra.running.pictures import picture_form
 from torchfra.scenarios import Bound, Scenario
-from torchfra.tables import significant
+from torchfra.tables import formed_table, significant, with_error
 
 ERROR, LIKELIHOOD = "rmse_position", "log_likelihood"
+FORMS = {".txt": "text", ".csv": "csv", ".tex": "latex", ".md": "markdown"}
+"""Forms of tables by the endings of files."""
+Cell = tuple[str, str]
+"""A value, and half the width of its interval; "" without one."""
 
 
 class Test(NamedTuple):
@@ -68,7 +71,7 @@ class Comparison:
         """The filter with the smallest mean error, or the largest mean log likelihood."""
         sign = 1 if self.by == ERROR else -1
         means = {name: sign * float(self.of_runs(name).nanmean()) for name in self.results}
-        return min(means, key=lambda name: math.inf if math.isnan(means[name]) else means[name])
+        return min(means, key=lambda name: infinite(means[name]))
 
     def tests(self) -> list[Test]:
         """A paired test of each two filters."""
@@ -104,8 +107,11 @@ class Comparison:
         self._known(name)
         if self.bound is None or self.by != ERROR:
             return math.nan
-        least = self.bound.rmse(self.scenario.truth_position).nanmean().item()
-        return float(least / self.results[name]["mean_rmse_position"])
+        return float(self._least(self.bound) / self.results[name]["mean_rmse_position"])
+
+    def _least(self, bound: Bound) -> float:
+        """The bound on the error of the position, m: root mean square over the runs, mean over time."""
+        return bound.rmse(self.scenario.truth_position).nanmean().item()
 
     def table(self, form: str = "text") -> str:
         """A line for each filter: means with 95 % intervals and so on; the best, and those as good, are bold.
@@ -118,14 +124,34 @@ class Comparison:
             ValueError: another form.
         """
         rows, good = {}, set()
-        for name, of in self.results.items():
+        for name in self.results:
             p = self.p(name, self.best)
-            figures = errors_row(of, self.scenario.quantities) if self.by == ERROR else likelihood_row(of)
-            said = "best" if name == self.best else told_p(p)
-            rows[name] = figures | last_row(of, self.efficiency(name), said)
+            rows[name] = self._row(name, p)
             if name == self.best or p >= 1 - LEVEL:
                 good.add(name)
-        return formed(form, rows, good, self.caption())
+        return _formed(form, rows, good, self.caption())
+
+    def _row(self, name: str, p: float) -> dict[str, Cell]:
+        """The cells of a filter by the titles of their columns."""
+        of, row = self.results[name], dict[str, Cell]()
+        if self.by == ERROR:
+            for quantity in self.scenario.quantities:
+                unit = {"position": "m", "velocity": "m/s"}.get(quantity, quantity)
+                row[f"run RMSE {unit}"] = _cell(of[f"mean_track_rmse_{quantity}"])
+                if quantity == "position":
+                    row["median run m"] = (significant(of["median_track_rmse_position"][0]), "")
+            lost = 100 * of["divergence_rate"]
+            row["diverged %"] = (significant(lost, 2) if lost else "0", "")
+            row["ANEES"] = _cell(of["anees"])
+        else:
+            row["log likelihood"] = _cell(of["mean_log_likelihood"])
+        if "anis" in of:
+            row["ANIS"] = _cell(of["anis"])
+        share = self.efficiency(name)
+        row["bound %"] = (significant(100 * share, 3 if share >= 0.1 else 2), "")
+        few = f"{p:.3f}" if p >= 0.001 else f"{p:.0e}" if p >= 1e-99 else "0"
+        row["p"] = ("best" if name == self.best else few, "")
+        return row | {"us/step": (significant(of["microseconds"], 2), "")}
 
     def save(self, path: str | Path) -> Path:
         """Writes the table by the ending of the file, ``.txt``, ``.csv``, ``.tex`` or ``.md``; all of it as ``.json``.
@@ -176,8 +202,8 @@ class Comparison:
         if self.by == ERROR:
             said.append(f"diverged: above {significant(self.results[self.best]['limit'])} m")
         if self.bound is not None and self.by == ERROR:
-            least = self.bound.rmse(self.scenario.truth_position).nanmean().item()
-            said.append(f"{self.bound}: {significant(least)} m, mean over time; in the table its share of the error")
+            least = significant(self._least(self.bound))
+            said.append(f"{self.bound}: {least} m, mean over time; in the table its share of the error")
         return ". ".join(said) + "."
 
     def _honest(self) -> list[str]:
@@ -191,3 +217,37 @@ class Comparison:
 
     def __str__(self) -> str:
         return f"{self.table()}\n" + "\n".join(self.caption().split(". "))
+
+
+def table_form(path: Path) -> str:
+    """The form of a table by the ending of its file.
+
+    Raises:
+        ValueError: a name that ends in none of ``FORMS``.
+    """
+    if path.suffix not in FORMS:
+        raise ValueError(f"table: expected a file that ends in {', '.join(FORMS)}, received {path}")
+    return FORMS[path.suffix]
+
+
+def _formed(form: str, rows: Mapping[str, dict[str, Cell]], good: Collection[str], caption: str) -> str:
+    """The table of all rows, without columns that are empty; the first number of ``good`` filters is bold."""
+    titles = [title for title in next(iter(rows.values())) if any(row[title] != ("-", "") for row in rows.values())]
+    if form == "csv":
+        halved = [title for title in titles if any(row[title][1] for row in rows.values())]
+        columns = [c for title in titles for c in ([title, f"{title} +-"] if title in halved else [title])]
+        table = [
+            [name, *(cell for title in titles for cell in row[title][: 1 + (title in halved)])]
+            for name, row in rows.items()
+        ]
+        return formed_table(form, ["filter", *columns], table)
+    table = []
+    for name, row in rows.items():
+        first, *others = (" +- ".join(filter(None, row[title])) for title in titles)
+        table.append([name, f"**{first}**" if name in good else first, *others])
+    return formed_table(form, ["filter", *titles], table, caption)
+
+
+def _cell(interval: list[float]) -> Cell:
+    value, low, high = interval
+    return with_error(value, (high - low) / 2)

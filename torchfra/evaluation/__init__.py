@@ -1,11 +1,8 @@
 """Monte-Carlo evaluation: runs of a scenario through filters, and what is written and printed of them."""
 
 from torchfra.evaluation.flights import Flight, flight
-from torchfra.evaluation.limits import check_limit, divergence_limit
-from torchfra.evaluation.recordings import recordings_table
-from torchfra.evaluation.results import BASELINE, Result, headline, leaders, not_finite, report, table
-from torchfra.evaluation.runs import evaluate, measure, results_of, run
-from torchfra.evaluation.sureness import sureness
+from torchfra.evaluation.results import BASELINE, Result, headline, leaders, not_finite, recordings_table, report, table
+from torchfra.evaluation.runs import check_limit, divergence_limit, evaluate, measure, results_of, run
 
 __all__ = [
     "BASELINE",
@@ -23,6 +20,5 @@ __all__ = [
     "report",
     "results_of",
     "run",
-    "sureness",
     "table",
 ]

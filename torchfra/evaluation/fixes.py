@@ -1,4 +1,4 @@
-"""Positions that measurements imply, and which measurements are far off: what a map shows beside the estimates."""
+"""Positions that measurements imply, and how far off measurements are: what a map shows beside the estimates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchfra.scenarios import Scenario, Tracks
 from torchfra.sensors.base import Sensor
 
 _ITERATIONS = 40
-_SETTLED = 1e-6
+_CONVERGED = 1e-6
 """Metres, and as much of a fix's distance from the truth, that the last iteration may move it."""
 _PARALLEL = 1e-6
 """Smallest ratio of the weakest measured direction to the strongest: parallel lines of sight give no fix."""
@@ -40,9 +40,9 @@ def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
     off = (x - truth)[..., places]
     strength = torch.linalg.svdvals(slope.nan_to_num())
     crossing = strength[..., len(places) - 1 :].amax(-1) > _PARALLEL * strength[..., 0]
-    settled = step.norm(dim=-1) <= _SETTLED * (1 + off.norm(dim=-1))
+    converged = step.norm(dim=-1) <= _CONVERGED * (1 + off.norm(dim=-1))
     measured = (~z.isnan()).sum(-1) >= len(places)
-    return torch.where((measured & crossing & settled).unsqueeze(-1), x[..., places], torch.nan).unsqueeze(2)
+    return torch.where((measured & crossing & converged).unsqueeze(-1), x[..., places], torch.nan).unsqueeze(2)
 
 
 def deviations(scenario: Scenario, tracks: Tracks) -> Tensor:

@@ -1,4 +1,4 @@
-"""Results of an evaluation: what a file holds, and a table as text."""
+"""Results of an evaluation: what a file holds, and tables as text."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from torchfra.catalogue import FILTERS
+from torchfra.readers.repairs import in_words
 from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
-from torchfra.tables import text_table
+from torchfra.tables import printable, text_table
 
 Result = dict[str, Any]
 """The figures of one filter; each target of a run of several counts as a track.
@@ -24,7 +25,7 @@ of the runs, ``failed``, how many of them have an estimate or an error that is n
 0.05 %; 1.39 of a consistent filter, in the plane), by coordinate and over time the signed ``mean_error_x``, ``rmse_x``
 and ``mape_x`` (mean relative error, %, of coordinates of 100 m or more), the models' mean ``probabilities``
 ``[T][K]`` if there are some, ``microseconds`` per run and step, and ``relative_time`` to the UKF (``ukf_jpda`` on
-scans) on the same runs; what ``sureness`` adds; and the ``limit`` above which a run has diverged, m.
+scans) on the same runs; those of ``RunningMetrics.intervals``; and the ``limit`` above which a run has diverged, m.
 """
 
 BASELINE = "srckf"
@@ -91,6 +92,34 @@ def table(results: dict[str, Result], *, every: bool = True) -> str:
     return text_table(["filter", *(title for title, _, _ in _COLUMNS), "which is"], rows, align=align)
 
 
+def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
+    """The root mean square position error of each filter on each recording, m, as text.
+
+    Args:
+        results: from ``evaluate``, with ``rmse_of_runs``.
+        scenario: with ``recordings``.
+    """
+    runs = len(next(iter(results.values()))["rmse_of_runs"])
+    repairs: Any = scenario.settings.get("repairs", [{}] * runs)  # nobody has repaired tracks of one's own
+    named = zip(scenario.recordings[:runs], repairs, strict=False)
+    lines = [
+        f"{number}: {printable(name)}" + (f"; repairs: {in_words(of)}" if of else "")
+        for number, (name, of) in enumerate(named, 1)
+    ]
+    rows = [
+        [name, *(_two_digits(error) for error in of["rmse_of_runs"]),
+         _two_digits(sum(of["rmse_of_runs"]) / runs), _two_digits(of["median_error_position"]),
+         f"{of['diverged']}", f"{of['nees_position']:.2f}", f"{of['microseconds']:.2f}"]
+        for name, of in results.items()
+    ]  # fmt: skip
+    header = ["RMSE m", *map(str, range(1, runs + 1)), "mean", "median m", "lost", "NEES", "us/step"]
+    return "\n".join([*lines, text_table(header, rows)])
+
+
+def _two_digits(error: float) -> str:
+    return f"{error:.2f}" if error < 1e6 else f"{error:.0e}"
+
+
 def families(results: dict[str, Result]) -> dict[str, tuple[str, ...]]:
     """Filters by the first of those with the same errors over time, to a hundredth."""
     found: dict[str, tuple[str, ...]] = {}
@@ -108,7 +137,7 @@ def headline(results: dict[str, Result], runs: int) -> str:
     first, *others = results
     lost = results[first]["diverged"]
     words = f"{first}: {_metres(results[first])}, " + (f"{lost} of {runs} runs lost" if lost else "no run lost")
-    best = min(others, key=lambda name: _rank(results[name]["mean_rmse_position"]), default=None)
+    best = min(others, key=lambda name: infinite(results[name]["mean_rmse_position"]), default=None)
     if best is not None:
         words += f"; best of the others: {best}, {_metres(results[best])}"
     if BASELINE in results and BASELINE not in (first, best):
@@ -144,13 +173,14 @@ def leaders(results: dict[str, Result], most: int = 5) -> list[str]:
     """
     own = [name for name in results if name not in FILTERS]
     chosen = list(dict.fromkeys([next(iter(results)), *([BASELINE] if BASELINE in results else []), *own]))
-    for name in sorted(results, key=lambda name: _rank(results[name]["mean_rmse_position"])):
+    for name in sorted(results, key=lambda name: infinite(results[name]["mean_rmse_position"])):
         if name not in chosen and not any(_alike(results[name], results[other]) for other in chosen):
             chosen.append(name)
     return chosen[:most]
 
 
-def _rank(error: float) -> float:
+def infinite(error: float) -> float:
+    """NaN as infinity: what is not known is as bad as it can be."""
     return math.inf if math.isnan(error) else error
 
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics
+from torchfra.metrics.statistics import chi_square_bounds, mean_interval, median_interval
 from torchfra.types import Estimate
 
 _DROPPED = 42
@@ -91,7 +92,7 @@ class RunningMetrics:
 
         Args:
             estimate: ``(B, T, n)``, or of several targets ``(B, N, T, n)``.
-            truth: likewise.
+            truth: as the estimate, ``(B, T, n)`` or ``(B, N, T, n)``.
             seconds: that filtering took.
             z: the measurements ``(B, T, m)``; None for no figures of innovations, of scans say.
         """
@@ -194,3 +195,39 @@ class RunningMetrics:
         if "probabilities" in self.sums:
             over_time["probabilities"] = (self.sums["probabilities"] / len(self.errors())).tolist()
         return over_time
+
+    def intervals(self) -> dict[str, Any]:
+        """Intervals of 95 % over the runs, ``[value, low, high]``, and the consistency of covariances.
+
+        Returns:
+            Of the root mean square errors of single runs ``mean_track_rmse_position``, ``median_track_rmse_position``
+            and so on for all quantities; ``mean_log_likelihood`` per measurement (not of scans); ``anees``, the mean
+            normalised error squared of the position per component, and ``anis``, that of the innovations per element
+            (not of scans), both 1 of an honest filter.  Of these two also ``*_bounds``: what the mean of a step is
+            within with 95 % probability if the filter is honest (chi-square), and ``*_inside``: the share of steps at
+            which it is.
+        """
+        found: dict[str, Any] = {}
+        for name in self.states:
+            errors = self.runs(f"rmse_{name}")
+            found[f"mean_track_rmse_{name}"] = list(mean_interval(errors))
+            found[f"median_track_rmse_{name}"] = list(median_interval(errors))
+        if "log_likelihood" in self.of_runs:
+            found["mean_log_likelihood"] = list(mean_interval(self.runs("log_likelihood")))
+        for name in ("nees", "nis"):
+            if name in self.consistency:
+                found |= _consistency(f"a{name}", self.consistency[name], self.consistency[f"{name}_components"])
+                found[f"a{name}"] = list(mean_interval(self.runs(name)))
+        return found
+
+
+def _consistency(name: str, squares: Tensor, components: Tensor) -> dict[str, Any]:
+    """The bounds of the step with the most components, and how many steps are within their own."""
+    known = components > 0
+    if not bool(known.any()):
+        return {f"{name}_bounds": [torch.nan, torch.nan], f"{name}_inside": torch.nan}
+    bounds = {count: chi_square_bounds(count) for count in components[known].unique().tolist()}
+    mean = squares[known] / components[known]
+    pairs = torch.tensor([bounds[count] for count in components[known].tolist()], dtype=mean.dtype)
+    inside = (mean >= pairs[:, 0]) & (mean <= pairs[:, 1])
+    return {f"{name}_bounds": list(bounds[float(components.max())]), f"{name}_inside": inside.double().mean().item()}

@@ -11,12 +11,12 @@ from torch import Tensor
 from torchfra.catalogue import reference_filter, scenario_filters
 from torchfra.cleaning.others import Fallback
 from torchfra.evaluation.compiling import compiled
-from torchfra.evaluation.limits import check_limit, divergence_limit
+from torchfra.evaluation.fixes import fixes
 from torchfra.evaluation.results import Result
 from torchfra.evaluation.running_metrics import RunningMetrics
-from torchfra.evaluation.sureness import sureness
 from torchfra.filters.base import Filter
 from torchfra.filters.engine import INTERPRETED
+from torchfra.numbers import as_number
 from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario, Tracks
@@ -26,6 +26,10 @@ MOST_RUNS = 10**9
 """More would take years, and more memory than there is."""
 _FIRST = 5
 """Steps of a first call that is not timed."""
+_TIMES = 10.0
+"""A run has diverged if its error is so many times that of the positions that single measurements imply."""
+_RUNS = 32
+"""Among which that is looked for."""
 
 
 def evaluate(
@@ -37,7 +41,6 @@ def evaluate(
     limit: float | None = None,
     chunk: int = 1000,
     compile: bool = False,
-    fallback: Fallback | None = None,
     progress: bool = False,
 ) -> dict[str, Result]:
     """Runs of a scenario through filters; under ``torchrun`` the processes share the runs.
@@ -52,8 +55,6 @@ def evaluate(
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
             per run, filter and metric.
         compile: whether to run compiled (``Filter.compile``); needs the extra ``compiler``.
-        fallback: called with the name of each filter that cannot be compiled and the reason; that filter then runs
-            interpreted.  None raises the error.
         progress: whether to show a bar.
 
     Returns:
@@ -61,12 +62,10 @@ def evaluate(
 
     Raises:
         ValueError: an unknown filter, fewer runs than processes, or a limit that is not above 0.
-        CompileError: ``compile`` without ``fallback``, and llvmlite is not installed or a filter has no kernel.
+        CompileError: with ``compile``, if llvmlite is not installed or a filter has no kernel.
     """
     check_limit(limit)
-    metrics = measure(
-        scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, fallback=fallback, progress=progress
-    )
+    metrics = measure(scenario, filters, runs=runs, seed=seed, chunk=chunk, compile=compile, progress=progress)
     return results_of(metrics, filters, scenario, runs, limit)
 
 
@@ -84,7 +83,8 @@ def measure(
 ) -> dict[str, RunningMetrics]:
     """Metrics of the filters, and of the reference for run times, with an error per run; ``evaluate`` sums them up.
 
-    Arguments and errors are those of ``evaluate``, and ``reference``: whether that one runs too.
+    Arguments and errors are those of ``evaluate``, and two more.  With a ``fallback`` a filter that cannot be compiled
+    runs interpreted, after a call with its name and the reason; ``reference`` is whether the reference runs too.
     """
     if not isinstance(filters, Mapping):
         filters = scenario_filters(filters, scenario)
@@ -111,12 +111,9 @@ def results_of(
     limit = divergence_limit(scenario) if limit is None else limit
 
     def result(of: RunningMetrics) -> Result:
-        times = {
-            "microseconds": of.seconds / (runs * scenario.steps) * 1e6,
-            "relative_time": of.seconds / reference,
-        }
+        times = {"microseconds": of.seconds / (runs * scenario.steps) * 1e6, "relative_time": of.seconds / reference}
         each = {"rmse_of_runs": of.errors().tolist()} if scenario.recordings else {}
-        return of.summary(limit) | times | each | sureness(of) | {"limit": limit}
+        return of.summary(limit) | times | each | of.intervals() | {"limit": limit}
 
     return {name: result(metrics[name]) for name in names}
 
@@ -148,10 +145,11 @@ def _accumulate(
             run(f, scenario, _beginning(first_call) if f.engine is INTERPRETED else first_call)
         for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
             tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
+            z = tracks.z if tracks.z.dim() == 3 else None  # innovations of scans are of no measurement alone
             for name, f in filters.items():
                 start = time.perf_counter()
-                estimate = run(f, scenario, tracks)
-                metrics[name].add(estimate, tracks.truth, time.perf_counter() - start, _single(tracks.z))
+                estimate, seconds = run(f, scenario, tracks), time.perf_counter() - start
+                metrics[name].add(estimate, tracks.truth, seconds, z)
                 del estimate  # before the next one is made
     return metrics
 
@@ -162,11 +160,6 @@ def _beginning(tracks: Tracks) -> Tracks:
     return tracks._replace(truth=tracks.truth[..., :_FIRST, :], z=tracks.z[:, :_FIRST], u=u)
 
 
-def _single(z: Tensor) -> Tensor | None:
-    """Measurements of single targets; None of scans, whose innovations are of no measurement alone."""
-    return z if z.dim() == 3 else None
-
-
 def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
     """Metrics of the runs of all processes."""
     first, *others = distributed.gathered(metrics)
@@ -174,3 +167,42 @@ def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
         for name, of in other.items():
             first[name].merge(of)
     return first
+
+
+# ---------------------------------------------------------------- divergence
+
+
+def check_limit(limit: float | None) -> None:
+    """Checks a limit that a user gave; None means that none was given.
+
+    Raises:
+        ValueError: no number above 0.
+    """
+    if limit is not None and not as_number(limit) > 0:
+        raise ValueError(f"limit: expected metres above 0, received {limit!r}")
+
+
+def divergence_limit(scenario: Scenario) -> float:
+    """The position error, root mean square over time, above which a run of a scenario has diverged, m.
+
+    It is that of the scenario, ``Scenario.limit``; where it has none, ten times the median distance from the truth of
+    the positions that single measurements imply, or where they imply none the standard deviation of the prior.  By the
+    median outliers do not count.
+    """
+    if scenario.limit is not None:
+        return scenario.limit
+    tracks = scenario.simulate(min(_RUNS, len(scenario.recordings) or _RUNS))
+    off = _off(scenario, tracks)
+    known = off[off.isfinite()]
+    if len(known):
+        return _TIMES * float(known.median())
+    root = tracks.prior.scale_tril[..., scenario.motion.position, :]
+    return _TIMES * float(root.square().sum((-1, -2)).sqrt().median())
+
+
+def _off(scenario: Scenario, tracks: Tracks) -> Tensor:
+    """Distance of the position that a measurement implies from the truth; in scans, the nearest one to each target."""
+    truth = tracks.truth[..., scenario.truth_position]
+    targets = truth.unsqueeze(1) if truth.dim() == 3 else truth  # (B, N, T, d)
+    off = (fixes(scenario, tracks).unsqueeze(1) - targets.unsqueeze(3)).norm(dim=-1)
+    return torch.where(off.isnan(), torch.inf, off).amin(-1)

@@ -115,7 +115,7 @@ def outlier_information(weights: Sequence[float], factors: Sequence[float], size
         size: elements that have the same factor at a time.
 
     Raises:
-        ValueError: weights and factors that are none.
+        ValueError: weights that are no probabilities, or factors of 0 or below.
     """
     w, c = np.asarray(weights, dtype=float), np.asarray(factors, dtype=float)
     if w.shape != c.shape or w.ndim != 1 or (w < 0).any() or abs(w.sum() - 1) > 1e-9 or not (c > 0).all() or size < 1:

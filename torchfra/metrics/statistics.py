@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 LEVEL = 0.95
-"""Default confidence of intervals."""
+"""Confidence of intervals."""
 EXACT = 25
 """Runs up to which the signed-rank test needs no approximation."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
@@ -26,7 +26,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def mean_interval(values: Any, level: float = LEVEL) -> Interval:
+def mean_interval(values: Any) -> Interval:
     """The mean of independent values ``(N,)`` with Student's interval.
 
     NaN does not count; infinite values make the mean infinite, and of fewer than two values there is no interval (NaN).
@@ -38,21 +38,21 @@ def mean_interval(values: Any, level: float = LEVEL) -> Interval:
     if len(x) < 2 or not math.isfinite(mean):
         return Interval(mean, math.nan, math.nan)
     with np.errstate(over="ignore"):  # of errors whose squares are no numbers any more the interval has no end
-        half = student_quantile((1 + level) / 2, len(x) - 1) * float(x.std(ddof=1)) / math.sqrt(len(x))
+        half = student_quantile((1 + LEVEL) / 2, len(x) - 1) * float(x.std(ddof=1)) / math.sqrt(len(x))
     return Interval(mean, mean - half, mean + half)
 
 
-def median_interval(values: Any, level: float = LEVEL) -> Interval:
+def median_interval(values: Any) -> Interval:
     """The median of independent values ``(N,)`` with an interval between two of them, of whatever distribution.
 
-    NaN does not count.  Bounds are the order statistics that hold the median with at least this probability (binomial);
+    NaN does not count.  Bounds are the order statistics that hold the median with 95 % probability or more (binomial);
     of so few values that none do they are NaN.
     """
     x = np.sort(_known(values))
     if len(x) == 0:
         return Interval(math.nan, math.nan, math.nan)
-    below = int(_binomial_quantile(len(x), (1 - level) / 2))
-    middle = float(x[(len(x) - 1) // 2] + x[len(x) // 2]) / 2
+    below = int(_binomial_quantile(len(x), (1 - LEVEL) / 2))
+    middle = float(np.median(x))
     if below < 1:
         return Interval(middle, math.nan, math.nan)
     return Interval(middle, float(x[below - 1]), float(x[len(x) - below]))
@@ -112,8 +112,8 @@ def holm(p: Sequence[float]) -> list[float]:
     return corrected
 
 
-def chi_square_bounds(degrees: float, level: float = LEVEL) -> tuple[float, float]:
-    """Bounds of a chi-square variable divided by its degrees of freedom, between which it lies with this probability.
+def chi_square_bounds(degrees: float) -> tuple[float, float]:
+    """Bounds of a chi-square variable divided by its degrees of freedom, between which it lies with 95 % probability.
 
     The mean over ``N`` runs of a normalised error squared of ``d`` components, divided by ``d``, lies between the
     bounds of ``N d`` degrees if the covariances are honest: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.
@@ -124,7 +124,7 @@ def chi_square_bounds(degrees: float, level: float = LEVEL) -> tuple[float, floa
         return float(torch.special.gammainc(half[0], half[1]))
 
     high = degrees + 20 * math.sqrt(2 * degrees) + 40
-    low, most = (_root(below, share, 0.0, high) for share in ((1 - level) / 2, (1 + level) / 2))
+    low, most = (_root(below, share, 0.0, high) for share in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     return low / degrees, most / degrees
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.colours import BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
-from torchfra.plotting.labels import SIZE, Array, beside, in_free_places, show
+from torchfra.plotting.labels import SIZE, beside, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
 
 _MANY = 50
@@ -19,7 +19,7 @@ _LETTERS = 76
 """Letters of a manoeuvre's name that fit in the width of a panel."""
 
 
-def cleaned(of: Cleaned) -> Figure:
+def cleaned(track: Cleaned) -> Figure:
     """A track on a map, and its speed, altitude, innovations and regimes over time.
 
     A rejected fix is drawn where it was recorded; the map shows the track, and one that is far off is a triangle at its
@@ -27,7 +27,7 @@ def cleaned(of: Cleaned) -> Figure:
     ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"``, which is there if the filter
     has several and another than the usual one is likely at some time.
     """
-    shown = view(of)
+    shown = view(track)
     rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation", *(["regimes"] if shown.regimes else [])]
     figure = Figure(figsize=(12, 7), layout="constrained")
     panels = figure.subplot_mosaic([["map", row] for row in rows], width_ratios=[1.15, 1])
@@ -48,31 +48,35 @@ def cleaned(of: Cleaned) -> Figure:
     return figure
 
 
-def _draw_map(axes: Axes, of: View) -> None:
-    good = np.isfinite(of.sides).all((1, 2))
-    edges = of.sides[good]
+def _draw_map(axes: Axes, track: View) -> None:
+    good = np.isfinite(track.sides).all((1, 2))
+    edges = track.sides[good]
     quads = np.stack([edges[:-1, 0], edges[1:, 0], edges[1:, 1], edges[:-1, 1]], 1)
     axes.add_collection(PolyCollection(list(quads), facecolor=PALE_BLUE, edgecolor=PALE_BLUE, linewidth=0.5, zorder=1))
-    for begin, end in of.shades:
-        part = of.path[(of.time >= begin) & (of.time <= end)]
+    for begin, end in track.shades:
+        part = track.path[(track.time >= begin) & (track.time <= end)]
         axes.plot(*part.T, color=ORANGE, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
-    axes.plot(*of.recorded[~of.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
-    axes.plot(*of.path.T, color=BLUE, linewidth=1.3, zorder=4)
-    size = 6 if of.rejected.sum() < _MANY else 3.5
-    axes.plot(*of.recorded[of.rejected].T, linestyle="none", marker="x", markersize=size, color=RED, zorder=3.5)
-    axes.set(xlabel=f"east, {of.unit}", ylabel=f"north, {of.unit}")
+    axes.plot(*track.recorded[~track.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
+    axes.plot(*track.path.T, color=BLUE, linewidth=1.3, zorder=4)
+    size = 6 if track.rejected.sum() < _MANY else 3.5
+    axes.plot(*track.recorded[track.rejected].T, linestyle="none", marker="x", markersize=size, color=RED, zorder=3.5)
+    axes.set(xlabel=f"east, {track.unit}", ylabel=f"north, {track.unit}")
     finish(axes)
 
 
-def _label_map(axes: Axes, of: View) -> None:
+def _label_map(axes: Axes, track: View) -> None:
     """Names what is on the map, and marks at its edge what is outside, once the figure has its layout."""
-    low, high = show(axes, *of.window)
-    edge, way, _ = beyond(of, low, high)
+    low, high = show(axes, *track.window)
+    edge, way, _ = beyond(track, low, high)
     for (x, y), (dx, dy) in zip(edge, way, strict=True):
         axes.plot(x, y, marker=(3, 0, np.degrees(np.arctan2(dy, dx)) - 90), markersize=7, color=RED, clip_on=False,
                   linestyle="none", zorder=6)  # fmt: skip
-    points = {"cleaned": of.path, "recorded": of.recorded[~of.rejected], "rejected": of.recorded[of.rejected]}
-    turns = [of.path[(of.time >= begin) & (of.time <= end)] for begin, end in of.shades]
+    points = {
+        "cleaned": track.path,
+        "recorded": track.recorded[~track.rejected],
+        "rejected": track.recorded[track.rejected],
+    }
+    turns = [track.path[(track.time >= begin) & (track.time <= end)] for begin, end in track.shades]
     if turns:
         points["manoeuvre"] = np.concatenate(turns)
     finite = {name: places[np.isfinite(places).all(1)] for name, places in points.items()}
@@ -80,41 +84,36 @@ def _label_map(axes: Axes, of: View) -> None:
     in_free_places(axes, {name: places for name, places in finite.items() if len(places)}, colours)
 
 
-def _draw_band(axes: Axes, of: View, band: Band, label: str) -> None:
+def _draw_band(axes: Axes, track: View, band: Band, label: str) -> None:
     """A quantity with its band; limits are those of the band where it is sure, and of what was recorded nearby."""
     low, high = band.mean - SURE * band.std, band.mean + SURE * band.std
-    axes.fill_between(of.time, low, high, color=PALE_BLUE, linewidth=0)
-    axes.plot(of.time, band.mean, color=BLUE, linewidth=1.2)
+    axes.fill_between(track.time, low, high, color=PALE_BLUE, linewidth=0)
+    axes.plot(track.time, band.mean, color=BLUE, linewidth=1.2)
     low_end, high_end = band.limits()
     limits = (low_end if band.recorded is not None else max(low_end, 0.0), high_end)
     if band.recorded is not None:
-        for mask, mark, colour in ((~of.rejected, ".", GREY), (of.rejected, "x", RED)):
-            axes.plot(of.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
+        for mask, mark, colour in ((~track.rejected, ".", GREY), (track.rejected, "x", RED)):
+            axes.plot(track.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
                       zorder=1 if mark == "." else 3)  # fmt: skip
-    _note_beyond(axes, band.mean if band.recorded is None else band.recorded, limits)
+    values = band.mean if band.recorded is None else band.recorded
+    if count := int(((values < limits[0]) | (values > limits[1])).sum()):
+        axes.set_title(f"{count:,} outside", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
     axes.set(ylabel=label, ylim=limits)
 
 
-def _note_beyond(axes: Axes, values: Array, limits: tuple[float, float]) -> None:
-    """Writes beside an axis how many values are outside its limits."""
-    if count := int(((values < limits[0]) | (values > limits[1])).sum()):
-        axes.set_title(f"{count:,} outside", fontsize=SIZE - 1, color=RED, loc="right", pad=2)
-
-
-def _draw_innovations(axes: Axes, of: View) -> None:
+def _draw_innovations(axes: Axes, track: View) -> None:
     """Innovations in standard deviations, rejected fixes apart; those beyond the axis at its edge."""
     top = MOST_STD
-    for mask, mark, colour in ((~of.rejected, ".", DARK), (of.rejected, "x", RED)):
-        inside = mask & (of.innovation <= top)
-        axes.plot(of.time[inside], of.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour,
-                  )  # fmt: skip
-    over = of.innovation > top
+    for mask, mark, colour in ((~track.rejected, ".", DARK), (track.rejected, "x", RED)):
+        inside = mask & (track.innovation <= top)
+        axes.plot(track.time[inside], track.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour)
+    over = track.innovation > top
     if over.any():
-        colours = np.where(of.rejected[over], RED, DARK)
+        colours = np.where(track.rejected[over], RED, DARK)
         axes.scatter(
-            of.time[over], np.full(over.sum(), top), s=25, marker="^", c=list(colours), clip_on=False, zorder=3
+            track.time[over], np.full(over.sum(), top), s=25, marker="^", c=list(colours), clip_on=False, zorder=3
         )
-        most = np.nanmax(of.innovation)
+        most = np.nanmax(track.innovation)
         axes.set_title(f"{over.sum():,} outside, up to {most:,.0f}", fontsize=SIZE - 1, loc="right", pad=4)
     axes.axhline(1.0, color=BLACK, linewidth=0.8, linestyle=":")
     axes.annotate("as expected", (1.0, 1.0), (3, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
@@ -122,27 +121,27 @@ def _draw_innovations(axes: Axes, of: View) -> None:
     axes.set(ylabel="innovation, std", ylim=(0, top))
 
 
-def _draw_regimes(axes: Axes, of: View) -> None:
-    names = list(of.regimes)
+def _draw_regimes(axes: Axes, track: View) -> None:
+    names = list(track.regimes)
     colours = [*REGIMES[: len(names) - 1], DARK] if names[-1] == "others" else list(REGIMES[: len(names)])
-    axes.stackplot(of.time, np.nan_to_num(np.array(list(of.regimes.values()))), colors=colours, linewidth=0)
+    axes.stackplot(track.time, np.nan_to_num(np.array(list(track.regimes.values()))), colors=colours, linewidth=0)
     beside(axes, dict(zip(names, colours, strict=True)))
     axes.set(ylabel="probability", ylim=(0, 1))
 
 
-def _finish_time(rows: list[Axes], of: View) -> None:
+def _finish_time(rows: list[Axes], track: View) -> None:
     """Shades the manoeuvres, and gives all panels the same time."""
-    end = of.time[-1] if of.time[-1] > 0 else 1.0
+    end = track.time[-1] if track.time[-1] > 0 else 1.0
     for axes in rows:
         axes.set_xlim(0, end)  # dots at the ends are seen
         if axes.get_label() != "regimes":
-            for begin, last in of.shades:
+            for begin, last in track.shades:
                 axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
             finish(axes)
         without_box(axes)
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
-    rows[-1].set(xlabel=of.clock)
-    for middle, row, kind in placed(of, _LETTERS):
+    rows[-1].set(xlabel=track.clock)
+    for middle, row, kind in placed(track, _LETTERS):
         rows[0].annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
                          ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip

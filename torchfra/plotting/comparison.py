@@ -9,16 +9,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchfra.cleaning.outputs.colours import APART, GREY
+from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
+from torchfra.cleaning.outputs.view import corners
 from torchfra.evaluation import Flight
-from torchfra.plotting.labels import SIZE, Array, at_ends
-from torchfra.plotting.maps import draw_map, label_map
+from torchfra.evaluation.results import infinite
+from torchfra.plotting.labels import SIZE, Array, at_ends, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
 _BEYOND = 2.0
 """Largest limit of the axes, as a factor on the error at which a run has diverged."""
+_ROOM = 0.5
+"""By how much fixes may widen the map of the true path, as a share of its size; those further away are left out."""
+_LONGEST = 30
+"""Characters of a recording's name in the title; of longer ones it has the end."""
 
 
 def comparison(
@@ -45,7 +50,7 @@ def comparison(
     else:
         places: list[Any] = [["map", "runs"], ["time", "runs"]]
         panels = figure.subplot_mosaic(places, width_ratios=[1.2, 1], height_ratios=[1.55, 1])
-        draw_map(panels["map"], flight, colours)
+        metres = _draw_map(panels["map"], flight, colours)
     _draw_runs(panels["runs"], results, limit, colours)
     ends = _draw_time(panels["time"], results, dt, limit, colours)
     figure.suptitle(words(title, TITLE))
@@ -53,15 +58,15 @@ def comparison(
     at_ends(panels["time"], ends, colours)
     lay_out(figure)
     if flight is not None:
-        label_map(panels["map"], flight, colours)
+        _label_map(panels["map"], flight, colours, metres)
     return figure
 
 
 def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: float, colours: Mapping[str, str]) -> None:
     """A row for each filter, the best on top: median, 5 to 95 % and worst of its runs, and how many diverged."""
-    names = sorted(results, key=lambda name: _infinite(results[name]["median_track_rmse"]), reverse=True)
+    names = sorted(results, key=lambda name: infinite(results[name]["median_track_rmse"]), reverse=True)
     keys = ("p05_track_rmse", "median_track_rmse", "p95_track_rmse", "worst_track")
-    values = np.array([[_infinite(results[name][key]) for key in keys] for name in names])
+    values = np.array([[infinite(results[name][key]) for key in keys] for name in names])
     low, high = _limits(values, limit)
     inside = np.clip(values, low, high)
     for row, (name, (least, median, most, worst)) in enumerate(zip(names, inside, strict=True)):
@@ -103,11 +108,6 @@ def _draw_time(
     return {name: curve[-1] if len(curve) else high for name, curve in known.items()}
 
 
-def _infinite(value: float) -> float:
-    """NaN as infinity: what is not known is as bad as it can be."""
-    return np.inf if np.isnan(value) else value
-
-
 def _limits(values: Array, limit: float) -> tuple[float, float]:
     """Limits of a logarithmic axis around what informs: no further than some way beyond where runs have diverged."""
     known = values[(values > 0) & (values <= limit)]
@@ -116,3 +116,55 @@ def _limits(values: Array, limit: float) -> tuple[float, float]:
     if len(beyond):
         high = max(high, min(beyond.max(), _BEYOND * limit, 10 * high))
     return low / 1.15, high * 1.15
+
+
+# ---------------------------------------------------------------- one flight on a map
+
+
+def _draw_map(axes: Axes, flight: Flight, colours: Mapping[str, str]) -> float:
+    """The true path, what was measured, and what filters made of it; returns the metres in the unit of the axes."""
+    path, fixes = flight.truth.flatten(0, 1).numpy(), flight.fixes.flatten(0, 1).numpy()
+    low, high = np.nanmin(path, 0), np.nanmax(path, 0)
+    low, high = corners(low, high, fixes, _ROOM * max((high - low).max(), 1.0))
+    unit, metres = ("km", 1000.0) if (high - low).max() >= 500 else ("m", 1.0)
+    for path in flight.truth.numpy() / metres:
+        axes.plot(*path.T, color="black", linewidth=4, alpha=0.25, solid_capstyle="round")
+    for name, of in _fixes(flight).items():
+        mark, colour = (".", GREY) if name == "measured" else ("x", BLACK)
+        axes.plot(*(of / metres).T, linestyle="none", marker=mark, color=colour, zorder=3)
+    for name, paths in reversed(flight.estimates.items()):
+        for path in paths.numpy() / metres:
+            axes.plot(*path.T, color=colours[name], linewidth=1.4)
+    (left, bottom), (right, top) = low / metres, high / metres
+    axes.set_xlim(left, right, auto=True)  # may be widened, so that both axes have the same scale
+    axes.set_ylim(bottom, top, auto=True)
+    axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", aspect="equal", adjustable="datalim")
+    name = flight.name if len(flight.name) <= _LONGEST else f"...{flight.name[3 - _LONGEST :]}"
+    nowhere = flight.outlying.flatten().numpy() & np.isnan(fixes).any(1)  # outliers without a position
+    count = int((((fixes < low) | (fixes > high)).any(1) | nowhere).sum())
+    outside = f", {count} measured elsewhere" if count else ""
+    axes.set_title(f"{words(name)}, {flight.time[0]:g} to {flight.time[-1]:g} s{outside}", fontsize=10)
+    finish(axes)
+    return metres
+
+
+def _label_map(axes: Axes, flight: Flight, colours: Mapping[str, str], metres: float) -> None:
+    """Names what is on the map, once the figure has its layout."""
+    lines = {"truth": flight.truth} | flight.estimates
+    points = {name: _dense(paths.numpy()) for name, paths in lines.items()} | _fixes(flight)
+    shades = {"truth": "#555555", "measured": "#777777", "outlier": BLACK} | dict(colours)
+    in_free_places(axes, {name: of / metres for name, of in points.items()}, shades)
+
+
+def _fixes(flight: Flight) -> dict[str, Array]:
+    """Positions that were measured, and those that are outliers: ``(k, 2)`` each."""
+    fixes, outlying = flight.fixes.flatten(0, 1).numpy(), flight.outlying.flatten().numpy()
+    return {"measured": fixes[~outlying], "outlier": fixes[outlying]}
+
+
+def _dense(paths: Array) -> Array:
+    """Points ``(k, 2)`` along paths ``(N, T, 2)``, ten for each step."""
+    share = np.linspace(0, 1, 10, endpoint=False)[:, None]
+    between = paths[:, :-1, None] + share * (paths[:, 1:, None] - paths[:, :-1, None])
+    dense: Array = np.concatenate([between.reshape(-1, 2), paths[:, -1]])
+    return dense

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torchfra.cleaning.outputs.colours import BLACK, BLUE, PALE_BLUE, RED, REGIMES
-from torchfra.plotting.labels import Array, beside, name_lines
+from torchfra.plotting.labels import beside, name_lines
 from torchfra.plotting.style import TITLE, finish, line_styles, without_box, words
 
 _ROOM = 30.0
@@ -39,7 +39,10 @@ def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, ti
     lines = {name: _line(axes, dt * np.arange(1, len(of) + 1), of, styles[name]) for name, of in curves.items()}
     unit = {"position": ", m", "velocity": ", m/s"}.get(quantity, "")
     axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=words(title, TITLE))
-    _limit(axes, list(curves.values()))
+    values = np.concatenate(list(curves.values()))
+    known = values[np.isfinite(values) & (values > 0)]
+    if len(known):
+        axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
     return _finished(figure, {axes: lines})
 
 
@@ -141,14 +144,6 @@ def _finished(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> Fig
     return figure
 
 
-def _limit(axes: Axes, curves: Sequence[Array]) -> None:
-    """Gives a logarithmic axis limits around what informs."""
-    values = np.concatenate(curves)
-    known = values[np.isfinite(values) & (values > 0)]
-    if len(known):
-        axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
-
-
 def bands(errors: Mapping[str, tuple[Tensor, Tensor]], dt: float, ylabel: str, title: str) -> Figure:
     """Errors over time and bands of two standard deviations, a panel for each kind of estimate.
 
@@ -194,33 +189,30 @@ def probabilities(of: dict[str, Any], models: Sequence[str], start: float, dt: f
     return figure
 
 
-def by_target(of: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
+def by_target(results: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
     """Root mean square errors of range, azimuth and elevation over time, one row for each target.
 
     Args:
-        of: by name of the filter, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and
-            ``"rmse_elevation"`` (rad), ``[N][T]``.
+        results: by name of the filter, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and ``"rmse_elevation"`` (rad),
+            ``[N][T]``.
         dt: seconds per step.
         title: of the figure.
     """
-    targets = len(next(iter(of.values()))["rmse_range"])
+    targets = len(next(iter(results.values()))["rmse_range"])
     figure = Figure(figsize=(15, 3 * targets), layout="constrained")
     grid = figure.subplots(targets, len(_QUANTITIES), squeeze=False, sharex=True)
-    lines, styles = {}, line_styles(of)
+    lines, styles = {}, line_styles(results)
     for i, row in enumerate(grid):
         for axes, (key, unit, scale) in zip(row, _QUANTITIES, strict=True):
-            curves = {name: scale * np.array(values[f"rmse_{key}"][i], dtype=float) for name, values in of.items()}
+            curves = {name: scale * np.array(values[f"rmse_{key}"][i], dtype=float) for name, values in results.items()}
             lines[axes] = {
-                name: axes.plot(dt * np.arange(1, len(curve) + 1), curve, **styles[name])[0]
-                for name, curve in curves.items()
+                name: _line(axes, dt * np.arange(1, len(of) + 1), of, styles[name]) for name, of in curves.items()
             }
             axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
-            finish(axes)
     for axes in grid[-1]:
         axes.set(xlabel="time, s")
     figure.suptitle(f"root mean square error, {words(title, TITLE)}")
-    name_lines(figure, lines)
-    return figure
+    return _finished(figure, lines)
 
 
 def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title: str) -> Figure:
@@ -240,10 +232,8 @@ def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title:
         (line,) = axes.plot(time, filtered, color=RED, linewidth=1.4)
         lines[axes] = {"measured": dots, "filtered": line}
         axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
-        finish(axes)
     figure.suptitle(words(title, TITLE))
-    name_lines(figure, lines)
-    return figure
+    return _finished(figure, lines)
 
 
 def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title: str) -> Figure:
@@ -269,7 +259,4 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
         (learned[label],) = values.plot([0, *time], [1.0, *change], **styles[name])
     loss.set(ylabel="loss", title=words(title, TITLE))
     values.set(xlabel="iteration", ylabel="times the start", yscale="log")
-    for axes in (loss, values):
-        finish(axes)
-    name_lines(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})
-    return figure
+    return _finished(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})

@@ -30,22 +30,17 @@ _CELLS = 2**20
 
 
 def check_bound(max_bytes: int) -> None:
-    """Checks that a bound is one.
+    """Checks an argument.
 
     Raises:
-        ValueError: it is not.
+        ValueError: no whole number above 0.
     """
     if not isinstance(max_bytes, int) or isinstance(max_bytes, bool) or max_bytes < 1:
         raise ValueError(f"max_bytes: expected a whole number above 0, received {max_bytes!r}")
 
 
 def too_large(max_bytes: int, what: str = "of text") -> ValueError:
-    """The error for a file that holds too much.
-
-    Args:
-        max_bytes: the bound.
-        what: it is of.
-    """
+    """The error for a file that holds more than ``max_bytes`` of something."""
     return ValueError(f"expected at most {max_bytes} bytes {what}, received more; max_bytes (--max-bytes) raises that")
 
 
@@ -79,14 +74,15 @@ class _Bounded(io.RawIOBase):
 
 
 class Rows:
-    """The rows of CSV but the blank ones, read as far as they are asked for.
-
-    Both methods raise a ``ValueError`` where there are too many rows or one is too long, and ``csv.Error`` where the
-    text is no CSV.
+    """The rows of a CSV text without the blank ones, read when they are asked for.
 
     Args:
         text: the CSV.
-        max_bytes: a bound, for which each row counts.
+        max_bytes: bound on the text and on what the rows count for.
+
+    Raises:
+        ValueError: (both methods) too many rows, or one that is too long.
+        csv.Error: (both methods) text of another kind.
     """
 
     def __init__(self, text: TextIO, max_bytes: int) -> None:
@@ -108,7 +104,7 @@ class Rows:
         self.reader = csv.reader(chain.from_iterable(self.blocks), strict=True, delimiter=sign, skipinitialspace=blank)
 
     def first(self) -> list[str]:
-        """A row; empty if there is none."""
+        """The first row; empty at the end of the text."""
         row = next((row for row in self.reader if "".join(row).strip()), [])
         self.blocks.no_row_yet = False
         return row
@@ -117,8 +113,8 @@ class Rows:
         """The cells of further rows, one after the other, some rows at a time.
 
         Args:
-            fields: of a row.
-            mended: gives a row that has them, from one that has not and the number of rows before it.
+            fields: number of cells in a row.
+            mended: makes a row of that length from one of another and the number of rows before it.
         """
         cells, rows = list[str](), 0
         for row in self.reader:

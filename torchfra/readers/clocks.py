@@ -75,7 +75,7 @@ class Clock:
         return " ".join(self.columns)
 
     def whole(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Times ``(rows,)`` that go on after midnight.
+        """Times ``(rows,)``; those of a clock go on after midnight.
 
         Raises:
             ValueError: they are of years before 1980, or of a clock of 12 hours that does not say which half.
@@ -96,11 +96,7 @@ class Clock:
         return time
 
     def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:
-        """Refuses times of the day that go from 12:59 to 01:00.
-
-        Raises:
-            ValueError: they do.
-        """
+        """Refuses times of the day that go from 12:59 to 01:00."""
         hours, back = time // 3600, steps <= -_HALF_DAY + 3600
         if self.form == CLOCK and back.any() and hours.min() == 1 and hours.max() == 12:
             at = int(back.argmax())
@@ -117,15 +113,15 @@ class Clock:
 
 
 def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
-    """The column of times, and those that are times too and are not used.
+    """The column of times, and other columns of times, which are not used.
 
     Args:
         head: of the table.
         options: of the caller.
 
     Raises:
-        LookupError: there is none.
-        ValueError: its times are not understood.
+        LookupError: no column of times.
+        ValueError: times that are not understood.
     """
     _check_parts(head, options)
     if options.time is not None:
@@ -147,11 +143,7 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
 
 
 def _check_parts(head: Head, options: ReadOptions) -> None:
-    """Refuses times in several columns: years, months and others, or hours, minutes and seconds.
-
-    Raises:
-        ValueError: there are such columns, and none with whole times.
-    """
+    """Refuses times in several columns: years, months and others, or hours, minutes and seconds."""
     parts = [name for name in head.names if "".join(plain(name).split("utc")) in PARTS]
     smaller = {plain(name).removeprefix("utc").rstrip("s") for name in parts} & {"minute", "min", "hour"}
     others = [name for name in found(head.names, "time") if name not in parts and name not in found(head.names, "date")]
@@ -163,11 +155,7 @@ def _check_parts(head: Head, options: ReadOptions) -> None:
 
 
 def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
-    """How a column tells the time.
-
-    Raises:
-        ValueError: it is not clear.
-    """
+    """How a column tells the time."""
     column = head.cells(name)
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Clock((name,), INSTANT, "iso", True)
@@ -191,11 +179,7 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
 
 
 def _text_clock(columns: tuple[str, ...], some: Sequence[Any], day_first: bool) -> Clock | None:
-    """How texts tell the time; None where they do not.
-
-    Raises:
-        ValueError: the day may be the month.
-    """
+    """How texts tell the time; None where they do not."""
     try:
         form = form_of([cell for cell in some if isinstance(cell, str)], day_first=day_first)
     except ValueError as error:
@@ -214,11 +198,7 @@ def _text_kind(form: str, example: str) -> Kind:
 
 
 def _clock_of_form(name: str, form: str, head: Head) -> Clock:
-    """A column in a form that is named; with the one of the date before it, where only both are of this form.
-
-    Raises:
-        ValueError: there is no column of weeks beside what of a week has passed.
-    """
+    """A column in a form that is named; with the one of the date before it, where only both are of this form."""
     if per_second(form):
         return Clock((name,), _unit_kind(form, False), form, False)
     if form in DAY_OF_1970:
@@ -245,11 +225,7 @@ def _gps_clock(week: str, name: str, form: str) -> Clock:
 
 
 def _numeric(name: str, values: NDArray[np.float64], options: ReadOptions) -> Clock:
-    """The unit of numbers: by the end of the name if it can be, or by their size since 1970; or seconds since a start.
-
-    Raises:
-        ValueError: the name means times since 1970, and these are not.
-    """
+    """The unit of numbers: by the end of the name, or by their size since 1970; or else seconds since a start."""
     fitting, early = {}, np.abs(values) < YEAR_1980
     for form, count in SINCE_1970.items():
         fits = (values >= YEAR_1980 * count) & (values < _YEAR_2286 * count)
@@ -281,7 +257,7 @@ def _guess(values: NDArray[np.float64]) -> str:
 
 
 def days_of(values: NDArray[np.float64], name: str) -> str:
-    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" where they are none such."""
+    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" of other numbers."""
     for form, zero in DAY_OF_1970.items():
         named = form == "mjd" or "mjd" not in name.lower()
         if named and len(values) and values.min() > zero + 3652 and values.max() < zero + 29_220:

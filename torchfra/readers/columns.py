@@ -21,7 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 
-_DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
@@ -53,7 +53,7 @@ class Kind:
     said: str = "a number"
     """What an error message says is expected."""
     limit: float = 1e15
-    """The largest, far from all that moves."""
+    """Numbers of larger size are refused."""
     unit: float = 1.0
     """What they are multiplied by."""
     per_unit: float = 1.0
@@ -69,7 +69,7 @@ class Kind:
     form: str = ""
     """Of times in text: see ``times.seconds_of``."""
     absent: tuple[float, ...] = ()
-    """Numbers that mean that there is none."""
+    """Numbers that stand for a missing one."""
     joined: tuple[str, ...] = ()
     """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
     sides: str = ""
@@ -101,7 +101,7 @@ def number(value: Any) -> float:
         value = value.strip(" \t\r\n")
         if value.lower() in ("", "nan", "-nan"):
             return math.nan
-        if not _DECIMAL.fullmatch(value):
+        if not DECIMAL.fullmatch(value):
             raise ValueError
     elif isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError
@@ -163,7 +163,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
         def instant(cell: Any) -> float:
             if not isinstance(cell, str):
-                return number(cell) if kind.form == "iso" else _instant(cell, kind)
+                return _instant(cell, kind)
             if cell not in known:
                 known[cell] = _instant(cell, kind)
             return known[cell]
@@ -187,11 +187,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
 
 def _of_word(cell: Any, numbers: Mapping[str, float]) -> float:
-    """The number of a word; NaN if the cell is empty.
-
-    Raises:
-        ValueError: there is no such word.
-    """
+    """The number of a word; NaN if the cell is empty."""
     word = word_of(cell)
     if word and word not in numbers:
         raise ValueError
@@ -234,7 +230,7 @@ def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], 
     Args:
         cells: of a column.
         name: of the column.
-        known: texts so far, so that there is one of each in memory.
+        known: texts so far by their cells, so that equal texts are in memory once.
         first: rows before these.
 
     Raises:

@@ -28,19 +28,14 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 
 
 def csv_sheet(
-    file: Any,
-    options: ReadOptions | None,
-    headers: str,
-    repairs: Counter[str] | None,
-    max_bytes: int,
-    encoding: str = UTF_8,
+    file: Any, options: ReadOptions | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str
 ) -> Sheet:
     """The rows of a file.
 
     Args:
         file: open for reading.
-        options: of the caller, who may name columns by their numbers, from 1 on, where there is no header; None where
-            no columns are named.
+        options: of the caller, which may name columns by their numbers, from 1 on, where there is no header; None for
+            no options.
         headers: beginning of the error message where there is no header.
         repairs: see ``tables.read_table``.
         max_bytes: of text.
@@ -77,7 +72,7 @@ def _wide(head: bytes) -> str:
 def _begin(rows: Rows, options: ReadOptions) -> str:
     """Leaves out the comments in front of the header, and finds out what separates cells.
 
-    A comment that says what the columns are is the header where the line after it is none.
+    A comment with the names of columns is the header where the line after it is not one.
     """
     text, comments, start = rows.head, list[str](), 0
     while (line := _LINE.match(text, start)) and _is_comment(line[0]):
@@ -100,15 +95,9 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
 
 
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
-    """Puts numbers of the columns in front as their header, if there is none and the caller names columns so.
-
-    Raises:
-        ValueError: there is none, and the caller does not.
-    """
-    first = list(
-        islice(csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " "), 1)
-    )
-    cells, asked = first[0] if first else [], {*options.columns().values()} if options else set()
+    """Adds a header of column numbers to a text without header, if the caller names columns by numbers."""
+    reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
+    cells, asked = next(reader, []), {*options.columns().values()} if options else set()
     if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:
         return False
     names = [str(i + 1) for i in range(len(cells))]
@@ -163,11 +152,7 @@ def _no_csv(error: csv.Error) -> ValueError:
 
 
 def _header(row: list[str], headers: str) -> list[str]:
-    """The names of columns.
-
-    Raises:
-        ValueError: they are none, or the same.
-    """
+    """The names of columns."""
     if not row:
         raise ValueError("expected a track, received an empty file")
     names = [name.strip() for name in row]

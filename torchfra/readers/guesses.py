@@ -38,7 +38,8 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
-    time = time or next(iter(likely + [name for name, column in values.items() if _grows(column)]), "")
+    growing = [name for name, column in values.items() if len(column) > 1 and (np.diff(column) > 0).all()]
+    time = time or next(iter(likely + growing), "")
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     of_frames = plain(time) in FRAMES
@@ -71,7 +72,7 @@ def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
 
 
 def _polar(values: Collection[str]) -> str:
-    """What to do with columns of ranges and bearings; "" where there are none."""
+    """What to do with columns of ranges and bearings; "" without such columns."""
     ranges, bearings = ([name for name in values if form.match(plain(name))] for form in (_RANGE, _BEARING))
     if not ranges or not bearings:
         return ""
@@ -99,7 +100,3 @@ def _is_time(cells: Sequence[Any]) -> bool:
     with suppress(ValueError):
         return len(texts) == len(cells) and form_of(texts) is not None
     return True  # of which the day may be the month
-
-
-def _grows(values: Array) -> bool:
-    return len(values) > 1 and bool((np.diff(values) > 0).all())

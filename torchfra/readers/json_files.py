@@ -6,13 +6,14 @@ import json
 from typing import Any
 
 from torchfra.readers.columns import Cells, short
-from torchfra.readers.readsb_files import readsb_sheet
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
+_TRACE = ("second", "lat", "lon", "alt_baro")
+"""What a row of a trace begins with: seconds since the file's, degrees, and feet."""
 
 
 def json_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -30,18 +31,14 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         raise ValueError(f"expected JSON, every key of an object once, received other text ({error})") from error
     if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
         return _geojson_sheet(parsed)
-    if (sheet := readsb_sheet(parsed)) is not None:
+    if (sheet := _readsb_sheet(parsed)) is not None:
         return sheet
     names, rows, cells = _columns(parsed)
     return Sheet(names, [(rows, cells)] if names else [], json=True)
 
 
 def _parsed(content: str) -> Any:
-    """What JSON says; a list where each line is an object of its own.
-
-    Raises:
-        ValueError: it is no JSON.
-    """
+    """What JSON says; a list where each line is an object of its own."""
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
@@ -52,11 +49,7 @@ def _parsed(content: str) -> Any:
 
 
 def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
-    """Names of the columns, the number of rows, and the cells of a column by its name.
-
-    Raises:
-        ValueError: neither records nor columns.
-    """
+    """Names of the columns, the number of rows, and the cells of a column by its name."""
     if isinstance(parsed, dict):
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
@@ -76,11 +69,7 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON.
-
-    Raises:
-        ValueError: a key comes twice.
-    """
+    """An object of JSON, in which each key comes once."""
     found = dict(pairs)
     if len(found) < len(pairs):
         raise ValueError(f"several keys named {repeated(key for key, _ in pairs)}")
@@ -91,11 +80,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
-    """Every place of the features, with their properties.
-
-    Raises:
-        ValueError: a feature is none, or its times are not as many as its places.
-    """
+    """Every place of the features, with their properties."""
     features = parsed["features"] if isinstance(parsed.get("features"), list) else [parsed]
     records, said = list[dict[str, Any]](), "GeoJSON: longitude, latitude[, altitude in metres]"
     for number, feature in enumerate(features):
@@ -136,3 +121,62 @@ def _places(coordinates: Any, properties: dict[str, Any], depth: int, number: in
         axes = dict(zip(("longitude", "latitude", "altitude"), place, strict=False))
         records.append(({"time": times[i]} if depth else {}) | shared | axes)
     return records
+
+
+# ---------------------------------------------------------------- receivers of aircraft
+
+
+def _readsb_sheet(parsed: Any) -> Sheet | None:
+    """The fixes of parsed JSON; None where it is something else.
+
+    A trace (``trace_full_HEX.json``) is ``icao``, ``timestamp`` and ``trace``; a list (``aircraft.json``) is ``now``
+    and ``aircraft``, of which several moments may be in a file.  Aircraft on the ground have no altitude.
+
+    Source: wiedehopf/readsb, README-json.md.
+    """
+    several = parsed if isinstance(parsed, list) else [parsed]
+    if not several or not all(isinstance(one, dict) for one in several):
+        return None
+    if all(isinstance(one.get("trace"), list) and "timestamp" in one for one in several):
+        return _fixes_sheet([fix for one in several for fix in _traced(one)], "a trace of readsb")
+    if all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
+        return _fixes_sheet([fix for one in several for fix in _listed(one)], "lists of aircraft of readsb or dump1090")
+    return None
+
+
+def _traced(trace: dict[str, Any]) -> list[dict[str, Any]]:
+    """The fixes of a trace."""
+    fixes, call = [], ""
+    for row in trace["trace"]:
+        if not isinstance(row, list) or len(row) < len(_TRACE) or not _is_number(row[0]):
+            raise ValueError(f"expected rows of seconds, latitude, longitude, altitude in trace, received {short(row)}")
+        more = row[8] if len(row) > 8 and isinstance(row[8], dict) else {}
+        call = call or more.get("flight", "")
+        fix = dict(zip(_TRACE, row, strict=False)) | {"hex": trace.get("icao"), "callsign": call}
+        fixes.append(fix | {"time": _sum(trace["timestamp"], row[0])})
+    return fixes
+
+
+def _listed(moment: dict[str, Any]) -> list[dict[str, Any]]:
+    """The fixes of all aircraft of a list, each when its position was received."""
+    fixes = [one for one in moment["aircraft"] if isinstance(one, dict) and "lat" in one]
+    return [
+        {"time": _sum(moment["now"], -seen), "hex": one.get("hex"), "callsign": one.get("flight", ""),
+         "lat": one["lat"], "lon": one.get("lon"), "alt_baro": one.get("alt_baro")}
+        for one in fixes if _is_number(seen := one.get("seen_pos", 0))
+    ]  # fmt: skip
+
+
+def _fixes_sheet(fixes: list[dict[str, Any]], said: str) -> Sheet:
+    columns = {name: [fix[name] for fix in fixes] for name in ("time", "hex", "callsign", "lat", "lon", "alt_baro")}
+    columns["alt_baro"] = [None if height == "ground" else height for height in columns["alt_baro"]]
+    return points_sheet(columns, (said,))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _sum(start: Any, seconds: float) -> Any:
+    """A moment some seconds after another; that itself where it is no number, which is then refused."""
+    return round(start + seconds, 3) if _is_number(start) else start

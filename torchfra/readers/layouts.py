@@ -130,23 +130,21 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     others = f"; not {listed(unused)} (--time takes another)" if unused else ""
     lines = (
         *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
-        *_said(columns, length, options, wanted), *_sides_said(sides), *noise.said,
+        *_said(columns, length, options, wanted),
+        *([f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []), *noise.said,
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
-    public |= dict(zip(["sigma"], noise.columns, strict=False))
+    if noise.columns:
+        public["sigma"] = next(iter(noise.columns))
     source = Source(name, public, clock.form, length, word, lines)
     unread_ids = () if "id" in columns else _parting(head, clock, [*ignored, *unused])
     return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, unread_ids)
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
-    """Columns of the coordinates, of degrees where there are both of these.
-
-    Raises:
-        ValueError: one is missing, or all.
-    """
+    """Columns of the coordinates, of degrees where there are both of these."""
     names = head.names
 
     def chosen(*roles: str) -> dict[str, str]:
@@ -165,7 +163,7 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
 
 
 def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
-    """See ``clock_of``; the coordinates are none, whatever they are called."""
+    """``clock_of`` the columns that are no coordinates, whatever they are called."""
     names = [name for name in head.names if name not in columns.values() or name == options.time]
     try:
         return clock_of(head._replace(names=names), options)
@@ -192,16 +190,15 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     calls = calls if word in ("aircraft", "ship") else []
     if not ids and len(set(filter(None, _texts(head, calls)))) > 1:
         ids = calls[:1]
-    taken = dict(zip(["id"], ids, strict=False))
-    taken |= dict(zip(["call"], [name for name in calls if name not in ids[:1]], strict=False))
+    likely = {"id": ids, "call": [name for name in calls if name not in ids[:1]]}
     if word in ANIMALS:
-        taken |= {role: column for role in MARKS for column in found(head.names, role)[:1]}
+        likely |= {role: found(head.names, role) for role in MARKS}
     if word == "aircraft":
-        taken |= dict(zip(["update"], found(head.names, "update"), strict=False))
+        likely["update"] = found(head.names, "update")
         altitudes = {plain(name): name for name in reversed(found(head.names, "altitude"))}
         if "altitude" not in altitudes and altitudes.keys() >= {"baroaltitude", "geoaltitude"}:
-            taken["second"] = altitudes["geoaltitude"]
-    return taken
+            likely["second"] = [altitudes["geoaltitude"]]
+    return {role: columns[0] for role, columns in likely.items() if columns}
 
 
 def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:
@@ -237,11 +234,7 @@ def _is_whole(head: Head, name: str | None, digits: int) -> bool:
 
 
 def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: Head) -> float:
-    """Metres in the unit of x, y and z, or of altitudes.
-
-    Raises:
-        ValueError: names say several units, or one that may be another, or that heights are depths.
-    """
+    """Metres in the unit of x, y and z, or of altitudes."""
     for role in ("altitude", "z"):
         if plain(column := columns.get(role, "")) in DEPTHS:
             raise ValueError(f"{role}: expected heights, which grow upwards, received {column}: name its negative")
@@ -306,10 +299,6 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
         if letters and letters <= {*_SIDES[role]} and min(values, default=-1) >= 0:
             sides[columns[role]] = name
     return sides
-
-
-def _sides_said(sides: Mapping[str, str]) -> list[str]:
-    return [f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []
 
 
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:

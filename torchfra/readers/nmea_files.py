@@ -34,7 +34,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
     """The fixes of a file: RMC and GGA of the same moment are one.
 
     Raises:
-        ValueError: there are none, or too many.
+        ValueError: no fixes, or too many.
         ImportError: pynmea2 is not installed.
     """
     try:
@@ -62,11 +62,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
 
 
 def _lines(file: Any, max_bytes: int) -> Iterator[str]:
-    """The lines of a file, cut off where they are long.
-
-    Raises:
-        ValueError: there are too many.
-    """
+    """The lines of a file, cut off where they are long."""
     count = 0
     while data := file.readline(_LONGEST):
         count += 1
@@ -86,7 +82,7 @@ class _Fixes:
         """Adds what a sentence says to the fix of its moment.
 
         Raises:
-            ValueError: it does not say which, or a number is none.
+            ValueError: a sentence without a time, or with something else for a number.
         """
         time, values = sentence.timestamp, self.values
         second = time.hour * 3600 + time.minute * 60 + time.second + time.microsecond / 1e6

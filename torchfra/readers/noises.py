@@ -41,7 +41,7 @@ class Noise(NamedTuple):
 
 
 def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
-    """Standard deviations east and north of the error ellipses of Argos, or those of their classes where there is none.
+    """Standard deviations east and north of the error ellipses of Argos, or of the classes of fixes without ellipses.
 
     Source: McClintock et al. (2015), Methods in Ecology and Evolution 6, 266: axes are standard deviations times the
     root of 2.
@@ -59,7 +59,7 @@ def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
 
 
 def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> Noise:
-    """The columns with the standard deviations of fixes; none if there are none.
+    """The columns with the standard deviations of fixes, if there are any.
 
     Args:
         head: of the table.

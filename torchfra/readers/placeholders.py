@@ -10,7 +10,7 @@ from torchfra.readers.columns import Array
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, -32768.0)
 """As loggers and data bases write them; no degrees are as large."""
 _ISOLATED = 0.5
-"""Share of a placeholder from which on nothing else is found, so that it is none of the numbers that are measured."""
+"""Share of a placeholder that all measured numbers stay below."""
 _ENOUGH = 25
 """Numbers beside a placeholder from which on it differs from them for sure; among fewer any may have been measured."""
 _NULL_ISLAND = 1.0

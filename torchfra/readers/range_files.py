@@ -2,36 +2,60 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.readers.bounded import MAX_BYTES
-from torchfra.readers.columns import Array, Head
-from torchfra.readers.range_tables import (
-    HEADERS,
-    AnchorRows,
-    anchors_in,
-    columns_wanted,
-    kind_of,
-    path_in,
-    places_in,
-)
+from torchfra.readers.columns import Array, Head, Kind, grouped
 from torchfra.readers.ranges import RangeRecording
 from torchfra.readers.recording import Recording
-from torchfra.readers.tables import Wanted, naming, read_table
+from torchfra.readers.sheets import listed
+from torchfra.readers.tables import Table, Wanted, naming, read_table
 
 _PATTERNS = ("*.csv", "*.csv.gz", "*.json", "*.json.gz")
+_Columns: TypeAlias = dict[str, str]
+"""Names of the columns of a table, by the key of ``_NAMES`` that says what they hold."""
+_HEADERS = "expected a header with t,range[,anchor][,x,y[,z]]; or t,x,y[,z]; or anchor,x,y[,z], separated by commas"
+_NAMES = {
+    "time": ("stamp", "timestamp", "t", "time"),
+    "anchor": ("anchor", "anchorid", "id"),
+    "range": ("range", "distance", "distancefromtag", "dist", "r"),
+    "x": ("x",), "y": ("y",), "z": ("z",),
+}  # fmt: skip
+"""Names of columns, best first, in small letters, without signs and without a leading "field"."""
+_UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (0.0, 1.0))
+"""Least time, and how many of its unit are a second: ns, us, ms since 1970, and seconds."""
+_TIME, _METRES = Kind("a time", limit=1e19), Kind("a number of metres")
+_SAME_PLACE = 0.01
+"""Metres by which the places of an anchor that stands still may differ."""
+
+
+class _AnchorRows(NamedTuple):
+    """What a table holds of one anchor."""
+
+    names: tuple[str, ...]
+    """What it may be called elsewhere; the first is its name."""
+    time: Array
+    """``(k,)`` seconds, strictly increasing."""
+    ranges: Array
+    """``(k,)`` metres."""
+    place: Array
+    """``(3,)`` metres, NaN where the table does not say."""
 
 
 @dataclass
 class _Found:
     """What the files of a recording hold."""
 
-    anchors: list[AnchorRows] = field(default_factory=list)
+    anchors: list[_AnchorRows] = field(default_factory=list)
     places: dict[str, Array] = field(default_factory=dict)
     paths: list[Recording] = field(default_factory=list)
     repairs: Counter[str] = field(default_factory=Counter)
@@ -91,7 +115,7 @@ def range_folders(folder: str | Path) -> list[Path]:
     """The folders, this one or below it, that hold a recording each: those with CSV or JSON files, sorted.
 
     Raises:
-        ValueError: there is none.
+        ValueError: no folder with such files.
     """
     found = sorted({path.parent for pattern in _PATTERNS for path in Path(folder).rglob(pattern)})
     if not found:
@@ -100,11 +124,7 @@ def range_folders(folder: str | Path) -> list[Path]:
 
 
 def _tables_in(folder: Path) -> list[Path]:
-    """Files, sorted by name.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The CSV and JSON files of a folder, sorted by name."""
     files = sorted(path for pattern in _PATTERNS for path in folder.glob(pattern))
     if not files:
         raise ValueError(f"{folder}: expected CSV or JSON files, received none")
@@ -120,27 +140,28 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
 
     def choose(head: Head) -> Wanted:
         try:
-            kind_of(head.names)
+            _kind_of(head.names)
         except ValueError as error:
             if any_kind:
                 raise _OtherKindError from error
             raise
-        return columns_wanted(head.names)
+        kinds = {"time": _TIME, "anchor": None}
+        return {name: kinds.get(what, _METRES) for what, name in _columns_of(head.names).items()}
 
     stem = Path(path.name.removesuffix(".gz")).stem
     with naming(path):
         try:
-            table = read_table(path, choose, headers=HEADERS, repairs=found.repairs, max_bytes=max_bytes)
-            kind = kind_of(table.names)
+            table = read_table(path, choose, headers=_HEADERS, repairs=found.repairs, max_bytes=max_bytes)
+            kind = _kind_of(table.names)
         except _OtherKindError:
             found.repairs["files of another kind left out"] += 1
             return
         if kind == "ranges":
-            found.anchors += anchors_in(table, stem, found.repairs)
+            found.anchors += _anchors_in(table, stem, found.repairs)
         elif kind == "path":
-            found.paths.append(path_in(table, stem))
+            found.paths.append(_path_in(table, stem))
         else:
-            found.places.update(places_in(table))
+            found.places.update(_places_in(table))
 
 
 def _only(kind: str, path: str | Path, max_bytes: int) -> _Found:
@@ -154,11 +175,7 @@ def _only(kind: str, path: str | Path, max_bytes: int) -> _Found:
 
 
 def _recording(name: str, found: _Found) -> RangeRecording:
-    """A recording of all that was found.
-
-    Raises:
-        ValueError: see ``read_ranges``.
-    """
+    """A recording of all that was found."""
     heard = [anchor for anchor in found.anchors if len(anchor.time)]
     found.repairs["anchors without ranges dropped"] += len(found.anchors) - len(heard)
     names = [anchor.names[0] for anchor in heard]
@@ -169,7 +186,8 @@ def _recording(name: str, found: _Found) -> RangeRecording:
     if len(found.paths) > 1:
         received = ", ".join(path.name for path in found.paths)
         raise ValueError(f"{name}: expected one reference path, received {received}")
-    places = np.stack([_place_of(anchor, found.places) for anchor in heard])
+    stated = found.places
+    places = np.stack([next((stated[n] for n in one.names if n in stated), one.place) for one in heard])
     for one, place in zip(names, places, strict=True):
         if not np.isfinite(place[:2]).all():
             raise ValueError(f"{name}: expected x and y of every anchor, received none for {one}")
@@ -182,5 +200,123 @@ def _recording(name: str, found: _Found) -> RangeRecording:
     return RangeRecording(name, tuple(names), anchors, times, ranges, path, dict(+found.repairs))
 
 
-def _place_of(anchor: AnchorRows, places: dict[str, Array]) -> Array:
-    return next((places[name] for name in anchor.names if name in places), anchor.place)
+# ---------------------------------------------------------------- from tables of cells
+
+
+def _columns_of(names: list[str]) -> _Columns:
+    """Which of the columns of these names holds what."""
+    plain: dict[str, list[str]] = {}
+    for name in names:
+        plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()).removeprefix("field"), []).append(name)
+    found = {what: plain[name] for what, known in _NAMES.items() for name in reversed(known) if name in plain}
+    longer = [name for name in plain if name.startswith(("range", "distance"))]
+    if "range" not in found and len(longer) == 1:
+        found["range"] = plain[longer[0]]
+    for what, same in found.items():
+        if len(same) > 1:
+            raise ValueError(f"expected one column of {what}, received {listed(same)}")
+    return {what: same[0] for what, same in found.items()}
+
+
+def _kind_of(names: list[str]) -> str:
+    """What a table with columns of these names holds: ``"ranges"``, a ``"path"`` or ``"places"``."""
+    columns = _columns_of(names)
+    for kind, needed in (("ranges", "time range"), ("path", "time x y"), ("places", "anchor x y")):
+        if all(name in columns for name in needed.split()):
+            return kind
+    raise ValueError(f"{_HEADERS}; received {listed(names)}")
+
+
+def _anchors_in(table: Table, stem: str, repairs: Counter[str]) -> list[_AnchorRows]:
+    """The ranges of each anchor of a table, in the order of their first rows.
+
+    Args:
+        table: of ranges.
+        stem: of the file's name, which an anchor has that the table does not name or only by its ``id``.
+        repairs: where to count them.
+    """
+    columns = _columns_of(table.names)
+    data = np.stack([_seconds(table, columns), table.column(columns["range"])], 1)
+    places = _places_of(table, columns)
+    rows = grouped(table.texts.get(columns.get("anchor", ""), []))
+    known = [label for label in rows if label]
+    if len(known) <= 1:
+        named = "anchor" in columns.get("anchor", "").lower()
+        names = (*known, stem) if named else (stem, *known)
+        return [_AnchorRows(names, *_ranges(data, repairs), _place(places, stem))]
+    repairs["rows without anchor dropped"] += len(rows.pop("", ()))
+    return [_AnchorRows((label,), *_ranges(data[i], repairs), _place(places[i], label)) for label, i in rows.items()]
+
+
+def _places_in(table: Table) -> dict[str, Array]:
+    """Where the anchors of a table are, ``(3,)`` each with NaN where it does not say, by their names."""
+    columns = _columns_of(table.names)
+    places = _places_of(table, columns)
+    rows = grouped(table.texts[columns["anchor"]])
+    return {name: _place(places[i], name) for name, i in rows.items() if name}
+
+
+def _path_in(table: Table, stem: str) -> Recording:
+    """The reference path of a table."""
+    columns = _columns_of(table.names)
+    position = _places_of(table, columns)
+    if np.isnan(position[:, 2]).all():
+        position = position[:, :2]
+    data, repairs = np.column_stack([_seconds(table, columns), position]), Counter[str]()
+    data = data[_in_order(data, "position", repairs)]
+    if len(data) < 2:
+        raise ValueError(f"expected 2 or more rows with time and position, received {len(data)}")
+    return Recording(stem, data[:, 0], data[:, 1:], None, dict(+repairs))
+
+
+def _places_of(table: Table, columns: _Columns) -> Array:
+    """Coordinates ``(rows, 3)``, m, NaN where the table has none."""
+    return np.stack([table.column(columns.get(axis, "")) for axis in "xyz"], 1)
+
+
+def _seconds(table: Table, columns: _Columns) -> Array:
+    """The times of a table, in whichever unit they are."""
+    time = table.column(columns["time"])
+    known = np.abs(time[np.isfinite(time)])
+    if not len(known):
+        return time
+    units = [next(unit for least, unit in _UNITS if t >= least) for t in (known.min(), known.max())]
+    if units[0] != units[1]:
+        raise ValueError(f"expected times in one unit, received {known.min():g} to {known.max():g}")
+    return time / units[0]
+
+
+def _ranges(data: Array, repairs: Counter[str]) -> tuple[Array, Array]:
+    """Times and ranges ``(k,)`` that are left of rows ``(rows, 2)``."""
+    kept = data[_in_order(data, "range", repairs)]
+    good = kept[:, 1] > 0
+    repairs["ranges that are not above 0 dropped"] += int((~good).sum())
+    return kept[good, 0], kept[good, 1]
+
+
+def _in_order(data: Array, what: str, repairs: Counter[str]) -> NDArray[np.intp]:
+    """Which rows ``(rows, 1 + d)`` of times and values to keep, in order of time."""
+
+    def keep(index: NDArray[np.intp], mask: Any, why: str) -> NDArray[np.intp]:
+        repairs[why] += len(index) - int(mask.sum())
+        return np.asarray(index[mask])
+
+    index = keep(np.arange(len(data)), np.isfinite(data[:, 0]), "rows without time dropped")
+    index = keep(index, np.isfinite(data[index, 1:]).all(1), f"rows without {what} dropped")
+    time = data[index, 0]
+    repairs["rows put in time order"] += int((time < np.maximum.accumulate(time)).sum())
+    index = index[np.argsort(time, kind="stable")]
+    return keep(index, np.diff(data[index, 0], prepend=-math.inf) > 0, "duplicate times dropped")
+
+
+def _place(places: Array, name: str) -> Array:
+    """Where an anchor is, ``(3,)``, from rows ``(rows, 3)`` of which any may be NaN."""
+    place = np.full(3, math.nan)
+    for axis, values in enumerate(places.T):
+        known = values[np.isfinite(values)]
+        if len(known):
+            place[axis] = np.median(known)
+        if len(known) and np.ptp(known) > _SAME_PLACE:
+            received = f"{'xyz'[axis]} from {known.min():g} to {known.max():g} m"
+            raise ValueError(f"expected an anchor that stands still, received {name} with {received}")
+    return place

@@ -12,7 +12,7 @@ from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
 _LONGEST = 10_000_000
-"""Steps of a grid; more are no recording but a wrong time or unit."""
+"""Most steps of a grid; of more a time or a unit is wrong."""
 
 
 class RangeGrid(NamedTuple):

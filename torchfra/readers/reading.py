@@ -53,9 +53,7 @@ def read(
         return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
-def read_sheet(
-    sheet: Sheet, name: str, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: str | None
-) -> list[Recording]:
+def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: str | None) -> list[Recording]:
     """Reads every target of columns that are in memory, as ``read`` does of a file.
 
     Raises:
@@ -63,14 +61,14 @@ def read_sheet(
     """
     chosen = _Choice(read_options(words), name)
     with naming(name):
-        return _recordings(table_of(sheet, chosen, max_bytes), chosen, origin, name)
+        return _recordings(table_of(sheet, chosen, max_bytes), chosen, None, name)
 
 
 class SheetReader:
-    """Reads sheets whose columns all hold what those of the first do, such as parts of a data set.
+    """Reads sheets of the same columns, such as parts of a data set.
 
     Args:
-        first: one or more of its rows, that show what columns hold.
+        first: some of the rows, which show what the columns hold.
         name: of the data set.
         words: see ``ReadOptions``.
 
@@ -141,11 +139,7 @@ def _recordings(
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:
-    """What becomes (0, 0, 0): by default the first fix of all.
-
-    Raises:
-        ValueError: it is nowhere.
-    """
+    """What becomes (0, 0, 0): by default the first fix of all."""
     height = 0.0 if first.height is None else float(first.height[0])
     lat, lon, up = (float(first.place[0, 0]), float(first.place[0, 1]), height) if origin is None else origin
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):

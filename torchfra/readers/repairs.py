@@ -21,23 +21,17 @@ from torchfra.readers.tables import Table
 
 _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
-PLURALS = {"aircraft": "aircraft", "ship": "ships"}
-"""Of what targets are called; all others end in s."""
 
 
 def plural(word: str) -> str:
     """Several of ``Source.word``."""
-    return PLURALS.get(word, f"{word}s")
+    return word if word == "aircraft" else f"{word}s"
 
 
 def in_words(repairs: Mapping[str, int]) -> str:
     """Repairs with their counts as a list, in the singular where the count is 1."""
-    return ", ".join(f"{n:,} {_singular(what) if n == 1 else what}" for what, n in repairs.items())
-
-
-def _singular(what: str) -> str:
-    """The text with its first word that ends in s in the singular."""
-    return re.sub(r"s(?= |$)", "", what, count=1)
+    singular = re.compile(r"s(?= |$)")  # the end of the first word that has an s there
+    return ", ".join(f"{n:,} {singular.sub('', what, count=1) if n == 1 else what}" for what, n in repairs.items())
 
 
 @dataclass(frozen=True)
@@ -67,7 +61,7 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     """The targets of a file that have 2 fixes or more left, in the order of the file.
 
     Raises:
-        TooFewError: there is none.
+        TooFewError: no target has as many.
     """
     ids, calls = (table.texts.get(layout.columns.get(role, "")) for role in ("id", "call"))
     members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
@@ -154,11 +148,7 @@ class _Columns:
         return keep(index, moved, "held positions dropped"), repairs
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
-        """Refuses rows of several targets in one: many have the time of another row and another position.
-
-        Raises:
-            ValueError: there are such rows, and columns that may say whose they are.
-        """
+        """Refuses rows of several targets in one: many have the time of another row and another position."""
         same = np.diff(self.time[index], prepend=-math.inf) == 0
         moved = np.zeros(len(index), dtype=bool)
         for column in (self.first, self.second):

@@ -29,10 +29,10 @@ _USUAL = (0.05, 1000.0)
 
 
 def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
-    """The recordings that can be.  Those that cannot are left out and counted with the others.
+    """The recordings of possible speeds; the others are left out, and counted in the repairs of the first one.
 
     Raises:
-        ValueError: none can be; with what the times may be instead.
+        ValueError: no recording has possible speeds; with what the times may be instead.
     """
     wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
     if not wrong:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -65,6 +64,3 @@ def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:
 def needs(package: str, what: str) -> ImportError:
     """The error for a format whose package is not installed."""
     return ImportError(f'{what} needs the package {package}: pip install "torchfra[formats]"')
-
-
-DECIMAL = re.compile(r"\s*[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\s*")

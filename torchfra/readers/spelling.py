@@ -83,7 +83,7 @@ ANIMALS = {
     "animal": {"individuallocalidentifier", "individualtaxoncanonicalname", "taglocalidentifier", "argoslc", "animalid",
                "animal", "collarid"},
 }  # fmt: skip
-"""The same of animals, as files call them."""
+"""Names of columns that only files of animals have, by what the files call the animals."""
 MARKS = ("visible", "by_hand", "by_import", "by_rule")
 """Columns of Movebank that say whether a fix is right, and whether it is an outlier."""
 COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid"}

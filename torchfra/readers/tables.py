@@ -1,8 +1,9 @@
-"""From a file to a table: the columns that somebody wants, of numbers and of text."""
+"""From a file to a table: the columns that are wanted, as numbers and as text."""
 
 from __future__ import annotations
 
 import gzip
+import io
 import re
 import zlib
 from collections import Counter
@@ -22,9 +23,9 @@ from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions
-from torchfra.readers.pairs import pair_of, parted
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.xml_files import is_xml, xml_sheet
+from torchfra.readers.spelling import found, plain
+from torchfra.readers.xml_files import xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
 """The columns to read by their names, and the kind of their numbers; None for text."""
@@ -38,6 +39,10 @@ _WESTERN = "cp1252"
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _HEAD = 1000
 """Rows that are looked at before all are read."""
+_PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location"}
+"""Names of columns that may hold a latitude and a longitude."""
+_PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*")
+_AXES = ("latitude", "longitude")
 
 
 class Table(NamedTuple):
@@ -81,11 +86,24 @@ def read_table(
         ImportError: what reads it is not installed.
     """
     check_bound(max_bytes)
+    suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
+
+    def sheet_of(file: io.BufferedReader, encoding: str) -> Sheet:
+        """The rows of a file by its ending, or else by how it begins."""
+        start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
+        if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):
+            return json_sheet(file, max_bytes)
+        if is_arrow(start):
+            return arrow_sheet(path, start, max_bytes)
+        if start[:1] == b"<":
+            return xml_sheet(file, max_bytes)
+        if is_nmea(start, suffix):
+            return nmea_sheet(file, max_bytes)
+        return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
-            sheet = _sheet(file, path, options, headers, repairs, max_bytes, encoding)
-            return table_of(sheet, choose, max_bytes)
+            return table_of(sheet_of(file, encoding), choose, max_bytes)
 
     try:
         table = read(UTF_8)
@@ -108,54 +126,43 @@ def _is_text(path: Path, max_bytes: int) -> bool:
         return not _NO_TEXT.search(file.peek(1))
 
 
-def _sheet(
-    file: Any,
-    path: Path,
-    options: ReadOptions | None,
-    headers: str,
-    repairs: Counter[str] | None,
-    max_bytes: int,
-    encoding: str,
-) -> Sheet:
-    """The rows of a file by its ending, or else by how it begins."""
-    suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
-    start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
-    if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):
-        return json_sheet(file, max_bytes)
-    if is_arrow(start):
-        return arrow_sheet(path, start, max_bytes)
-    if is_xml(start):
-        return xml_sheet(file, max_bytes)
-    if is_nmea(start, suffix):
-        return nmea_sheet(file, max_bytes)
-    return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
-
-
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:
     """The columns that are chosen of a sheet.
 
     Raises:
         ValueError: a cell is of another kind, or there are too many.
     """
-    growing, parts = _Growing(sheet.names, max_bytes), iter(sheet.parts)
+    parts, wanted, pair = iter(sheet.parts), dict[str, Kind | None](), None
     first = next(parts, None)
-    pair = None
     if sheet.names and first is not None:
         head, pair = head_of(sheet, first[1])
-        growing.want(choose(head))
-    for rows, cells in chain([first] if first else [], parts):
-        growing.add(rows, cells if pair is None else parted(cells, pair))
-    return growing.table()
+        wanted = choose(head)
+    kinds = {name: kind for name, kind in wanted.items() if kind is not None}
+    grown: dict[str, list[Array]] = {name: [np.empty(0)] for name in kinds}
+    texts: dict[str, list[str]] = {name: [] for name in wanted if name not in kinds}
+    rows, known = 0, dict[Any, str]()
+    for count, cells in chain([first] if first else [], parts):
+        cells = cells if pair is None else _parted(cells, pair)
+        for name in texts:
+            texts[name] += text(cells(name), name, known, rows)
+        for name, kind in kinds.items():
+            column = joined(cells, kind.joined) if kind.joined else cells(name)
+            grown[name].append(numbers(column, kind, name, rows))
+        rows += count
+        if len(known) * BYTES_OF_A_TEXT > max_bytes:
+            raise too_large(max_bytes, f"of text, of which each name counts for {BYTES_OF_A_TEXT} or more")
+    # Column by column, so that no more than one is in memory twice.
+    return Table(sheet.names, rows, {name: np.concatenate(grown.pop(name)) for name in kinds}, texts)
 
 
 def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, str | None]:
     """How a sheet begins, by the cells of its first rows, and which column holds latitudes and longitudes at once."""
     begin = cache(lambda name: cells(name)[:_HEAD])
     head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
-    if (pair := pair_of(head)) is not None:
+    if (pair := _pair_of(head)) is not None:
         names = [*(name for name in sheet.names if name != pair), "latitude", "longitude"]
         said = (*sheet.said, f"latitude, longitude: both in {pair}")
-        head = head._replace(names=names, cells=parted(head.cells, pair), said=said)
+        head = head._replace(names=names, cells=_parted(head.cells, pair), said=said)
     return head, pair
 
 
@@ -168,34 +175,25 @@ def naming(path: Path | str) -> Iterator[None]:
         raise ValueError(f"{path}: {error}") from error
 
 
-class _Growing:
-    """A table that grows part by part."""
+# ---------------------------------------------------------------- a latitude and a longitude in one cell
 
-    def __init__(self, names: list[str], max_bytes: int) -> None:
-        self.names, self.max_bytes, self.rows = names, max_bytes, 0
-        self.kinds: dict[str, Kind] = {}
-        self.numbers: dict[str, list[Array]] = {}
-        self.texts: dict[str, list[str]] = {}
-        self.known: dict[Any, str] = {}
 
-    def want(self, wanted: Wanted) -> None:
-        """Says what to keep."""
-        self.kinds = {name: kind for name, kind in wanted.items() if kind is not None}
-        self.numbers = {name: [np.empty(0)] for name in self.kinds}
-        self.texts = {name: [] for name in wanted if name not in self.kinds}
+def _pair_of(head: Head) -> str | None:
+    """The column that holds both, as "47.1,8.2"; None where no column does, or each has its own."""
+    if any(found(head.names, axis) for axis in (*_AXES, "x")):
+        return None
+    for name in head.names:
+        cells = [cell for cell in head.cells(name) if isinstance(cell, str) and cell.strip()]
+        if plain(name) in _PAIRS and any(map(_PAIR.fullmatch, cells)):
+            return name
+    return None
 
-    def add(self, rows: int, cells: Cells) -> None:
-        """Adds rows by the cells of each column."""
-        for name in self.texts:
-            self.texts[name] += text(cells(name), name, self.known, self.rows)
-        for name, kind in self.kinds.items():
-            column = cells(name) if not kind.joined else joined(cells, kind.joined)
-            self.numbers[name].append(numbers(column, kind, name, self.rows))
-        self.rows += rows
-        if len(self.known) * BYTES_OF_A_TEXT > self.max_bytes:
-            raise too_large(self.max_bytes, f"of text, of which each name counts for {BYTES_OF_A_TEXT} or more")
 
-    def table(self) -> Table:
-        """All of it; what has grown is then gone."""
-        whole = {name: np.concatenate(self.numbers.pop(name)) for name in list(self.numbers)}
-        return Table(self.names, self.rows, whole, self.texts)
+def _parted(cells: Cells, pair: str) -> Cells:
+    """The cells of columns, with two more: ``latitude`` and ``longitude``."""
+
+    def part(cell: Any, group: int) -> Any:
+        match = _PAIR.fullmatch(cell) if isinstance(cell, str) else None
+        return match[group] if match else cell  # which is something else, and is then refused
+
+    return lambda name: [part(cell, 1 + _AXES.index(name)) for cell in cells(pair)] if name in _AXES else cells(name)

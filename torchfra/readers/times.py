@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 SINCE_1970 = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units in a second of numbers that may count since 1970, by what a ``time_format`` calls them."""
 PER_SECOND = {**SINCE_1970, "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86_400}
-"""The same, and of those that count since some start only."""
+"""Those and the units of numbers that count since some start only."""
 DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0}
 """Which day the first of 1970 is, where numbers are days of Excel, modified Julian days or those of Matlab."""
 GPS = {"gps": 1.0, "gps_ms": 1e3}
@@ -35,7 +35,7 @@ Source: IERS, Bulletin C.
 CLOCK = "%H:%M:%S"
 """Times of the day without a date: seconds since midnight, and a day more after each midnight."""
 HALF_CLOCK = "%I:%M:%S"
-"""The same of a clock of 12 hours; with AM and PM behind."""
+"""Times of the day on a clock of 12 hours; AM or PM follows."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _ISO = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
@@ -62,7 +62,7 @@ def per_second(form: str) -> float:
 
 
 def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str] | None:
-    """How to read texts, ``"iso"`` or a form of ``strptime``, and how to write them; None where they are no times.
+    """How to read texts, ``"iso"`` or a form of ``strptime``, and how to write them; None of other texts.
 
     Args:
         cells: some of a column, none of them empty.
@@ -98,11 +98,7 @@ def _is_plain(text: str) -> bool:
 
 
 def _form_with_zone(texts: list[str], first: re.Match[str], day_first: bool) -> tuple[str, str] | None:
-    """The form of times with the name of a zone behind.
-
-    Raises:
-        ValueError: it is not of UTC, or the day may be the month.
-    """
+    """The form of times with the name of a zone behind."""
     zone = f"{first['gap']}{first['zone']}"
     bare = [text.removesuffix(zone) for text in texts]
     found = form_of(bare, day_first=day_first)
@@ -156,7 +152,8 @@ def seconds_of(text: str, form: str) -> float:
         return _since_1970(datetime.fromisoformat(_plain_iso(text)))
     if form in GPS:
         week, passed = map(float, text.split())
-        return _from_gps(_GPS_START + _WEEK * week + passed / GPS[form])
+        gps = _GPS_START + _WEEK * week + passed / GPS[form]
+        return gps - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), gps, side="right"))
     bare = form.replace(".%f", "")
     pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
@@ -175,11 +172,6 @@ def usual_iso_seconds(cells: Sequence[Any]) -> NDArray[np.float64] | None:
     except (TypeError, ValueError):
         return None
     return np.where(np.isnat(moments), np.nan, moments.astype(np.int64) / 1e6)
-
-
-def _from_gps(moment: float) -> float:
-    """Seconds since 1970 of UTC, from those that GPS counts, without leap seconds."""
-    return moment - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), moment, side="right"))
 
 
 def _plain_iso(text: str) -> str:

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import Counter
 from typing import Any
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from torchfra.readers.columns import short
-from torchfra.readers.sheets import DECIMAL, Sheet, needs, points_sheet, whole_text
+from torchfra.readers.columns import DECIMAL, short
+from torchfra.readers.sheets import Sheet, needs, points_sheet, whole_text
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
 """Those of a GPX file, which gpxpy reads as Python does."""
+_COLUMNS = ("time", "latitude", "longitude", "altitude", "id", "hdop")
+Point = tuple[Any, ...]
+"""The cells of a fix, in the order of ``_COLUMNS``."""
 _DEEPEST = 64
 """Elements around another; some ten in files of people."""
-
-
-def is_xml(start: bytes) -> bool:
-    """Whether a file begins so."""
-    return start[:1] == b"<"
 
 
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -37,11 +35,7 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
 
 
 def _checked_root(text: str) -> str:
-    """The name of the outermost element.
-
-    Raises:
-        ValueError: the text is no XML, defines entities, or is nested so deeply that what reads it may fall over.
-    """
+    """The name of the outermost element; refuses other text, entities, and what is nested deeper than any file."""
     parser, depth, root = expat.ParserCreate(), 0, list[str]()
 
     def begin(name: str, _: dict[str, str]) -> None:
@@ -74,26 +68,23 @@ def _gpx_sheet(text: str) -> Sheet:
         raise needs("gpxpy", "GPX") from error
     for found in _NUMBERS.finditer(text):
         value = found[2] if found[1] else found[4]
-        if value.strip() and not DECIMAL.fullmatch(value):
+        if (bare := value.strip()) and not DECIMAL.fullmatch(bare):
             raise ValueError(f"expected a number as {found[1] or found[3]}, received {short(value)}")
     try:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:
         raise ValueError(f"expected GPX, received other text ({error})") from error
-    names, used = list[str](), dict[str, int]()
-    columns: dict[str, list[Any]] = {name: [] for name in ("time", "latitude", "longitude", "altitude", "id", "hdop")}
+    rows, used = list[Point](), Counter[str]()
     for number, track in enumerate(gpx.tracks):
         name = (track.name or "").strip() or (f"track {number + 1}" if len(gpx.tracks) > 1 else "")
-        used[name] = used.get(name, 0) + 1
-        names.append(name if used[name] == 1 else f"{name} {used[name]}")
+        used[name] += 1
+        label = name if used[name] == 1 else f"{name} {used[name]}"
         for point in (point for segment in track.segments for point in segment.points):
             time = None if point.time is None else point.time.isoformat().replace("+00:00", "Z")
-            row = (time, point.latitude, point.longitude, point.elevation, names[-1], point.horizontal_dilution)
-            for column, cell in zip(columns.values(), row, strict=True):
-                column.append(cell)
+            rows.append((time, point.latitude, point.longitude, point.elevation, label, point.horizontal_dilution))
     others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)
     left_out = f"; waypoints and points of routes left out: {others}" if others else ""
-    return _timed(columns, (f"GPX: {len(gpx.tracks)} track{'s' * (len(gpx.tracks) != 1)}{left_out}",), "GPX")
+    return _timed(rows, (f"GPX: {len(gpx.tracks)} track{'s' * (len(gpx.tracks) != 1)}{left_out}",), "GPX")
 
 
 def _kml_sheet(text: str) -> Sheet:
@@ -102,8 +93,7 @@ def _kml_sheet(text: str) -> Sheet:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"expected KML, received other text ({error})") from error
-    columns: dict[str, list[Any]] = {name: [] for name in ("time", "latitude", "longitude", "altitude", "id")}
-    lines = 0
+    rows, lines = list[Point](), 0
     for number, placemark in enumerate(one for one in root.iter() if _tag(one) == "Placemark"):
         parts = list(placemark.iter())
         name = next((part.text or "" for part in parts if _tag(part) == "name"), "").strip()
@@ -114,41 +104,33 @@ def _kml_sheet(text: str) -> Sheet:
             places = [part for part in track if _tag(part) == "coord"]
             if len(times) != len(places):
                 raise ValueError(f"expected a time for each of {len(places)} places of a track, received {len(times)}")
-            _add(columns, times, ((part.text or "").split() for part in places), name or f"track {number + 1}")
+            label = name or f"track {number + 1}"
+            rows += [_point(time, (part.text or "").split(), label) for time, part in zip(times, places, strict=True)]
         when = [part.text for part in parts if _tag(part) == "when"]
         inner = [part for one in parts if _tag(one) == "Point" for part in one]
         point = [part.text or "" for part in inner if _tag(part) == "coordinates"]
         if not tracks and when and point:
-            _add(columns, when[:1], [point[0].strip().split(",")], "")
-    if not columns["time"] and lines:
+            rows.append(_point(when[0], point[0].strip().split(","), ""))
+    if not rows and lines:
         raise ValueError("expected KML with times (gx:Track, or points with a TimeStamp), received lines without any")
-    return _timed(columns, ("KML: longitude, latitude[, altitude in metres]",), "KML")
+    return _timed(rows, ("KML: longitude, latitude[, altitude in metres]",), "KML")
 
 
-def _add(columns: dict[str, list[Any]], times: Iterable[str | None], places: Iterable[list[str]], name: str) -> None:
-    """Adds points.
-
-    Raises:
-        ValueError: a place is none.
-    """
-    for time, place in zip(times, places, strict=True):
-        if place and not 2 <= len(place) <= 3:
-            raise ValueError(f"expected longitude, latitude[, altitude], received {short(' '.join(place))}")
-        longitude, latitude, altitude = (*place, "", "", "")[:3]
-        for column, cell in zip(columns.values(), (time, latitude, longitude, altitude, name), strict=True):
-            column.append(cell)
+def _point(time: str | None, place: list[str], name: str) -> Point:
+    """A point of KML, whose place is longitude, latitude and perhaps altitude, or empty."""
+    if place and not 2 <= len(place) <= 3:
+        raise ValueError(f"expected longitude, latitude[, altitude], received {short(' '.join(place))}")
+    longitude, latitude, altitude = (*place, "", "", "")[:3]
+    return time, latitude, longitude, altitude, name, None
 
 
-def _timed(columns: dict[str, list[Any]], said: tuple[str, ...], what: str) -> Sheet:
-    """A sheet of points.
-
-    Raises:
-        ValueError: there are none, or none has a time.
-    """
-    if not columns["time"]:
+def _timed(rows: list[Point], said: tuple[str, ...], what: str) -> Sheet:
+    """A sheet of points, of which some have times."""
+    if not rows:
         raise ValueError(f"expected {what} with tracks, received none")
+    columns = dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
     if not any(columns["time"]):
-        raise ValueError(f"expected {what} with times, received {len(columns['time'])} points without any")
+        raise ValueError(f"expected {what} with times, received {len(rows)} points without any")
     return points_sheet(columns, said)
 
 

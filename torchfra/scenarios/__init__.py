@@ -2,14 +2,13 @@
 
 from torchfra.scenarios.adsb import adsb_models, adsb_turns
 from torchfra.scenarios.as_stated import as_stated
-from torchfra.scenarios.base import Scenario, Tracks
+from torchfra.scenarios.base import Scenario, Tracks, given
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.bounds import Bound, bound
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
 from torchfra.scenarios.clutter_many import clutter_many
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.law import Law
-from torchfra.scenarios.own_tracks import given
 from torchfra.scenarios.ranges import ranges_outliers
 from torchfra.scenarios.recorded import recorded
 from torchfra.scenarios.recorded_ranges import recorded_ranges

@@ -36,7 +36,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
         std: of a reported position, m per axis.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Du & Zhang (2020), section 3.  Differs: measurement noise and the truth of the turns are our reading.
     """
@@ -54,9 +54,11 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
         return Tracks(path[2:].expand(BLOCK, -1, -1), z[:, 2:], None, Gaussian(mean, root))
 
     prior = Gaussian(path[1], root)
-    settings: dict[str, object] = {"turns": turns, "std": std}
+    settings = {"turns": turns, "std": std}
     motion, bank = ConstantAcceleration(0.02**2), adsb_models()
-    law = Law(root, _moves(turns)[2:], sensor, std, known=("manoeuvres",))
+    rates = [way * math.pi / 2 / seconds for seconds, way in _LEGS for _ in range(round(seconds / DT))]
+    moves = [CoordinatedTurn(rate if turns == "arc" else 0.0, 0.0, orders=3) for rate in rates]
+    law = Law(root, moves[2:], sensor, std, known=("manoeuvres",))
     return Scenario("adsb-turns", motion, sensor, prior, DT, SAMPLES - 2, block, settings, bank, law=law)
 
 
@@ -73,12 +75,6 @@ def adsb_models() -> Bank:
         CoordinatedTurn(-math.pi / 100, 0.02**2, orders=3),
     ]
     return Bank(models, neighbours=((1, 3), (2, 4), (0, 4), (0, 1), (2, 0)), first=(0, 2, 3))
-
-
-def _moves(turns: str) -> list[Motion]:
-    """Motion of each step, if rates and times of the turns are known."""
-    rates = [way * math.pi / 2 / seconds for seconds, way in _LEGS for _ in range(round(seconds / DT))]
-    return [CoordinatedTurn(rate if turns == "arc" else 0.0, 0.0, orders=3) for rate in rates]
 
 
 def _path(turns: str) -> Tensor:

@@ -14,9 +14,9 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.turn import CoordinatedTurn
-from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.scenarios.law import Law, burst_information, mixed_information
-from torchfra.scenarios.outliers import SHARE, SIZE, burst_factors
+from torchfra.scenarios.outliers import SHARE, SIZE, burst_factors, outlier_factors
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.position import Position
@@ -104,8 +104,8 @@ def as_stated(
             z[torch.from_numpy(rng.random((BLOCK, steps)) < missing)] = torch.nan
         return Tracks(truth, z, None, Gaussian(mean.expand(BLOCK, -1), root))
 
-    settings: dict[str, object] = {"motion": motion, "sensor": sensor, "index": index, "outliers": outliers, "q": q,
-                                   "std": std, "missing": missing}  # fmt: skip
+    settings = {"motion": motion, "sensor": sensor, "index": index, "outliers": outliers, "q": q,
+                "std": std, "missing": missing}  # fmt: skip
     bank = Bank(stated) if len(stated) > 1 else None
     law = None if missing else _law(root, truths, real, seconds, outliers, steps)
     prior = Gaussian(mean, root)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchfra.association.clutter import Clutter
-from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.scenarios.law import Law
@@ -77,7 +76,7 @@ class Scenario:
     dt: float
     steps: int
     block: Callable[[np.random.Generator, Tensor], Tracks] = field(repr=False)
-    settings: dict[str, object]
+    settings: Mapping[str, object]
     bank: Bank | None = None
     extra_quantities: Mapping[str, slice] = field(default_factory=dict)
     clutter: Clutter | None = None
@@ -166,25 +165,34 @@ class Scenario:
         return Tracks(joined([b.truth for b in blocks]), joined([b.z for b in blocks]), u, prior)
 
 
-def outlier_factors(outliers: str, size: float | None, share: float) -> Callable[[np.random.Generator, Any], Tensor]:
-    """A function ``(rng, shape)`` that draws the factor on the standard deviation of each measurement: 1 for most.
+def given(tracks: Tracks, motion: Motion, sensor: Sensor, *, dt: float = 1.0, name: str = "tracks") -> Scenario:
+    """A scenario whose runs are the given tracks, one after the other.
 
     Args:
-        outliers: what is ``size`` times larger in an outlier: ``"covariance"`` or ``"std"``, or ``"none"``.
-        size: how many times; None for an integer from 1 to 20, drawn each time.
-        share: of the measurements that are outliers.
+        tracks: a batch, ``z (B, T, m)``; an unknown truth is NaN.
+        motion: the motion of filters.
+        sensor: the sensor that has measured.
+        dt: seconds per step.
+        name: name of the scenario.
 
     Raises:
-        ValueError: an argument out of its range.
+        ValueError: measurements that are no batch of tracks, a truth of another number of tracks or steps, no prior.
     """
-    one_of(outliers=(outliers, ("covariance", "std", "none")))
-    if not (size is None or 1 <= size < float("inf")) or not 0 <= share <= 1:
-        raise ValueError(f"size, share: expected 1 or more and a share in [0, 1], received {size}, {share}")
+    z, truth = tracks.z, tracks.truth
+    if not isinstance(truth, Tensor) or not isinstance(tracks.prior, Gaussian) or not len(z):
+        received = f"{type(truth).__name__}, {type(tracks.prior).__name__} and {len(z)} tracks"
+        raise ValueError(
+            f"tracks: expected a truth (NaN where unknown), a prior and one track or more, received {received}"
+        )
+    if z.dim() != 3 or truth.dim() != 3 or truth.shape[:2] != z.shape[:2]:
+        received = f"{tuple(truth.shape)} and {tuple(z.shape)}"
+        raise ValueError(f"tracks: expected truth (B, T, n) and z (B, T, m), received {received}")
+    count, n = len(z), tracks.prior.mean.shape[-1]
+    mean = tracks.prior.mean.expand(count, n)
 
-    def draw(rng: np.random.Generator, shape: Any) -> Tensor:
-        outlying, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))
-        times = drawn.double() if size is None else torch.full(tuple(shape), float(size), dtype=torch.float64)
-        factor = {"covariance": times.sqrt(), "std": times, "none": torch.ones_like(times)}[outliers]
-        return torch.where(outlying, factor, 1.0)
+    def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
+        return Tracks(truth, z, tracks.u, Gaussian(mean, tracks.prior.scale_tril))
 
-    return draw
+    names = tuple(f"track {i + 1}" for i in range(count))
+    prior = Gaussian(mean[0], tracks.prior.scale_tril.reshape(-1, n, n)[0])
+    return Scenario(name, motion, sensor, prior, dt, z.shape[1], block, {"tracks": count}, recordings=names)

@@ -43,15 +43,13 @@ def bearings_outliers(outliers: str = "covariance", *, truth_noise: float = 0.0,
         initial: ``"paper"`` for its initial state, 2.5 km off; ``"truth"`` for one drawn around the true state.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Wang et al. (2021), section 3.1 and table 1.
     """
-    truth = _constant_acceleration(_START, STEPS)
+    truth, moves = _constant_acceleration(_START, STEPS), [ConstantAcceleration(Q)] * STEPS
     sizes = {40: 10.0, 50: 10.0, 60: 10.0, 70: 40.0}
-    return _scenario(
-        "bearings-outliers", truth, [ConstantAcceleration(Q)] * STEPS, sizes, outliers, truth_noise, initial
-    )
+    return _scenario("bearings-outliers", truth, moves, sizes, outliers, truth_noise, initial)
 
 
 def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0, initial: str = "truth") -> Scenario:
@@ -64,7 +62,7 @@ def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0
             ``"paper"`` from that of scenario 1.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Wang et al. (2021), section 3.2.
     """
@@ -78,10 +76,8 @@ def bearings_manoeuvre(outliers: str = "covariance", *, truth_noise: float = 0.0
         turning.append(torch.cat([state, rate * torch.stack([-vy, vx])]))
     after = _constant_acceleration(torch.cat([state, _START[4:]]), 20)
     truth = torch.cat([before, torch.stack(turning), after])
-    straight, known = (
-        ConstantAcceleration(Q),
-        ConstantVelocity(Q, orders=3),
-    )  # known: of the acceleration after the turn
+    straight = ConstantAcceleration(Q)
+    known = ConstantVelocity(Q, orders=3)  # the acceleration after the turn is
     moves = [*[straight] * 30, *[CoordinatedTurn(rate, Q, orders=3)] * 50, known, *[straight] * 19]
     sizes = {50: 10.0, 60: 10.0, 70: 10.0}
     return _scenario("bearings-manoeuvre", truth, moves, sizes, outliers, truth_noise, initial)
@@ -102,10 +98,8 @@ def _constant_acceleration(state: Tensor, steps: int) -> Tensor:
 
 def _scenario(name: str, path: Tensor, moves: Sequence[Motion], sizes: dict[int, float], outliers: str,
               truth_noise: float, initial: str) -> Scenario:  # fmt: skip
-    one_of(
-        outliers=(outliers, ("covariance", "std", "offset", "bursts", "none")),
-        initial=(initial, ("paper", "truth")),
-    )
+    known = ("covariance", "std", "offset", "bursts", "none")
+    one_of(outliers=(outliers, known), initial=(initial, ("paper", "truth")))
     if not truth_noise >= 0:
         raise ValueError(f"truth_noise: expected a variance of 0 or more, received {truth_noise}")
     motion, sensor, u = ConstantAcceleration(Q), Bearings(STD), stations()

@@ -37,7 +37,7 @@ class Bound:
         return ", ".join([f"{self.kind} Cramer-Rao bound", *(f"{what} known" for what in self.known)])
 
 
-def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0, first: int = 0) -> Bound:
+def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0) -> Bound:
     """The bound on the errors of every filter of a scenario.
 
     Args:
@@ -45,23 +45,21 @@ def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0, first: int = 0
         runs: truths to take expectations over; where each run has a path of its own, as many as there are errors to
             compare with.
         seed: of the random numbers.
-        first: number of the first run.
 
     Raises:
-        ValueError: no scenario, or one without a law; ``runs``, ``seed`` or ``first`` out of range.
+        ValueError: no scenario, or one without a law; ``runs`` or ``seed`` out of range.
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario: expected a Scenario, received {type(scenario).__name__}")
     if scenario.law is None:
         raise ValueError(f"scenario: expected one with a law, by which bounds are known, received {scenario.name}")
-    law, tracks = scenario.law, scenario.simulate(runs, seed, first=first)
+    law, tracks = scenario.law, scenario.simulate(runs, seed)
     truth = tracks.truth.flatten(0, -3)
     slope, transition = _slopes(law, scenario, tracks, truth), _transitions(law, scenario, tracks, truth)
     noise = None if law.process_noise is None else law.process_noise.to(truth)
     drawn = noise is not None and bool(noise.any())
     runs_axis = 0 if drawn else 1  # a mean over the runs of the information, or one bound for each
-    slope = slope.unsqueeze(runs_axis)
-    found = cramer_rao(law.start.to(truth), transition.unsqueeze(runs_axis), noise, slope)
+    found = cramer_rao(law.start.to(truth), transition.unsqueeze(runs_axis), noise, slope.unsqueeze(runs_axis))
     return Bound("posterior" if drawn else "parametric", law.known, found.nanmean(0))
 
 

@@ -13,7 +13,7 @@ from torchfra.coordinates import belief_from_cartesian
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.motion.spherical import Spherical
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.scenarios.two_aircraft import DT, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
+from torchfra.scenarios.clutter import DT, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
 from torchfra.types import Gaussian
 
 _CORNERS = torch.tensor([[500.0, 500.0, 500.0], [3500.0, 3500.0, 1500.0]], dtype=torch.float64)
@@ -66,7 +66,7 @@ def clutter_many(
         return Tracks(torch.where(there, truth, torch.nan), z, None, prior)
 
     middle = torch.cat([_CORNERS.mean(0), torch.zeros(3, dtype=torch.float64)]).expand(count, 6)
-    settings: dict[str, object] = {"count": count, "clutter": clutter, "region": region, "detection": detection,
+    settings = {"count": count, "clutter": clutter, "region": region, "detection": detection,
                 "truth_noise": truth_noise}  # fmt: skip
     return Scenario(
         "clutter-many", Spherical(motion), conditions.sensor(), belief_from_cartesian(Gaussian(middle, ROOT)), DT,

@@ -9,8 +9,9 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper
 from torchfra.motion.base import Motion
-from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.scenarios.law import Law, mixed_information
+from torchfra.scenarios.outliers import outlier_factors
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -20,15 +21,12 @@ STEPS, START = 500, 0.1
 class Growth(Motion):
     """``x' = x / 2 + 25 x / (1 + x^2) + 8 cos(1.2 (k - 1))``; the number ``k`` of the step is ``u (..., 1)``.
 
-    Args:
-        q: variance of the process noise of a step.
-
     Source: Kitagawa (1987), in the form of Gordon, Salmond & Smith (1993).
     """
 
-    def __init__(self, q: float = 1.0) -> None:
+    def __init__(self) -> None:
         super().__init__(1, 1, None)
-        self.q = Hyper(q, constraints.nonnegative, name="q")
+        self.q = Hyper(1.0, constraints.nonnegative, name="q")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 1)`` after a step; ``dt`` does not matter."""
@@ -44,14 +42,10 @@ class Growth(Motion):
 
 
 class Square(Sensor):
-    """Measures ``x^2 / 20``, which does not tell the sign.
+    """Measures ``x^2 / 20``, which does not tell the sign."""
 
-    Args:
-        std: of the measurement noise.
-    """
-
-    def __init__(self, std: float = 1.0) -> None:
-        super().__init__(1, [False], std, None)
+    def __init__(self) -> None:
+        super().__init__(1, [False], 1.0, None)
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., 1)`` without noise."""
@@ -67,7 +61,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
         share: of the measurements that are outliers.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Qin et al. (2018), section 4.1.  The filters' initial belief is chosen here; over 500 steps
     it does not matter.
@@ -88,7 +82,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
         z = sensor(truth) + noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, numbers, Gaussian(prior.mean.expand(BLOCK, 1), prior.scale_tril))
 
-    settings: dict[str, object] = {"outliers": outliers, "size": size, "share": share}
+    settings = {"outliers": outliers, "size": size, "share": share}
     noise, tells = torch.eye(1, dtype=torch.float64), mixed_information(outliers, size, share, 1)
     law = Law(torch.zeros_like(noise), motion, sensor, 1.0, noise, tells, ("start",))
     return Scenario("growth", motion, sensor, prior, 1.0, STEPS, block, settings, law=law)

@@ -1,9 +1,9 @@
-"""The true models of a scenario's targets and measurements, as far as they are known: for bounds on errors."""
+"""The true models of a scenario's targets and measurements, for bounds on errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -39,10 +39,6 @@ class Law:
     process_noise: Tensor | None = None
     information: Tensor | float = 1.0
     known: tuple[str, ...] = ()
-
-    def knowing(self, *known: str) -> Law:
-        """The law with further quantities taken as known."""
-        return replace(self, known=(*self.known, *known))
 
 
 def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> Tensor:

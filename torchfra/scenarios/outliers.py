@@ -1,10 +1,15 @@
-"""Outliers that come in bursts."""
+"""Outliers of simulated measurements: each for itself, or in bursts."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from torchfra.hyper import one_of
 
 LENGTH, SIZE, SHARE = 4, 10.0, 0.05
 """Steps of a burst, how many times larger the standard deviation is in it, and its share of all steps."""
@@ -31,3 +36,27 @@ def burst_factors(
     for age in range(min(LENGTH, steps)):
         inside[:, age:] |= starts[:, : steps - age]
     return torch.from_numpy(np.where(inside, size, 1.0)).unsqueeze(-1)
+
+
+def outlier_factors(outliers: str, size: float | None, share: float) -> Callable[[np.random.Generator, Any], Tensor]:
+    """A function ``(rng, shape)`` that draws the factor on the standard deviation of each measurement: 1 for most.
+
+    Args:
+        outliers: what is ``size`` times larger in an outlier: ``"covariance"`` or ``"std"``, or ``"none"``.
+        size: how many times; None for an integer from 1 to 20, drawn each time.
+        share: of the measurements that are outliers.
+
+    Raises:
+        ValueError: an argument out of its range.
+    """
+    one_of(outliers=(outliers, ("covariance", "std", "none")))
+    if not (size is None or 1 <= size < float("inf")) or not 0 <= share <= 1:
+        raise ValueError(f"size, share: expected 1 or more and a share in [0, 1], received {size}, {share}")
+
+    def draw(rng: np.random.Generator, shape: Any) -> Tensor:
+        outlying, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))
+        times = drawn.double() if size is None else torch.full(tuple(shape), float(size), dtype=torch.float64)
+        factor = {"covariance": times.sqrt(), "std": times, "none": torch.ones_like(times)}[outliers]
+        return torch.where(outlying, factor, 1.0)
+
+    return draw

@@ -85,8 +85,8 @@ def ranges_outliers(
         z = (sensor(path[:, 1:]) + STD * noise + offset).clamp_min(_SHORTEST)
         return Tracks(path[:, 1:], torch.where(lost, torch.nan, z), None, Gaussian(start, root))
 
-    settings: dict[str, object] = {"outliers": outliers, "anchors": anchors, "share": share, "size": size,
-                                   "length": length, "missing": missing}  # fmt: skip
+    settings = {"outliers": outliers, "anchors": anchors, "share": share, "size": size,
+                "length": length, "missing": missing}  # fmt: skip
     prior = Gaussian(torch.cat([_AREA.mean(0), torch.zeros(4, dtype=torch.float64)]), root)
     motion, known = ConstantAcceleration(Q), ("accelerations", *(["outliers"] if outliers != "none" else []))
     return Scenario("ranges-outliers", motion, sensor, prior, DT, STEPS, block, settings, walker(Q), limit=LIMIT,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import chain
 
 import numpy as np
@@ -69,25 +68,37 @@ def recorded(
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
-        TypeError: recordings that are none, such as names of files.
+        TypeError: something else than recordings, such as names of files.
     """
+    one_of(outliers=(outliers, ("covariance", "std", "bursts", "none")))
+    if not 0 <= share <= 1 or not size >= 1:
+        raise ValueError(f"share, size: expected a share in [0, 1], and 1 or more, received {share}, {size}")
     _check(recordings, dt, max_gap, q)
-    _check_outliers(outliers, share, size)
     windows = _windows(recordings, dt, steps, max_gap, repair)
     model, places = _observed(sensor, std, windows)
+    assert model.std is not None
+    spread: Tensor = model.std()
     settings = {
         "sensor": sensor, "windows": len(windows), "recordings": len(recordings), "max_gap": max_gap,
-        "std": _std(model).tolist(), "outliers": outliers, "share": share, "size": size, "q": q, "repair": repair,
+        "std": spread.tolist(), "outliers": outliers, "share": share, "size": size, "q": q, "repair": repair,
     }  # fmt: skip
-    factors = partial(_factors, outliers, share, size)
-    block = partial(_block, windows, model, places, factors)
-    motion, known_moves = ConstantAcceleration(q), ConstantVelocity(0.0, orders=3)
-    mixed = partial(mixed_information, outliers, size, share, model.size)
-    tells = burst_information(steps, share, size) if outliers == "bursts" else mixed()
-    known = ("accelerations", *(["outliers"] if outliers == "bursts" else []))
-    law = Law(_ROOT, known_moves, model, _std(model), None, tells, known)
-    return Scenario("recorded", motion, model, Gaussian(windows[0, 0] * _KNOWN, _ROOT), dt, steps, block, settings,
-                    aircraft(q), limit=LIMIT, law=law)  # fmt: skip
+
+    def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
+        window = numbers % len(windows)
+        draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + steps * model.size)))
+        start, truth = windows[window].split([1, steps], 1)
+        u = None if places is None else places[window].unsqueeze(1).expand(-1, steps, -1)
+        noise = draw[:, 6:].unflatten(1, (steps, model.size)) * _factors(rng, outliers, share, size, steps)
+        return Tracks(truth, model(truth, u) + spread * noise, u,
+                      Gaussian(start.squeeze(1) * _KNOWN + draw[:, :6] @ _ROOT, _ROOT))  # fmt: skip
+
+    bursts = outliers == "bursts"
+    tells = burst_information(steps, share, size) if bursts else mixed_information(outliers, size, share, model.size)
+    known = ("accelerations", "outliers") if bursts else ("accelerations",)
+    law = Law(_ROOT, ConstantVelocity(0.0, orders=3), model, spread, None, tells, known)
+    prior = Gaussian(windows[0, 0] * _KNOWN, _ROOT)
+    return Scenario("recorded", ConstantAcceleration(q), model, prior, dt, steps, block, settings, aircraft(q),
+                    limit=LIMIT, law=law)  # fmt: skip
 
 
 def _check(recordings: Sequence[Recording], dt: float, max_gap: float, q: float) -> None:
@@ -103,13 +114,7 @@ def _check(recordings: Sequence[Recording], dt: float, max_gap: float, q: float)
         raise ValueError(f"q: expected m^2/s^4 of 0 or more, received {q}")
 
 
-def _check_outliers(outliers: str, share: float, size: float) -> None:
-    one_of(outliers=(outliers, ("covariance", "std", "bursts", "none")))
-    if not 0 <= share <= 1 or not size >= 1:
-        raise ValueError(f"share, size: expected a share in [0, 1], and 1 or more, received {share}, {size}")
-
-
-def _factors(outliers: str, share: float, size: float, rng: np.random.Generator, steps: int) -> Tensor:
+def _factors(rng: np.random.Generator, outliers: str, share: float, size: float, steps: int) -> Tensor:
     """Factors ``(BLOCK, steps, 1)`` on the standard deviation of the measurements."""
     if outliers == "bursts":
         return burst_factors(rng, BLOCK, steps, share=share, size=size)
@@ -130,27 +135,6 @@ def _observed(sensor: str, std: float | Sequence[float] | None, windows: Tensor)
         return RangeBearing(torch.tensor((50.0, angle), dtype=torch.float64) if known is None else known), south
     aside = reach * torch.tensor([1.0, 0.0], dtype=torch.float64)
     return Bearings(angle if known is None else known), torch.cat([south - aside, south + aside], -1)
-
-
-def _block(
-    windows: Tensor, sensor: _Sensor, places: Tensor | None,
-    factors: Callable[[np.random.Generator, int], Tensor], rng: np.random.Generator, numbers: Tensor,
-) -> Tracks:  # fmt: skip
-    """Runs of these numbers; ``factors`` draws those on the standard deviation of each measurement."""
-    window, steps = numbers % len(windows), windows.shape[1] - 1
-    draw = torch.from_numpy(rng.standard_normal((BLOCK, 6 + steps * sensor.size)))
-    truth = windows[window]
-    start, truth = truth[:, 0] * _KNOWN, truth[:, 1:]
-    u = None if places is None else places[window].unsqueeze(1).expand(-1, steps, -1)
-    noise = draw[:, 6:].unflatten(1, (steps, sensor.size)) * factors(rng, steps)
-    z = sensor(truth, u) + _std(sensor) * noise
-    return Tracks(truth, z, u, Gaussian(start + draw[:, :6] @ _ROOT, _ROOT))
-
-
-def _std(sensor: _Sensor) -> Tensor:
-    assert sensor.std is not None
-    std: Tensor = sensor.std()
-    return std
 
 
 def _windows(recordings: Sequence[Recording], dt: float, steps: int, max_gap: float, repair: bool) -> Tensor:

@@ -18,12 +18,7 @@ from torchfra.types import Gaussian
 
 
 def recorded_ranges(
-    recordings: Sequence[RangeRecording],
-    *,
-    dt: float = DT,
-    std: float = STD,
-    q: float = Q,
-    height: float | None = None,
+    recordings: Sequence[RangeRecording], *, dt: float = DT, std: float = STD, q: float = Q, height: float | None = None
 ) -> Scenario:
     """Recorded ranges and the path that was walked: run i is recording i, whatever the seed.
 
@@ -42,7 +37,7 @@ def recorded_ranges(
 
     Raises:
         ValueError: no recording, one without a reference path or without its height, or an argument out of its range.
-        TypeError: recordings that are none, such as names of files.
+        TypeError: something else than recordings, such as names of files.
     """
     alone = isinstance(recordings, RangeRecording)
     wrong = [recordings] if alone else [one for one in recordings if not isinstance(one, RangeRecording)]
@@ -63,7 +58,7 @@ def recorded_ranges(
         return Tracks(truth, z, places.unsqueeze(1).expand(-1, steps, -1), Gaussian(start, root))
 
     names = tuple(one.name for one in recordings)
-    settings: dict[str, object] = {
+    settings = {
         "recordings": list(names),
         "std": std,
         "q": q,
@@ -105,14 +100,11 @@ def _places(recording: RangeRecording, grid: RangeGrid, height: float | None, co
     given = recording.anchors
     places[: len(given), : given.shape[1]] = given
     if given.shape[1] == 3:
-        places[: len(given), 2] -= _height(grid, recording.name) if height is None else height
+        if height is None:
+            if grid.reference is None or grid.reference.shape[1] < 3:
+                raise ValueError(f"height: expected metres, as the path of {recording.name} has no z, received None")
+            height = float(np.median(grid.reference[:, 2]))
+        places[: len(given), 2] -= height
     elif height is not None:
         raise ValueError(f"height: goes with anchors in space, received {height} for those of {recording.name}")
     return torch.from_numpy(places.flatten())
-
-
-def _height(grid: RangeGrid, name: str) -> float:
-    """The median height of the reference path."""
-    if grid.reference is None or grid.reference.shape[1] < 3:
-        raise ValueError(f"height: expected metres, as the path of {name} has no z, received None")
-    return float(np.median(grid.reference[:, 2]))

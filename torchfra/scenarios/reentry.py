@@ -10,8 +10,9 @@ from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
-from torchfra.scenarios.base import BLOCK, Scenario, Tracks, outlier_factors
+from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.scenarios.law import Law, mixed_information
+from torchfra.scenarios.outliers import outlier_factors
 from torchfra.sensors.direction import RangeBearing
 from torchfra.types import Gaussian
 
@@ -82,7 +83,7 @@ class Reentry(Motion):
 
 def reentry(
     outliers: str = "covariance", *, radar: str = "paper", size: float | None = None, share: float = 0.3,
-    q_parameter: float = 0.0, method: str = "euler",
+    method: str = "euler",
 ) -> Scenario:  # fmt: skip
     """200 s of a re-entry, range and bearing every second, with outliers.
 
@@ -92,16 +93,15 @@ def reentry(
             those of the literature).
         size: how many times larger; None for an integer from 1 to 20, drawn each time.
         share: of the measurements that are outliers.
-        q_parameter: as in ``Reentry``, for the filters; the true parameter is constant.
         method: of the filters' integration, as in ``Reentry``.
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: an argument out of its range.
 
     Source: Qin et al. (2018), section 4.2.  The duration and the integration are chosen here.
     """
     one_of(radar=(radar, tuple(_RADARS)))
-    motion, std = Reentry(q_parameter=q_parameter, method=method), torch.tensor(_RADARS[radar], dtype=torch.float64)
+    motion, std = Reentry(method=method), torch.tensor(_RADARS[radar], dtype=torch.float64)
     sensor = RangeBearing(std)
     station = torch.tensor([_EARTH, 0.0], dtype=torch.float64).expand(STEPS, 2)
     prior, factors = Gaussian(_START, torch.eye(5, dtype=torch.float64)), outlier_factors(outliers, size, share)
@@ -115,14 +115,13 @@ def reentry(
         z = sensor(truth, station) + std * noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, station, Gaussian(prior.mean.expand(BLOCK, 5), prior.scale_tril))
 
-    settings: dict[str, object] = {
+    settings = {
         "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
-        "q_parameter": q_parameter, "method": method,
+        "method": method,
     }  # fmt: skip
     tells = mixed_information(outliers, size, share, 2)
-    law = Law(
-        prior.scale_tril[:, :4], Reentry(), sensor, std, _shaken(jolt), tells
-    )  # the parameter is as filters start
+    start = prior.scale_tril[:, :4]  # the parameter is as filters start
+    law = Law(start, Reentry(), sensor, std, _shaken(jolt), tells)
     return Scenario(
         "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)},
         law=law,

@@ -21,23 +21,18 @@ PLANTED, OFFSET = (100, 101), 2000.0
 _ROOT = torch.tensor([100.0] * 3 + [20.0] * 3 + [2.0] * 3, dtype=torch.float64).diag()
 
 
-def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> Scenario:
+def level_then_weave(outliers: str = "planted") -> Scenario:
     """Level for 73 s, then an acceleration along x that rises to 30 m/s^2 and falls again; a position each second.
 
     Args:
         outliers: ``"planted"``: 2 km on x at 100 and 101 s; ``"none"``.
-        noise: of the measurements: ``"cartesian"``: 20 m per axis; ``"spherical"``: 20 m in range, 0.05 degrees in
-            azimuth and elevation from the origin (filters assume 20 m per axis in any case).
 
     Raises:
-        ValueError: an argument that is none of those.
+        ValueError: ``outliers`` that are neither.
 
     Source: Xu et al., section 4.  Numbers of the track that the paper lost are chosen here.
     """
-    one_of(
-        outliers=(outliers, ("planted", "none")),
-        noise=(noise, ("cartesian", "spherical")),
-    )
+    one_of(outliers=(outliers, ("planted", "none")))
     truth = _path()
     planted = torch.zeros(STEPS, 3, dtype=torch.float64)
     if outliers == "planted":
@@ -46,20 +41,13 @@ def level_then_weave(outliers: str = "planted", *, noise: str = "cartesian") -> 
     def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
         draw = torch.from_numpy(rng.standard_normal((BLOCK, STEPS, 3)))
         start = torch.from_numpy(rng.standard_normal((BLOCK, 9)))
-        z = truth[1:, :3] + STD * draw if noise == "cartesian" else _measured(truth[1:, :3], draw)
-        return Tracks(truth[1:].expand(BLOCK, -1, -1), z + planted, None, Gaussian(truth[0] + start @ _ROOT, _ROOT))
+        z = truth[1:, :3] + STD * draw + planted
+        return Tracks(truth[1:].expand(BLOCK, -1, -1), z, None, Gaussian(truth[0] + start @ _ROOT, _ROOT))
 
-    settings: dict[str, object] = {"outliers": outliers, "noise": noise}
-    motion = ConstantAcceleration(4.0, 3)
-    prior = Gaussian(truth[0], _ROOT)
+    settings = {"outliers": outliers}
+    motion, prior = ConstantAcceleration(4.0, 3), Gaussian(truth[0], _ROOT)
     sensor, known = Position(STD, dims=3), ("accelerations", *(["outliers"] if outliers == "planted" else []))
-    law = Law(
-        _ROOT,
-        ConstantVelocity(0.0, 3, orders=3),
-        sensor if noise == "cartesian" else _spherical,
-        _deviations(noise),
-        known=known,
-    )
+    law = Law(_ROOT, ConstantVelocity(0.0, 3, orders=3), sensor, STD, known=known)
     return Scenario("alpha-beta", motion, sensor, prior, 1.0, STEPS, block, settings, aircraft(4.0, 3), law=law)
 
 
@@ -76,23 +64,3 @@ def _path() -> Tensor:
     acceleration = torch.zeros_like(velocity)
     acceleration[:, 0] = PEAK * (rate * into).sin()
     return torch.cat([position, velocity, acceleration], -1)
-
-
-def _measured(position: Tensor, draw: Tensor) -> Tensor:
-    """Positions from range, azimuth and elevation with measurement noise."""
-    reach, azimuth, elevation = (_spherical(position) + _deviations("spherical") * draw).unbind(-1)
-    flat = reach * elevation.cos()
-    return torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), reach * elevation.sin()], -1)
-
-
-def _spherical(position: Tensor, u: Tensor | None = None) -> Tensor:
-    """Range, azimuth and elevation ``(..., 3)`` of a state or a position."""
-    x, y, z = position[..., :3].unbind(-1)
-    ground = torch.hypot(x, y)
-    return torch.stack([torch.hypot(ground, z), torch.atan2(y, x), torch.atan2(z, ground)], -1)
-
-
-def _deviations(noise: str) -> Tensor:
-    """Standard deviations of a measurement, in the coordinates of its noise."""
-    angle = math.radians(0.05)
-    return torch.tensor([STD, STD, STD] if noise == "cartesian" else [STD, angle, angle], dtype=torch.float64)

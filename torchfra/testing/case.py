@@ -171,8 +171,7 @@ def registered(name: str) -> Filter:
     entry, sensor = FILTERS[name], Position(10.0)
     motion = aircraft(1.0) if entry.bank else ConstantAcceleration(1.0)
     clutter = {"clutter": Clutter(volume=1e8), "detection": 0.95} if entry.scans else {}
-    f: Filter = made(name, entry.preset(motion, sensor, **clutter), Filter, "(motion, sensor)")
-    return f
+    return made(name, entry.preset(motion, sensor, **clutter), Filter, "(motion, sensor)")
 
 
 def simulate(f: Filter, dt: float, seed: int) -> tuple[Tensor, Gaussian]:
