@@ -35,31 +35,50 @@ class Track(NamedTuple):
     """Errors of others on this track, m, by the method's name."""
     per_axis: bool
     """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
-    std: Tensor | None = None
-    """``(T, m)`` standard deviations of the measurements; None for the sensor's."""
     groups: tuple[int, ...] = ()
     """Of each element of a measurement the number of what it has in common with others, such as a clock."""
 
 
+class Followed(NamedTuple):
+    """What a filter, or what weighs several, says of a track; positions are the leading states."""
+
+    estimate: Estimate
+    """On line."""
+    smoothed: Estimate
+    level: Tensor
+    """``(T,)`` protection levels of the estimate on line, m."""
+
+
 class Found(NamedTuple):
-    """What a filter made of a track."""
+    """What came of it."""
 
     figures: Figures
     mean: Tensor
     """``(T, dims)`` positions on line, m."""
 
 
-def measured(
-    f: Filter, prior: Gaussian, track: Track, metric: str, unnoticed: tuple[float, float] | None = None
-) -> Found:
-    """Errors of a filter on a track, as it filters and smoothed.
+def followed(f: Filter, prior: Gaussian, track: Track, unnoticed: tuple[float, float] | None = None) -> Followed:
+    """Filters a track, and smooths it.
 
     Args:
         f: the filter.
         prior: its belief before the first step.
         track: the track.
-        metric: what the error on line is called.
         unnoticed: of the protection level: ``fault`` of ``filters.protection_level``.
+    """
+    with torch.no_grad():
+        estimate = f(track.z, prior, dt=track.dt, u=track.u, past=True)
+        smoothed = f.smooth(track.z, prior, dt=track.dt, u=track.u, estimate=estimate)
+    return Followed(estimate, smoothed, protection_level(f, estimate, fault=unnoticed))
+
+
+def judged(of: Followed, track: Track, metric: str) -> Found:
+    """Errors on a track.
+
+    Args:
+        of: what is said of it.
+        track: the track.
+        metric: what the error on line is called.
 
     Returns:
         That error and ``smoothed``, m, over all steps whose truth is known, and the mean normalised estimation error
@@ -69,17 +88,13 @@ def measured(
     """
     dims = track.truth.shape[-1]
     states = slice(0, dims)
-    with torch.no_grad():
-        estimate = f(track.z, prior, dt=track.dt, u=track.u, std=track.std, past=True)
-        later = f.smooth(track.z, prior, dt=track.dt, u=track.u, std=track.std, estimate=estimate)
 
     def errors(of: Estimate) -> tuple[float, float]:
         rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)
         return float(rmse), float(metrics.nees(of, track.truth, states).nanmean()) / dims
 
-    (rmse, nees), (smoothed, nees_smoothed) = errors(estimate), errors(later)
-    off = (estimate.mean[..., states] - track.truth).norm(dim=-1)
-    level = protection_level(f, estimate, fault=unnoticed)
-    beyond = 100 * float(torch.where((off - level).isnan(), torch.nan, (off > level).to(off)).nanmean())
+    (rmse, nees), (smoothed, nees_smoothed) = errors(of.estimate), errors(of.smoothed)
+    off = (of.estimate.mean[..., states] - track.truth).norm(dim=-1)
+    beyond = 100 * float(torch.where((off - of.level).isnan(), torch.nan, (off > of.level).to(off)).nanmean())
     figures = {metric: rmse, "nees": nees, "smoothed": smoothed, "nees_smoothed": nees_smoothed, "beyond": beyond}
-    return Found(figures, estimate.mean[..., states])
+    return Found(figures, of.estimate.mean[..., states])
