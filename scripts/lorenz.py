@@ -7,7 +7,8 @@ The system and its settings are those of KalmanNet (Revach et al. 2022): see ``s
 root mean squares per component over all tracks and steps, in units of the standard deviation of the measurement noise.
 A fitted filter has learned process and measurement noise of each component from 200 other tracks (``torchfra.fit``):
 from the likelihood of their measurements, or from squared errors with a truth, as the OKF of Greenberg et al. (2023).
-The network has learned from batches of 64 tracks with their truth.
+The network has learned from batches of 64 tracks with their truth; where there are outliers, another one has learned
+without.
 
 In the setting "one step ahead" errors are not divided by anything, and those that filternet (Song et al.) has published
 stand beside them: the best of its four networks for each variance.  There a Gaussian sum of ``ukf`` runs as well: see
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 
 import torch
 from learned.gaussian_sum import followed
@@ -50,6 +52,8 @@ LOSSES = {"fitted": "likelihood", "fitted to truth": "mse"}
 """What noise is fitted by; the likelihood of the measurements needs no truth."""
 LEARNED_FROM, BATCH = 200, 64
 """Tracks of a fit, and of an iteration of the network."""
+UNSEEN = "learned without outliers"
+"""Said of a network that has seen no outliers where there are some."""
 LEARNING = 1_000_000
 """Added to the seed for tracks to learn from."""
 
@@ -120,16 +124,24 @@ def of_setting(setting: Setting, variance: float, options: argparse.Namespace) -
         for words, loss in LOSSES.items():
             f = fitted(make_filter(name, motion, sensor), others, loss)
             errors[f"{name}, {words}"] = error(estimated(f, tracks, motion), tracks, scale)
-    if options.network:
+    learned_from = {"KalmanNet, small": short}
+    if setting.outliers:
+        learned_from[f"KalmanNet, small, {UNSEEN}"] = short._replace(outliers=False)
+    for name, seen in learned_from.items() if options.network else ():
         torch.manual_seed(options.seed)
         network = KalmanNet(motion, sensor)
-        trained(network, lambda number: simulate(short, variance, BATCH, seed + 1 + number), options.network)
+        trained(network, partial(of_batch, seen, variance, seed + 1), options.network)
         with torch.no_grad():
-            errors["KalmanNet, small"] = error(network.estimated(tracks).double(), tracks, scale)
+            errors[name] = error(network.estimated(tracks).double(), tracks, scale)
     if setting.published:
         errors["Gaussian sum"] = error(summed(make_filter("ukf", motion, sensor), tracks, motion), tracks, scale)
         errors["published"] = PUBLISHED[variance]
     return errors
+
+
+def of_batch(setting: Setting, variance: float, seed: int, number: int) -> Tracks:
+    """Tracks that a network learns from in one iteration."""
+    return simulate(setting, variance, BATCH, seed + number)
 
 
 def estimated(f: Filter, tracks: Tracks, motion: Motion) -> torch.Tensor:

@@ -33,7 +33,7 @@ from typing import Any
 
 from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.picture import picture
-from recorded_bench.tracks import Figures, measured
+from recorded_bench.tracks import Figures, Followed, followed, judged
 
 from torchfra.catalogue import track_filters
 from torchfra.cli.command import (
@@ -56,8 +56,8 @@ from torchfra.types import CompileError
 
 KINDS = {"nclt": nclt, "uwb": uwb, "smartloc": smartloc, "autoferry": autoferry}
 DEFAULT = "gpb,rsrckf,srckf"
-NETWORK = "gpb_network"
-"""What ``gpb`` is called with what a network says."""
+NETWORK = "network"
+"""What the estimates are called that a network has weighed."""
 WORTHWHILE = 3000
 """Steps of all tracks from which on compiling saves time."""
 
@@ -68,8 +68,8 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("kind", choices=KINDS, help="what the recordings are")
     p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a recording each: a file, of uwb a folder")
     p.add_argument("--filters", metavar="A,B", help=f"presets (default: {DEFAULT}, and what a kind has besides)")
-    p.add_argument("--network", nargs="+", type=Path, metavar="FILE", help="nclt: days that a network learns from how "
-                   "good positions and wheels are now; gpb has it too, as gpb_network")  # fmt: skip
+    p.add_argument("--network", nargs="+", type=Path, metavar="FILE", help="nclt: days that a network learns from "
+                   "which of gpb and imm is nearer now; the table has their estimates so weighed too")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the network (default: 0)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
@@ -104,26 +104,29 @@ def compare(options: argparse.Namespace) -> None:
     compile = not several and choose(options.compile, sum(len(track.z) for track in tracks) >= WORTHWHILE, tell)
     found: dict[str, dict[str, Any]] = {track.name: {} for track in tracks}
     if options.network is not None:
-        days = [kind.read(path) for path in options.network]
-        f, _ = kind.make("gpb", days[0])
-        with_quality = nclt.learned_quality(
+        days = [nclt.read(path) for path in options.network]
+        both = [nclt.make(name, days[0])[0] for name in nclt.MIXED]
+        mixture = nclt.learned_mixture(
             days,
-            ready(f, "gpb", options) if compile else f,
+            [ready(f, name, options) for f, name in zip(both, nclt.MIXED, strict=True)] if compile else both,
             options.seed,
             lambda steps: progress_bar(steps, "learning", not options.quiet),
         )
         names.append(NETWORK)
+
+    def follow(name: str, track: Any, bias: float | None = None) -> Followed:
+        f, prior = kind.make(name, track)
+        return followed(ready(f, name, options) if compile else f, prior, track, kind.UNNOTICED, bias)
+
     for track, name in progress_bar([(t, n) for t in tracks for n in names], "filter", not options.quiet):
         if several:
             found[track.name][name] = autoferry.follow(name, track)
             continue
         if name == NETWORK:
-            track = with_quality(track)
-        f, prior = kind.make("gpb" if name == NETWORK else name, track)
-        found[track.name][name] = measured(
-            ready(f, name, options) if compile else f, prior, track, kind.METRIC, kind.UNNOTICED,
-            None if name in kind.OWN_PRESETS else kind.BIAS,
-        )  # fmt: skip
+            of = mixture(track, [follow(one, track) for one in nclt.MIXED])
+        else:
+            of = follow(name, track, None if name in kind.OWN_PRESETS else kind.BIAS)
+        found[track.name][name] = judged(of, track, kind.METRIC)
     write(options, tracks, found)
 
 

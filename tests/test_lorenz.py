@@ -125,6 +125,17 @@ def test_the_table_and_the_json_have_an_error_for_each_filter(tmp_path, capsys):
     assert "as stated, 1" in printed
 
 
+def test_where_there_are_outliers_another_network_learns_without(tmp_path, monkeypatch):
+    batches, out = [], tmp_path / "r.json"
+    monkeypatch.setattr(lorenz, "trained", lambda network, tracks, iterations: batches.append(tracks(0)))
+    assert lorenz.main([*SMALL, "--settings", "5 % outliers", "--json", str(out), "--quiet"]) == 0
+    errors = json.loads(out.read_text())["errors"]["5 % outliers"]["1"]
+    assert errors.keys() == {"srckf", "KalmanNet, small", "KalmanNet, small, learned without outliers"}
+    largest = [(batch.z - batch.truth).abs().max() for batch in batches]  # in standard deviations
+    assert largest[0] > 10
+    assert largest[1] < 7
+
+
 @pytest.mark.slow
 def test_noise_fitted_to_truth_makes_up_for_a_part_of_a_turn_that_no_filter_knows(tmp_path, monkeypatch):
     monkeypatch.setattr(lorenz, "LEARNED_FROM", 16)

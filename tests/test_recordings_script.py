@@ -3,6 +3,7 @@
 import gzip
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,13 +12,10 @@ import torch
 from learned import campus
 from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.compass import steadied
-from recorded_bench.tracks import measured
+from recorded_bench.tracks import followed, judged
 
-from torchfra import presets
 from torchfra.angles import wrap
-from torchfra.motion import Odometry
-from torchfra.sensors import Position
-from torchfra.types import Gaussian
+from torchfra.types import Estimate, Gaussian
 
 HEADER = "time,gps_x,gps_y,wheel_left,wheel_right,yaw,yaw_rate,truth_x,truth_y,truth_yaw"
 
@@ -70,7 +68,7 @@ def test_a_day_that_others_have_published_has_their_figures_and_any_other_has_no
 
 def test_errors_are_per_axis_over_all_rows(tmp_path):
     track = nclt.read(day(tmp_path))
-    found = measured(*nclt.make("srckf", track), track, nclt.METRIC)
+    found = judged(followed(*nclt.make("srckf", track), track), track, nclt.METRIC)
     by_hand = (found.mean - track.truth).square().mean().sqrt().item()
     assert found.figures["rmse_axis"] == pytest.approx(by_hand)
 
@@ -163,7 +161,7 @@ def test_a_steadied_heading_needs_no_later_reading():
     torch.testing.assert_close(steadied(readings, turns, moving)[:50], steadied(readings[:50], turns[:50], moving[:50]))
 
 
-# ---------------------------------------------------------------- a network that says how good its signals are
+# ---------------------------------------------------------------- a network that says which filter is nearer
 
 
 def simulated(seed, steps=240):
@@ -173,82 +171,144 @@ def simulated(seed, steps=240):
     truth = torch.stack([u[:, 1].cos(), u[:, 1].sin()], -1).cumsum(0)
     std = torch.where(torch.arange(steps) // 30 % 2 == 0, 1.0, 30.0).unsqueeze(-1)
     z = truth + std * torch.randn(steps, 2, generator=rng, dtype=torch.float64)
-    return campus.Day(z, u, truth, Gaussian(torch.zeros(4).double(), torch.eye(4).double() / 10))
+    prior = Gaussian(torch.tensor([3.0, 4.0, 0.0, 0.0]).double(), torch.eye(4).double())
+    return campus.Day(z, u, torch.ones(steps).double(), truth, prior)
 
 
-def error(f, day, **said):
-    """Root mean square error of positions, m."""
-    mean = f(day.z, day.prior, **{"u": day.u} | said).mean[..., :2]
-    return (mean - day.truth).square().sum(-1).mean().sqrt().item()
+def says(mean, **info):
+    """An estimate of unit covariance."""
+    root = torch.eye(mean.shape[-1]).to(mean).expand(*mean.shape, -1)
+    return Estimate(mean, root, mean[..., 0], mean[..., 0], SimpleNamespace(**info))
 
 
-def test_a_network_learns_through_the_filter_when_fixes_are_bad_and_says_it_on_another_day(monkeypatch):
-    for name, value in {"ITERATIONS": 15, "PIECES": 4, "LENGTH": 60, "RATE": 0.03, "MOVED": 0.0}.items():
-        monkeypatch.setattr(campus, name, value)
-    f = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0))
-    network, day = campus.learned([simulated(0)], f, 10.0, 0.0), simulated(1)
-    with torch.no_grad():
-        std, u = (x[0] for x in network(day.z[None], day.u[None]))
-        assert error(f, day, std=std, u=u) < 0.8 * error(f, day)
-    bad = torch.arange(len(std)) // 30 % 2 == 1
-    assert std[bad].median() > 2 * std[~bad].median()
+def trusting(z, prior, u, dt):
+    """Takes each fix for the truth."""
+    return says(z, outlier=torch.zeros_like(z[..., :1]))
 
 
-def test_a_penalty_holds_what_a_network_says_near_the_values_of_the_filter(monkeypatch):
-    for name, value in {"ITERATIONS": 15, "PIECES": 4, "LENGTH": 60, "RATE": 0.03, "MOVED": 0.0}.items():
-        monkeypatch.setattr(campus, name, value)
-    f, day = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0)), simulated(1)
+def coasting(z, prior, u, dt):
+    """Goes by the wheels alone."""
+    way = torch.stack([u[..., 1].cos(), u[..., 1].sin()], -1).cumsum(-2)
+    mean = torch.cat([prior.mean[..., None, :2] + way, torch.zeros_like(way)], -1)
+    return says(mean, probabilities=torch.ones_like(mean[..., :3]) / 3)
 
-    def size(penalty):
-        monkeypatch.setattr(campus, "PENALTY", penalty)
-        network = campus.learned([simulated(0)], f, 10.0, 0.0)
+
+TWO = trusting, coasting
+
+
+def learned(*days):
+    """What the mean of networks says of a day, ``(T,)``, after they have learned on others."""
+    networks = campus.learned(days, TWO, lambda prior: prior)
+
+    def weight(day):
         with torch.no_grad():
-            return network.factors(day.z[None], day.u[None])[0].square().mean()
+            return torch.stack([network(campus.heard(day, TWO, lambda prior: prior).signals) for network in networks])
 
-    assert size(1e3) < 0.2 * size(0.0)
+    return lambda day: weight(day).mean(0)
 
 
-def test_a_network_learns_from_pieces_of_each_day(monkeypatch):
+@pytest.fixture
+def small(monkeypatch):
+    """Little to learn from, in few steps."""
+    for name, value in {
+        "ITERATIONS": 150,
+        "PIECES": 4,
+        "LENGTH": 60,
+        "MOVED": 0.0,
+        "PENALTY": 0.0,
+        "RATE": 0.05,
+    }.items():
+        monkeypatch.setattr(campus, name, value)
+    return lambda name, value: monkeypatch.setattr(campus, name, value)
+
+
+def test_networks_learn_which_filter_is_nearer_and_say_it_on_another_day(small):
+    day = simulated(1)
+    weight, positions = learned(simulated(0))(day), campus.heard(day, TWO, lambda prior: prior).positions
+
+    def error(estimate):
+        return (estimate - day.truth).square().mean().sqrt()
+
+    assert error(campus.weighed(weight, positions)) < 0.9 * min(error(positions[:, 0]), error(positions[:, 1]))
+    bad = torch.arange(len(weight)) // 30 % 2 == 1
+    assert weight[bad].median() > 0.2 + weight[~bad].median()
+
+
+def test_a_penalty_holds_weights_near_a_half(small):
+    small("PENALTY", 1e6)
+    weight = learned(simulated(0))(simulated(1))
+    assert (weight - 0.5).abs().max() < 0.1
+
+
+def test_networks_learn_from_pieces_of_each_day(small, monkeypatch):
     seen, varied = [], campus.varied
-    monkeypatch.setattr(campus, "varied", lambda day, *more: seen.append(len(day.z)) or varied(day, *more))
-    for name, value in {"ITERATIONS": 12, "PIECES": 2, "LENGTH": 10}.items():
-        monkeypatch.setattr(campus, name, value)
-    f = presets.srckf(Odometry(0.5, 1e-4, 1e-4), Position(10.0))
-    campus.learned([simulated(0, 90), simulated(1, 60)], f, 10.0, 0.0)
-    assert {*seen} == {90, 60}
+    monkeypatch.setattr(campus, "varied", lambda day, rng: seen.append(len(day.z)) or varied(day, rng))
+    small("ITERATIONS", 1)
+    learned(simulated(0, 90), simulated(1, 60))
+    assert seen == [90, 60]
 
 
-def test_what_a_network_says_of_a_step_needs_no_later_signal():
-    network, day = campus.Quality(10.0, 0.0).eval(), simulated(0, 150)
-    for part in (network.positions, network.wheels):
-        torch.nn.init.normal_(part[-1].weight)
-    later = day.z.clone(), day.u.clone()
-    for x in later:
-        x[120:] += 7.0
-    now, other = (network(z[None], u[None]) for z, u in ((day.z, day.u), later))
-    for a, b in zip(now, other, strict=True):
-        torch.testing.assert_close(a[:, :120], b[:, :120], rtol=0, atol=0)
-        assert not a[:, 120:].equal(b[:, 120:])
+def test_pieces_keep_the_sizes_of_errors_up_to_the_factors(small):
+    day = simulated(0)
+    small("MOVED", 1.0)
+    pieces = campus.varied(day, torch.Generator().manual_seed(0))
+    sizes, own = ((of.z - of.truth).norm(dim=-1) for of in (pieces, day))
+    assert sizes.max() <= own.max() * campus.FACTORS[1] * (1 + 1e-9)
+    assert sizes.min() >= own.min() * campus.FACTORS[0] * (1 - 1e-9)
 
 
-def test_a_network_that_has_learned_nothing_says_what_it_begins_with():
-    day = simulated(0, 40)
-    day.z[:10] = torch.nan
-    std, u = campus.Quality(10.0, 0.0)(day.z[None], day.u[None])
-    assert std.eq(10.0).all()
-    assert u[0].equal(day.u)
+def test_what_a_network_hears_at_a_step_needs_no_later_signal():
+    day = simulated(0, 400)
+    day.z[::3] = torch.nan
+    later = day._replace(z=day.z.clone(), u=day.u.clone())
+    for x in (later.z, later.u):
+        x[300:] += 7.0
+    now, other = (campus.signals(one.z, *told(one)) for one in (day, later))
+    torch.testing.assert_close(now[:300], other[:300], rtol=0, atol=0)
+    assert not now[300:].equal(other[300:])
 
 
-def test_the_table_has_gpb_with_what_a_network_has_learned_on_another_day(tmp_path, monkeypatch, capsys):
-    for name, value in {"ITERATIONS": 1, "PIECES": 2}.items():
-        monkeypatch.setattr(campus, name, value)
+def told(day):
+    """Both filters; the first one knows something where there is no fix."""
+    first, second = (f(day.z, day.prior, day.u, day.dt) for f in TWO)
+    return first._replace(mean=first.mean.nan_to_num()), second
+
+
+def test_signals_are_averaged_over_their_last_steps():
+    x = torch.arange(1.0, 6.0).double()
+    assert campus.averaged(x, 2).tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
+    assert campus.averaged(x, 9).tolist() == [n / 9 for n in (1.0, 3.0, 6.0, 10.0, 15.0)]
+
+
+def test_a_network_that_has_learned_nothing_weighs_both_alike():
+    heard = torch.rand(40, 11, generator=torch.Generator().manual_seed(0)).double()
+    assert campus.Weight(heard)(heard).eq(0.5).all()
+
+
+def test_a_mixture_has_the_moments_of_both_estimates_and_their_mean_level(tmp_path, small):
+    small("ITERATIONS", 0)  # weights of a half
+    track = nclt.read(day(tmp_path))
+    both = [nclt.make(name, track)[0] for name in nclt.MIXED]
+    of = [followed(*nclt.make(name, track), track) for name in nclt.MIXED]
+    mixed = nclt.learned_mixture([track], both, 0, iter)(track, of)
+    (a, b), (p, q) = (
+        [f(one.estimate) for one in of] for f in (lambda e: e.mean[:, :2], lambda e: e.covariance[:, :2, :2])
+    )
+    torch.testing.assert_close(mixed.estimate.mean, (a + b) / 2)
+    spread = (a - b).unsqueeze(-1) * (a - b).unsqueeze(-2) / 4
+    torch.testing.assert_close(mixed.estimate.covariance, (p + q) / 2 + spread)
+    torch.testing.assert_close(mixed.level, (of[0].level + of[1].level) / 2)
+
+
+def test_the_table_has_what_networks_weigh_that_have_learned_on_another_day(tmp_path, small, capsys):
+    small("ITERATIONS", 20)
     out = tmp_path / "r.json"
     options = ["--filters", "gpb", "--network", str(day(tmp_path, "2013-02-23")), "--json", str(out)]
     assert recordings.main(["nclt", str(day(tmp_path)), *options]) == 0
-    assert "gpb_network rmse_axis" in capsys.readouterr().out
+    assert "network rmse_axis" in capsys.readouterr().out
     found = json.loads(out.read_text())["nclt"]["2012-11-16"]
-    assert {*found} == {"gpb", "gpb_network"}
-    assert found["gpb"] != found["gpb_network"]
+    assert {*found} == {"gpb", "network"}
+    assert found["gpb"] != found["network"]
 
 
 def test_a_network_is_refused_where_it_cannot_learn(tmp_path, capsys):
@@ -348,7 +408,7 @@ def test_a_run_of_ranges_has_the_errors_in_the_plane_that_were_published_with_it
 
 def test_errors_of_ranges_are_of_the_distance_in_the_plane(tmp_path):
     track = uwb.read(run_of_ranges(tmp_path))
-    found = measured(*uwb.make("srckf", track), track, uwb.METRIC)
+    found = judged(followed(*uwb.make("srckf", track), track), track, uwb.METRIC)
     by_hand = (found.mean - track.truth).square().sum(-1).mean().sqrt().item()
     assert found.figures["rmse_2d"] == pytest.approx(by_hand)
 

@@ -10,24 +10,25 @@ dataset", as prepared by Song et al. (2024).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from learned.campus import Day, learned
+from learned.campus import Day, learned, signals
 from torch import Tensor
 
 from recorded_bench.compass import steadied
 from recorded_bench.files import check_ascending, check_complete, read_columns, steps_between
-from recorded_bench.tracks import Figures, Track
+from recorded_bench.tracks import Figures, Followed, Track
 from torchfra.catalogue import make_filter
 from torchfra.filters import Filter
+from torchfra.gaussian import moment_match
 from torchfra.motion import Augmented, Bank, GaussMarkov, Odometry
 from torchfra.presets import imm
 from torchfra.sensors import Biased, Position
-from torchfra.types import Gaussian
+from torchfra.types import Estimate, Gaussian
 
 METRIC = "rmse_axis"
 PARTS = (METRIC, "smoothed", "nees", "nees_smoothed", "beyond")
@@ -65,6 +66,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
 average."""
 OWN_PRESETS = ("imm",)
 """Presets that this kind has besides those that commands list."""
+MIXED = ("gpb", "imm")
+"""Presets whose estimates a network weighs."""
 TURNS = (-0.62, -0.45)
 """How far the robot turns in a step, rad, for each m/s by which its right wheels are faster at its end and at its
 start: by least squares on the two days that values were chosen on.  (They are below 0, as if sides were exchanged.)"""
@@ -130,24 +133,44 @@ def turns(wheels: Tensor) -> Tensor:
     return torch.cat([faster.new_zeros(1), TURNS[0] * faster[1:] + TURNS[1] * faster[:-1]])
 
 
-def learned_quality(
-    tracks: Iterable[Track], f: Filter, seed: int, progress: Callable[[range], Iterable[int]]
-) -> Callable[[Track], Track]:
-    """From days to the same with what a network says of them; it has learned on some days, through a filter.
+def learned_mixture(
+    tracks: Iterable[Track],
+    filters: Sequence[Filter],
+    seed: int,
+    progress: Callable[[range], Iterable[int]],
+) -> Callable[[Track, Sequence[Followed]], Followed]:
+    """From a day and what the two filters say of it to what networks make of that; they have learned on other days.
 
     Raises:
         ValueError: a day without a truth at all of its steps.
     """
-    days = [Day(track.z, track.u, track.truth, track.prior) for track in tracks if track.u is not None]
-    network = learned(days, f, GPS, SCALE, seed, progress)
+    networks = learned([as_day(track) for track in tracks], filters, with_error, seed, progress)
 
-    def with_quality(day: Track) -> Track:
-        assert day.u is not None
+    def mixture(track: Track, of: Sequence[Followed]) -> Followed:
         with torch.no_grad():
-            std, u = (x.squeeze(0) for x in network(day.z.unsqueeze(0), day.u.unsqueeze(0)))
-        return day._replace(std=std, u=u)
+            said = signals(track.z, *(one.estimate for one in of))
+            weight = torch.stack([network(said) for network in networks]).mean(0)
+        log_weights = torch.stack([1 - weight, weight]).log()
 
-    return with_quality
+        def mixed(estimates: list[Estimate]) -> Estimate:
+            beliefs = [Gaussian(e.mean[:, :2], e.scale_tril[:, :2, :2]) for e in estimates]
+            mean, root = moment_match(Gaussian(*map(torch.stack, zip(*beliefs, strict=True))), log_weights)
+            return estimates[0]._replace(mean=mean, scale_tril=root)
+
+        level = torch.stack([one.level for one in of])  # an error is at most the weighed errors of both
+        return Followed(
+            mixed([one.estimate for one in of]),
+            mixed([one.smoothed for one in of]),
+            (log_weights.exp() * level).sum(0),
+        )
+
+    return mixture
+
+
+def as_day(track: Track) -> Day:
+    """What networks learn from."""
+    assert track.u is not None
+    return Day(track.z, track.u, track.dt, track.truth, track.prior)
 
 
 def deviation(yaw: Tensor) -> Tensor:
@@ -175,6 +198,13 @@ def with_faults(track: Track) -> tuple[Filter, Gaussian]:
     odometry = Odometry(SLIP, *WALKS[1:])
     bank = Bank([Augmented(odometry, GaussMarkov(*error, dims=2)) for error in errors])
     sensor = Biased(Position(WHITE), [odometry.size, odometry.size + 1])
-    mean, root = track.prior
-    prior = Gaussian(torch.cat([mean, mean.new_zeros(2)]), torch.block_diag(root, ERROR * torch.eye(2).to(root)))
-    return imm(bank, sensor, transition=torch.tensor(TRANSITION, dtype=torch.float64)), prior
+    return imm(bank, sensor, transition=torch.tensor(TRANSITION, dtype=torch.float64)), with_error(track.prior)
+
+
+def with_error(prior: Gaussian) -> Gaussian:
+    """A belief ``(..., 4)`` with the error of positions, ``(..., 6)``."""
+    mean, root = prior
+    error = (ERROR * torch.eye(2).to(root)).expand(*root.shape[:-2], 2, 2)
+    aside = torch.zeros_like(root[..., :2])
+    rows = torch.cat([torch.cat([root, aside], -1), torch.cat([aside.mT, error], -1)], -2)
+    return Gaussian(torch.cat([mean, torch.zeros_like(mean[..., :2])], -1), rows)

@@ -35,34 +35,60 @@ class Track(NamedTuple):
     """Errors of others on this track, m, by the method's name."""
     per_axis: bool
     """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
-    std: Tensor | None = None
-    """``(T, m)`` standard deviations of the measurements; None for the sensor's."""
     groups: tuple[int, ...] = ()
     """Of each element of a measurement the number of what it has in common with others, such as a clock."""
 
 
+class Followed(NamedTuple):
+    """What a filter, or what weighs several, says of a track; positions are the leading states."""
+
+    estimate: Estimate
+    """On line."""
+    smoothed: Estimate
+    level: Tensor
+    """``(T,)`` protection levels of the estimate on line, m."""
+
+
 class Found(NamedTuple):
-    """What a filter made of a track."""
+    """What came of it."""
 
     figures: Figures
     mean: Tensor
     """``(T, dims)`` positions on line, m."""
 
 
-def measured(
-    f: Filter, prior: Gaussian, track: Track, metric: str, unnoticed: tuple[float, float] | None = None,
-    bias: float | None = None,
-) -> Found:  # fmt: skip
-    """Errors of a filter on a track, as it filters and smoothed.
+def followed(
+    f: Filter, prior: Gaussian, track: Track, unnoticed: tuple[float, float] | None = None, bias: float | None = None
+) -> Followed:
+    """Filters a track, and smooths it.
 
     Args:
         f: the filter.
         prior: its belief before the first step.
         track: the track.
-        metric: what the error on line is called.
         unnoticed: of the protection level: ``fault`` of ``filters.protection_level``.
         bias: standard deviation of a constant bias of each element of a measurement, which covariances contain and
             nothing estimates (``filters.considered``); None for none.
+    """
+    z, u = track.z, track.u
+    if bias is not None:
+        z = biased_copies(z, bias)
+        u = None if u is None else u.expand(len(z), -1, -1)
+    with torch.no_grad():
+        estimate = f(z, prior, dt=track.dt, u=u, past=True)
+        smoothed = f.smooth(z, prior, dt=track.dt, u=u, estimate=estimate)
+        if bias is not None:
+            estimate, smoothed = considered(f, estimate), considered(f, smoothed)
+    return Followed(estimate, smoothed, protection_level(f, estimate, fault=unnoticed))
+
+
+def judged(of: Followed, track: Track, metric: str) -> Found:
+    """Errors on a track.
+
+    Args:
+        of: what is said of it.
+        track: the track.
+        metric: what the error on line is called.
 
     Returns:
         That error and ``smoothed``, m, over all steps whose truth is known, and the mean normalised estimation error
@@ -72,23 +98,13 @@ def measured(
     """
     dims = track.truth.shape[-1]
     states = slice(0, dims)
-    z, u, std = track.z, track.u, track.std
-    if bias is not None:
-        z = biased_copies(z, bias)
-        u, std = (None if x is None else x.expand(len(z), -1, -1) for x in (u, std))
-    with torch.no_grad():
-        estimate = f(z, prior, dt=track.dt, u=u, std=std, past=True)
-        later = f.smooth(z, prior, dt=track.dt, u=u, std=std, estimate=estimate)
-        if bias is not None:
-            estimate, later = considered(f, estimate), considered(f, later)
 
     def errors(of: Estimate) -> tuple[float, float]:
         rmse = metrics.track_rmse(of.mean, track.truth, states) / math.sqrt(dims if track.per_axis else 1)
         return float(rmse), float(metrics.nees(of, track.truth, states).nanmean()) / dims
 
-    (rmse, nees), (smoothed, nees_smoothed) = errors(estimate), errors(later)
-    off = (estimate.mean[..., states] - track.truth).norm(dim=-1)
-    level = protection_level(f, estimate, fault=unnoticed)
-    beyond = 100 * float(torch.where((off - level).isnan(), torch.nan, (off > level).to(off)).nanmean())
+    (rmse, nees), (smoothed, nees_smoothed) = errors(of.estimate), errors(of.smoothed)
+    off = (of.estimate.mean[..., states] - track.truth).norm(dim=-1)
+    beyond = 100 * float(torch.where((off - of.level).isnan(), torch.nan, (off > of.level).to(off)).nanmean())
     figures = {metric: rmse, "nees": nees, "smoothed": smoothed, "nees_smoothed": nees_smoothed, "beyond": beyond}
-    return Found(figures, estimate.mean[..., states])
+    return Found(figures, of.estimate.mean[..., states])
