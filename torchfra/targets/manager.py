@@ -285,6 +285,8 @@ class Targets(nn.Module):
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
         if self.visibility is not None:
             begun = begun._replace(visible=self.visibility.first(begun.score, number))
+        if self.clutter_map is not None and mapped is not None and _maps(filter):
+            mapped = self.clutter_map.begun(mapped, newborn.newest, len(located.scene), begun.identity)
         was, track = track, joined(rows(track, stays), begun)
         everyone = rows(after, stays)
         if len(newborn.scene):
@@ -356,7 +358,7 @@ class Targets(nn.Module):
         clutter_map, ((position, _), scene, j), track = self.clutter_map, located, state.track
         assert clutter_map is not None
         mapped, excess = clutter_map.aged(state.clutter, scan.dt), scan.z.new_zeros(scan.z.shape[:2])
-        if not (filter.sensor.locates and filter.sensor.measures_each_direction):
+        if not _maps(filter):
             return excess, torch.zeros_like(track.score), mapped
         position = clutter_map.placed(position, None if scan.u is None else scan.u[scene])
         scale = torch.exp(-filter.clutter.in_space(scan.z[scene, j], filter.sensor))
@@ -380,15 +382,25 @@ class Targets(nn.Module):
     def _births(
         self, before: Unassociated, free: Tensor, excess: Tensor, scan: SceneScan, located: Located, sensor: int
     ) -> tuple[Newborn, Unassociated]:
-        """The newborn targets, and the unassociated measurements that the sensor's next scan may use."""
+        """The newborn targets, and the unassociated measurements that the sensor's next scan may use.
+
+        Rows of newest measurements are among all that are ``located``.
+        """
         free, excess = (x[located.scene, located.number] for x in (free, excess))
         new = free * torch.exp(-excess)
-        position, scene, new = rows((located.position, located.scene, new), free > self.free)
+        chosen = (free > self.free).nonzero()[:, 0]
+        position, scene, new = rows((located.position, located.scene, new), chosen)
         now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), new, torch.full_like(scene, sensor))
         before = before._replace(since=before.since + scan.dt[before.scene])
         own = before.sensor == sensor
         newborn, left = self.birth(self.filter.motion, now, rows(before, own))
-        return newborn, joined(rows(before, ~own), left)
+        return newborn._replace(newest=chosen[newborn.newest]), joined(rows(before, ~own), left)
+
+
+def _maps(filter: JPDA) -> bool:
+    """Whether a map of clutter learns from the sensor of a filter."""
+    sensor = filter.sensor
+    return bool(sensor.locates and sensor.measures_each_direction)
 
 
 class Located(NamedTuple):
