@@ -55,7 +55,7 @@ class Targets(nn.Module):
         confirmation: when tentative targets are confirmed or deleted, ``SPRT()`` if None; scores need clutter of a
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
-        merging: which tracks are of one target; None for never.
+        merging: which tracks are of one target, and how large targets are; None for never.
         free: probability that a measurement is no target's above which it may begin one.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
@@ -292,6 +292,8 @@ class Targets(nn.Module):
         if len(newborn.scene):
             everyone = joined(everyone, self.filter.init(newborn.belief))
         confirmed, deleted = self.confirmation(track)
+        if self.merging is not None:
+            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, track)
         ended, found = state.ended, (confirmed & ~track.confirmed)[~deleted]
         if self.stitching is not None and ended is not None:
             over = lost(after, was, was.confirmed & gone & ~merged), lost(everyone, track, track.confirmed & deleted)
