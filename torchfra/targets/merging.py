@@ -80,7 +80,8 @@ class Merging(nn.Module):
         position = to_cartesian(motion, belief).mean[:, known_components(motion)[: motion.dims]]
         gap = position.unsqueeze(1) - position[track.confirmed]
         same = track.scene.unsqueeze(1) == track.scene[track.confirmed]
-        return ~track.confirmed & (same & (gap.norm(dim=-1) <= self.extent)).any(-1)
+        near: Tensor = (same & (gap.norm(dim=-1) <= self.extent)).any(-1)
+        return ~track.confirmed & near
 
     def extra_repr(self) -> str:
         """The distance and the extent."""
