@@ -7,6 +7,7 @@
     python scripts/peers_targets.py --trackers srckf --hidden 12 --stitch 20 100 --seed 6 --runs 10
     python scripts/peers_targets.py --trackers srckf --hidden 12 --confirmation existence --misses 0 --visible 60 10
     python scripts/peers_targets.py --trackers srckf --buoys 15 --map 10 60 --birth one --seed 6 --runs 3
+    python scripts/peers_targets.py --harbour scenario2_detections.json.gz scenario3_detections.json.gz
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
@@ -16,6 +17,10 @@ GOSPA (cutoff 100 m, mean over scans and runs) with the parts of its square, how
 one, how often a target was lost and found again and how many tracks were of no target per run, and milliseconds of the
 processor per scan, which others on the machine disturb least.  Each tracker of Stone Soup runs in a process of its own,
 one after the other.
+
+With ``--harbour`` the scans are those of recordings of boats in a harbour, and the tracker is Stone Soup's joint
+probabilistic data association by radar and by radar and lidar, with the motion, noise, detection and clutter that
+``scripts/recordings.py autoferry`` has, and its figures.
 """
 
 from __future__ import annotations
@@ -35,7 +40,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from recorded_bench import autoferry
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
@@ -90,6 +97,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--buoys", type=int, default=0, help="things that stay and are measured like targets (default: 0)")
     p.add_argument("--map", type=float, nargs=2, metavar=("METRES", "SECONDS"), help="a map of clutter with kernels of "
                    "that size, of torchfra's (default: none)")  # fmt: skip
+    p.add_argument("--harbour", type=Path, nargs="+", metavar="FILE", help="recordings of a harbour; of the other "
+                   "options only --points and --json count")  # fmt: skip
     p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
     add_json_option(p)
     return p
@@ -123,18 +132,52 @@ def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse
 def compare(options: argparse.Namespace) -> None:
     """Tracks by what the options say, prints the results and writes them."""
     check_files({"json": options.json})
-    truth, z = simulated(options)
-    rows: list[dict[str, Any]] = []
-    for name in options.trackers.split(","):
-        found = here(name, z, options) if name in OURS else elsewhere(name, z, options)
-        if found is not None:
-            rows.append(scored(name, *found, truth))
-    cells = [[f"{row[key]:.1f}" if isinstance(row[key], float) else row[key] for key in row] for row in rows]
+    rows = harbour(options) if options.harbour else simulation(options)
+    cells = [[f"{row[key]:.2f}" if isinstance(row[key], float) else str(row[key]) for key in row] for row in rows]
     if rows:
         print(text_table([key.replace("_", " ") for key in rows[0]], cells))
     if options.json is not None:
-        settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}
+        harbours = [str(path) for path in options.harbour or ()]
+        settings = vars(options) | {"json": str(options.json), "harbour": harbours}
         write_json(options.json, {"settings": settings, "versions": versions(), "rows": rows})
+
+
+def simulation(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """What each tracker has reached on simulated scans."""
+    truth, z = simulated(options)
+    job = {
+        "z": z.numpy(), "time": np.arange(1, options.scans + 1), "sensor": np.zeros(options.scans, dtype=np.int64),
+        "q": Q, "std": [STD], "speed": SPEED, "detection": [DETECTION], "gate": GATE,
+        "density": [options.clutter / SIDE**2], "points": options.points,
+    }  # fmt: skip
+    rows = []
+    for name in options.trackers.split(","):
+        found = here(name, z, options) if name in OURS else elsewhere(name, PEERS[name], job)
+        if found is not None:
+            rows.append(scored(name, *found, truth))
+    return rows
+
+
+def harbour(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """What Stone Soup reaches on recordings of a harbour."""
+    rows = []
+    scenes = [autoferry.read(path) for path in options.harbour]
+    for scene, sensors in [(scene, name) for scene in scenes for name in autoferry.OWN_PRESETS]:
+        scans, order = autoferry.scans_of(sensors, scene), [autoferry.RADAR, autoferry.LIDAR]
+        z = pad_sequence([scan.z for scan in scans], batch_first=True, padding_value=math.nan)
+        std, detection, rate = ([of[i] for i in order] for of in (autoferry.STD, autoferry.DETECTION, autoferry.RATE))
+        job = {
+            "z": z.unsqueeze(0).numpy(), "time": [scan.time - scans[0].time for scan in scans],
+            "sensor": [order.index(scan.sensor) for scan in scans], "q": autoferry.Q, "std": std,
+            "speed": autoferry.SPEED, "detection": detection, "gate": GATE,
+            "density": [x / autoferry.WIDTH**2 for x in rate], "points": options.points,
+        }  # fmt: skip
+        found = elsewhere("stonesoup-jpda", "sensors", job)
+        if found is not None:
+            at = torch.tensor([scan.sensor == autoferry.RADAR for scan in scans])
+            figures = autoferry.figures_of(sensors, scene, found[0][0][:, at])
+            rows.append({"recording": scene.name, "sensors": sensors, **figures})
+    return rows
 
 
 def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
@@ -204,16 +247,13 @@ def here(name: str, z: Tensor, options: argparse.Namespace) -> tuple[list[Tensor
     return found, seconds
 
 
-def elsewhere(name: str, z: Tensor, options: argparse.Namespace) -> tuple[list[Tensor], list[float]] | None:
-    """The same by Stone Soup, in a process of its own; None where it is not installed."""
+def elsewhere(name: str, kind: str, values: dict[str, Any]) -> tuple[list[Tensor], list[float]] | None:
+    """The same of a job with these values by Stone Soup, in a process of its own; None where it is not installed."""
     python = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable)
     with tempfile.TemporaryDirectory() as folder:
         job, tracks = Path(folder) / "job.npz", Path(folder) / "tracks.npz"
-        np.savez(
-            job, z=z.numpy(), q=Q, std=STD, speed=SPEED, detection=DETECTION, gate=GATE,
-            density=options.clutter / SIDE**2, points=options.points,
-        )  # fmt: skip
-        command = [python, str(WORKER), PEERS[name], str(job), str(tracks)]
+        np.savez(job, **values)
+        command = [python, str(WORKER), kind, str(job), str(tracks)]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         answer = json.loads(done.stdout.splitlines()[-1])
         if "missing" in answer:

@@ -6,6 +6,8 @@ import json
 import peers_targets
 import pytest
 import torch
+from recorded_bench import autoferry
+from test_recordings_script import harbour
 
 SMALL = ["--targets", "3", "--clutter", "3", "--scans", "20", "--runs", "1"]
 
@@ -66,6 +68,24 @@ def test_a_peer_that_is_not_installed_is_named_and_runs_without_torch(tmp_path, 
     out = capsys.readouterr().out
     assert "stonesoup-jpda: not installed (no stonesoup here)" in out
     assert "stonesoup-mfa: not installed" in out
+
+
+def test_a_harbour_is_handed_over_scan_by_scan_and_tracks_are_compared_at_the_radars(tmp_path, monkeypatch):
+    recording = harbour(tmp_path / "in", steps=12)
+    scene, jobs = autoferry.read(recording), []
+
+    def perfect(name, kind, job):
+        jobs.append(job)
+        scans = [scan for scan in scene.z if scan.time - scene.z[0].time in job["time"]]
+        return [torch.stack([scan.truth for scan in scans], 1)], [0.0]
+
+    monkeypatch.setattr(peers_targets, "elsewhere", perfect)
+    rows = peers_targets.harbour(peers_targets.parser().parse_args(["--harbour", str(recording)]))
+    assert [row["sensors"] for row in rows] == ["radar", "radar_lidar"]
+    assert all(row["gospa"] == 0 and row["followed"] == 1 for row in rows)
+    assert jobs[0]["z"].shape == (1, 12, 2, 2)
+    assert jobs[1]["z"].shape == (1, 24, 2, 2)
+    assert jobs[1]["sensor"] == [0, 1] * 12
 
 
 @pytest.mark.slow

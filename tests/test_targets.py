@@ -221,6 +221,26 @@ def test_two_tracks_of_one_target_become_one_and_targets_that_cross_stay_two():
     assert crossing[-1].identity.tolist() == [0, 1]
 
 
+def test_no_target_begins_beside_a_confirmed_one_within_its_extent_and_confirmed_ones_may_cross():
+    f = plane()
+    _, z = moving([(0.0, 0.0, 5.0, 0.0), (-15.0, 0.0, 5.0, 0.0)], 16)  # the bow of a ship, and its stern
+    z[:6, 1] = math.nan
+    for extent, count in ((None, 2), (20.0, 1), (10.0, 2)):
+        targets = Targets(f, birth=OnePoint(10.0), merging=Merging(extent=extent))
+        assert len(run(targets, z)[-1].identity) == count
+    _, z = moving([(-60, 0, 5, 0), (0, -60, 0, 5)], 24)
+    crossing = run(Targets(f, birth=TwoPoint(20.0), merging=Merging(extent=20.0)), z)
+    assert crossing[-1].identity.tolist() == [0, 1]
+
+
+def test_a_target_of_one_scene_is_no_part_of_one_in_another():
+    _, z = moving([(0.0, 0.0, 5.0, 0.0)], 16)
+    later = z.clone()
+    later[:6] = math.nan
+    targets = Targets(plane(), birth=OnePoint(10.0), merging=Merging(extent=20.0))
+    assert (targets(torch.stack([z, later])).identity == 0).all()
+
+
 @pytest.mark.parametrize("birth", [OnePoint(60.0), TwoPoint(90.0)], ids=["one point", "two points"])
 def test_aircraft_in_spherical_coordinates_begin_where_the_sensor_says(birth):
     scenario = scenarios.clutter_many(count=2, clutter=2)
@@ -416,6 +436,7 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     (lambda: Targets(plane()).init(1.5), "scenes: expected 1 or more"),
     (lambda: Targets(plane()).init(dtype=torch.float16), "dtype: expected torch.float32 or torch.float64"),
     (lambda: Merging(0.0), "distance: expected a number above 0"),
+    (lambda: Merging(extent=0.0), "extent: expected finite metres above 0, received 0.0"),
 ])  # fmt: skip
 def test_arguments_that_do_not_fit_are_named(make, message):
     with pytest.raises(ValueError, match=message):

@@ -1,6 +1,7 @@
 """Trackers of Stone Soup on scans that are handed in: a process that tracks, and times itself.
 
     python scripts/benchmarks/stone_soup.py jpda job.npz tracks.npz
+    python scripts/benchmarks/stone_soup.py sensors job.npz tracks.npz        JPDA of scans by several sensors in turn
 
 Prints a JSON line with the processor's seconds of each run, or with what is missing.  Needs
 ``pip install 'torchfra[bench]'`` but neither torch nor torchfra.  Births are those of ``MultiMeasurementInitiator``: a
@@ -31,18 +32,22 @@ class Job(NamedTuple):
 
     z: np.ndarray
     """``(R, T, J, 2)`` scans, m; NaN is none."""
+    time: np.ndarray
+    """``(T,)`` s."""
+    sensor: np.ndarray
+    """``(T,)`` number of the sensor of each scan."""
     q: np.ndarray
     """``()`` density of the acceleration noise, m^2/s^3."""
     std: np.ndarray
-    """``()`` of a position, m."""
+    """``(S,)`` of a position, m, of each sensor."""
     speed: np.ndarray
     """``()`` standard deviation of a target's velocity in each direction, m/s."""
     detection: np.ndarray
-    """``()`` probability that a target is measured."""
+    """``(S,)`` probability that a target is measured."""
     gate: np.ndarray
     """``()`` probability of the gate."""
     density: np.ndarray
-    """``()`` false measurements per m^2."""
+    """``(S,)`` false measurements per m^2."""
     points: np.ndarray
     """``()`` measurements that confirm a track."""
 
@@ -57,8 +62,8 @@ class Parts(NamedTuple):
     deleter: Any
 
 
-def parts(job: Job) -> Parts:
-    """The Kalman filter, gates and births."""
+def parts(job: Job, sensor: int = 0) -> Parts:
+    """The Kalman filter, gates and births of a sensor."""
     from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
     from stonesoup.deleter.time import UpdateTimeStepsDeleter
     from stonesoup.hypothesiser.distance import DistanceHypothesiser
@@ -72,7 +77,7 @@ def parts(job: Job) -> Parts:
     from stonesoup.updater.kalman import KalmanUpdater
 
     predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([ConstantVelocity(float(job.q))] * 2))
-    measurement = LinearGaussian(4, (0, 2), float(job.std) ** 2 * np.eye(2))
+    measurement = LinearGaussian(4, (0, 2), float(job.std[sensor]) ** 2 * np.eye(2))
     updater = KalmanUpdater(measurement)
     near = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=3)
     wide = GaussianState(np.zeros(4), np.diag([0.0, float(job.speed) ** 2] * 2), timestamp=START)
@@ -81,17 +86,21 @@ def parts(job: Job) -> Parts:
         wide, UpdateTimeStepsDeleter(2), GNNWith2DAssignment(near), updater, measurement, min_points=int(job.points)
     )
     hypothesiser = PDAHypothesiser(
-        predictor, updater, float(job.density), prob_detect=float(job.detection), prob_gate=float(job.gate)
+        predictor,
+        updater,
+        float(job.density[sensor]),
+        prob_detect=float(job.detection[sensor]),
+        prob_gate=float(job.gate),
     )
     return Parts(predictor, updater, hypothesiser, initiator, deleter)
 
 
-def detections(scans: np.ndarray) -> Iterator[tuple[datetime.datetime, set[Any]]]:
+def detections(job: Job, scans: np.ndarray) -> Iterator[tuple[datetime.datetime, set[Any]]]:
     """Times and sets of the measurements ``(T, J, 2)``."""
     from stonesoup.types.detection import Detection
 
-    for k, scan in enumerate(scans, 1):
-        at = START + datetime.timedelta(seconds=k)
+    for seconds, scan in zip(job.time, scans, strict=True):
+        at = START + datetime.timedelta(seconds=float(seconds))
         yield at, {Detection(z.reshape(2, 1), timestamp=at) for z in scan if not np.isnan(z).any()}
 
 
@@ -102,9 +111,35 @@ def jpda(job: Job, scans: np.ndarray) -> Iterator[set[Any]]:
 
     p = parts(job)
     tracker = MultiTargetMixtureTracker(
-        p.initiator, p.deleter, detections(scans), JPDAwithEHM2(p.hypothesiser), p.updater
+        p.initiator, p.deleter, detections(job, scans), JPDAwithEHM2(p.hypothesiser), p.updater
     )
     for _, tracks in tracker:
+        yield tracks
+
+
+def sensors(job: Job, scans: np.ndarray) -> Iterator[set[Any]]:
+    """``jpda`` of scans by several sensors, each with gates and births of its own: the tracks after each scan."""
+    from stonesoup.dataassociator.probability import JPDAwithEHM2
+    from stonesoup.functions import gm_reduce_single
+    from stonesoup.types.array import StateVectors
+    from stonesoup.types.update import GaussianStateUpdate
+
+    each = [parts(job, i) for i in range(len(job.std))]
+    associators, tracks = [JPDAwithEHM2(p.hypothesiser) for p in each], set()
+    for i, (at, scan) in zip(job.sensor, detections(job, scans), strict=True):
+        p, taken = each[i], set()
+        for track, hypotheses in associators[i].associate(tracks, scan, at).items():
+            states = [p.updater.update(h) if h else h.prediction for h in hypotheses]
+            means = StateVectors([x.state_vector for x in states])
+            covariances = np.stack([x.covar for x in states], axis=2)
+            weights = np.array([float(h.probability) for h in hypotheses])
+            mean, covariance = gm_reduce_single(means, covariances, weights)
+            found = {h.measurement for h in hypotheses if h}
+            none = next(h.prediction for h in hypotheses if not h)
+            track.append(GaussianStateUpdate(mean, covariance, hypotheses, at) if found else none)
+            taken |= found
+        tracks -= p.deleter.delete_tracks(tracks)
+        tracks |= p.initiator.initiate(scan - taken, at)
         yield tracks
 
 
@@ -120,7 +155,7 @@ def mfa(job: Job, scans: np.ndarray) -> Iterator[set[Any]]:
 
     p, tracks = parts(job), set()
     associator = MFADataAssociator(MFAHypothesiser(p.hypothesiser), slide_window=WINDOW)
-    for at, scan in detections(scans):
+    for at, scan in detections(job, scans):
         taken = set()
         for track, hypotheses in associator.associate(tracks, scan, at).items():
             components = [p.updater.update(h) if h else h.prediction for h in hypotheses]
@@ -137,7 +172,7 @@ def mfa(job: Job, scans: np.ndarray) -> Iterator[set[Any]]:
         yield tracks
 
 
-TRACKERS: dict[str, Callable[[Job, np.ndarray], Iterator[set[Any]]]] = {"jpda": jpda, "mfa": mfa}
+TRACKERS: dict[str, Callable[[Job, np.ndarray], Iterator[set[Any]]]] = {"jpda": jpda, "mfa": mfa, "sensors": sensors}
 
 
 def positions(job: Job, run: int, name: str) -> tuple[np.ndarray, float]:

@@ -135,6 +135,8 @@ def manage(
             if "lifetime" in confirm:
                 r = weight * confirm["birth"]
                 targets[-1].score = targets[-1].best = math.log(r / (1 - r))
+            if clutter_map is not None:  # its newest measurement is its own as far as it is no confirmed target's
+                claims += [(x, free_of[j], sensor, targets[-1]) for j, x in enumerate(z) if (x == mean[:2]).all()]
             number += 1
         before = [t for t in targets if t.confirmed]
         targets = [t for t in targets if stays(t, confirm)]

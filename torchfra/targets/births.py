@@ -34,6 +34,8 @@ class Newborn(NamedTuple):
     """``(K,)`` probability that nothing that was there explains any of its measurements: see ``Unassociated``."""
     lived: Tensor
     """``(K,)`` seconds since its first measurement."""
+    newest: Tensor
+    """``(K,)`` row of its newest measurement among those of this scan."""
 
 
 class Birth(nn.Module):
@@ -95,7 +97,8 @@ class OnePoint(Birth):
         free = torch.eye(dims, dtype=root.dtype, device=root.device).expand_as(root) * self.velocity
         both = torch.cat([pad(root, (0, dims)), pad(free, (dims, 0))], -2)
         belief = self.belief(motion, pad(position, (0, dims)), both)
-        return Newborn(belief, now.scene, 1, now.new, now.since), rows(now, slice(0))
+        newest = torch.arange(len(now.scene), device=now.scene.device)
+        return Newborn(belief, now.scene, 1, now.new, now.since, newest), rows(now, slice(0))
 
     def extra_repr(self) -> str:
         """The standard deviation of the velocity."""
@@ -133,7 +136,7 @@ class TwoPoint(Birth):
         left = torch.ones_like(now.scene, dtype=torch.bool).index_fill(0, new, False)
         belief = self.belief(motion, torch.cat([position, velocity], -1), both)
         same = rows(before, before.since == 0)
-        newborn = Newborn(belief, now.scene[new], 2, before.new[old] * now.new[new], before.since[old])
+        newborn = Newborn(belief, now.scene[new], 2, before.new[old] * now.new[new], before.since[old], new)
         return newborn, joined(same, rows(now, left))
 
     def _pairs(self, now: Unassociated, before: Unassociated) -> tuple[Tensor, Tensor]:

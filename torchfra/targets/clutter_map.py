@@ -20,12 +20,13 @@ _REACH = 9.0
 
 
 class Claimed(NamedTuple):
-    """``(K,)`` past measurements that targets have claimed while they were tentative."""
+    """``(K,)`` past measurements that targets have begun with, or claimed while they were tentative."""
 
     position: Tensor
     """``(K, dims)`` positions, m."""
     weight: Tensor
-    """``(K,)`` probability that each was the target's, times its exponential decay since."""
+    """``(K,)`` probability that each was the target's, or, if that began with it, no confirmed target's; times its
+    exponential decay since."""
     scene: Tensor
     """``(K,)`` number of the scene."""
     sensor: Tensor
@@ -48,7 +49,7 @@ class Mapped(NamedTuple):
     scans: Tensor
     """``(R, S)`` number of scans of each scene and sensor, each times its exponential decay since."""
     claimed: Claimed
-    """Those of them that tentative targets have claimed."""
+    """Those of them that tentative targets have begun with or claimed."""
     frame: Tensor
     """``(1,)`` number of the frame of all positions in ``FRAMES``."""
 
@@ -61,9 +62,10 @@ class ClutterMap(nn.Module):
     their confirmation and deletion: what stays where it is, is explained by the map as well as by a target, and is not
     confirmed; what moves leaves its own measurements behind.  Which measurement is whose is decided without the map.
 
-    Measurements that a tentative target has claimed itself are to that target no cloud of clutter, but one thing that
-    stays: one kernel at their mean.  With the weight ``w_k`` of measurement ``z_k``, of which the target has claimed
-    ``w_ik``, and the number of scans ``n``, the density that it is scored against is::
+    The newest measurement that a target began with, and those that it has claimed while it was tentative, are to
+    that target no cloud of clutter, but one thing that stays: one kernel at their mean.  With the weight ``w_k`` of
+    measurement ``z_k``, of which the target has claimed ``w_ik``, and the number of scans ``n``, the density that
+    it is scored against is::
 
         W_i = sum_k w_ik,    m_i = sum_k w_ik z_k / W_i
         density_i(z) = uniform + [sum_k (w_k - w_ik) N(z; z_k, size^2 I) + W_i N(z; m_i, size^2 I)] / (scans + n)
@@ -204,6 +206,18 @@ class ClutterMap(nn.Module):
         more = Claimed(position[j], share, scene[j], number[j], track.identity[i])
         now = torch.nn.functional.one_hot(torch.tensor(sensor), mapped.scans.shape[1]).to(mapped.scans)
         return both._replace(scans=mapped.scans + now, claimed=joined(rows(mapped.claimed, there), more))
+
+    def begun(self, mapped: Mapped, newest: Tensor, count: int, identity: Tensor) -> Mapped:
+        """The map after targets have begun with measurements of the scan that it has just learned.
+
+        Args:
+            mapped: from ``learned``.
+            newest: ``(K,)`` number of each target's newest measurement among those of the scan.
+            count: number of measurements of the scan.
+            identity: ``(K,)`` of the targets.
+        """
+        position, weight, scene, sensor = rows(mapped[:4], len(mapped.weight) - count + newest)
+        return mapped._replace(claimed=joined(mapped.claimed, Claimed(position, weight, scene, sensor, identity)))
 
     def stitched(self, mapped: Mapped, scene: Tensor, new: Tensor, old: Tensor) -> Mapped:
         """The map after targets ``new (S,)`` of scenes ``(S,)`` got ``old`` identities: their own claims go with them.

@@ -55,7 +55,7 @@ class Targets(nn.Module):
         confirmation: when tentative targets are confirmed or deleted, ``SPRT()`` if None; scores need clutter of a
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
-        merging: which tracks are of one target; None for never.
+        merging: which tracks are of one target, and how large targets are; None for never.
         free: probability that a measurement is no target's above which it may begin one.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
@@ -285,11 +285,15 @@ class Targets(nn.Module):
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
         if self.visibility is not None:
             begun = begun._replace(visible=self.visibility.first(begun.score, number))
+        if self.clutter_map is not None and mapped is not None and _maps(filter):
+            mapped = self.clutter_map.begun(mapped, newborn.newest, len(located.scene), begun.identity)
         was, track = track, joined(rows(track, stays), begun)
         everyone = rows(after, stays)
         if len(newborn.scene):
             everyone = joined(everyone, self.filter.init(newborn.belief))
         confirmed, deleted = self.confirmation(track)
+        if self.merging is not None:
+            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, track)
         ended, found = state.ended, (confirmed & ~track.confirmed)[~deleted]
         if self.stitching is not None and ended is not None:
             over = lost(after, was, was.confirmed & gone & ~merged), lost(everyone, track, track.confirmed & deleted)
@@ -356,7 +360,7 @@ class Targets(nn.Module):
         clutter_map, ((position, _), scene, j), track = self.clutter_map, located, state.track
         assert clutter_map is not None
         mapped, excess = clutter_map.aged(state.clutter, scan.dt), scan.z.new_zeros(scan.z.shape[:2])
-        if not (filter.sensor.locates and filter.sensor.measures_each_direction):
+        if not _maps(filter):
             return excess, torch.zeros_like(track.score), mapped
         position = clutter_map.placed(position, None if scan.u is None else scan.u[scene])
         scale = torch.exp(-filter.clutter.in_space(scan.z[scene, j], filter.sensor))
@@ -380,15 +384,25 @@ class Targets(nn.Module):
     def _births(
         self, before: Unassociated, free: Tensor, excess: Tensor, scan: SceneScan, located: Located, sensor: int
     ) -> tuple[Newborn, Unassociated]:
-        """The newborn targets, and the unassociated measurements that the sensor's next scan may use."""
+        """The newborn targets, and the unassociated measurements that the sensor's next scan may use.
+
+        Rows of newest measurements are among all that are ``located``.
+        """
         free, excess = (x[located.scene, located.number] for x in (free, excess))
         new = free * torch.exp(-excess)
-        position, scene, new = rows((located.position, located.scene, new), free > self.free)
+        chosen = (free > self.free).nonzero()[:, 0]
+        position, scene, new = rows((located.position, located.scene, new), chosen)
         now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), new, torch.full_like(scene, sensor))
         before = before._replace(since=before.since + scan.dt[before.scene])
         own = before.sensor == sensor
         newborn, left = self.birth(self.filter.motion, now, rows(before, own))
-        return newborn, joined(rows(before, ~own), left)
+        return newborn._replace(newest=chosen[newborn.newest]), joined(rows(before, ~own), left)
+
+
+def _maps(filter: JPDA) -> bool:
+    """Whether a map of clutter learns from the sensor of a filter."""
+    sensor = filter.sensor
+    return bool(sensor.locates and sensor.measures_each_direction)
 
 
 class Located(NamedTuple):

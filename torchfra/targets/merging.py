@@ -11,6 +11,7 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
 from torchfra.targets.assignment import squared_distance
 from torchfra.targets.clusters import Group
+from torchfra.targets.places import known_components, to_cartesian
 from torchfra.targets.state import Track, rows
 from torchfra.types import Gaussian
 
@@ -21,22 +22,29 @@ class Merging(nn.Module):
     Whole states are compared, so that targets whose paths cross are not merged.  Tracks of one target share its
     measurements, so that their difference is far smaller than the sum of their covariances.
 
+    A target that is large beside the noise, such as a ship that shows a radar now its bow and now its stern, begins
+    others beside itself.  With an ``extent`` a tentative target that is no farther than that from a confirmed one is
+    part of it, and deleted; two that are confirmed stay two, however near they come.
+
     Args:
         distance: root of the mean square of the difference, in standard deviations of each component, below which two
             are one.
+        extent: metres from a confirmed target within which no other begins; None if targets are points.
 
     Raises:
-        ValueError: a distance that is not above 0.
+        ValueError: a distance or an extent that is not finite and above 0.
 
     Source: the test of Bar-Shalom (1981), "On the Track-to-Track Correlation Problem", with a threshold far below that
     of chance.
     """
 
-    def __init__(self, distance: float = 0.3) -> None:
+    def __init__(self, distance: float = 0.3, *, extent: float | None = None) -> None:
         super().__init__()
         if not 0 < as_number(distance) < math.inf:
             raise ValueError(f"distance: expected a number above 0, received {distance}")
-        self.distance = float(distance)
+        if extent is not None and not 0 < as_number(extent) < math.inf:
+            raise ValueError(f"extent: expected finite metres above 0, received {extent}")
+        self.distance, self.extent = float(distance), extent
 
     def forward(self, motion: Motion, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are deleted as duplicates of another.
@@ -58,6 +66,23 @@ class Merging(nn.Module):
             deleted[torch.where(stays, other, one)[same]] = True
         return deleted
 
+    @torch.no_grad()
+    def parts(self, motion: Motion, belief: Gaussian, track: Track) -> Tensor:
+        """Which tentative targets ``(N,)`` are parts of a confirmed one.
+
+        Args:
+            motion: of the targets.
+            belief: ``(N,)``.
+            track: of each.
+        """
+        if self.extent is None or not bool(track.confirmed.any()):
+            return torch.zeros_like(track.confirmed)
+        position = to_cartesian(motion, belief).mean[:, known_components(motion)[: motion.dims]]
+        gap = position.unsqueeze(1) - position[track.confirmed]
+        same = track.scene.unsqueeze(1) == track.scene[track.confirmed]
+        near: Tensor = (same & (gap.norm(dim=-1) <= self.extent)).any(-1)
+        return ~track.confirmed & near
+
     def extra_repr(self) -> str:
-        """The distance."""
-        return f"distance={self.distance:g}"
+        """The distance and the extent."""
+        return f"distance={self.distance:g}, extent={self.extent}"
