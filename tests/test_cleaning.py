@@ -88,7 +88,7 @@ def test_a_turn_is_a_manoeuvre_with_a_segment(cleaned):
 
 
 def test_what_is_told_is_taken():
-    recording, _, _ = recorded(5)
+    recording, _, _ = recorded(5, steps=40)
     (one,) = clean_tracks([recording], sigma=7.0, q=0.5, bank="vehicle")
     assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
 
@@ -129,43 +129,50 @@ def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
     assert (np.abs(rows.position - one.position) < one.std).all()
 
 
-@pytest.mark.parametrize("burst", [slice(0, 4), slice(-4, None)])
-def test_a_burst_of_one_offset_at_either_end_throws_no_good_fix_away(burst):
+def test_a_burst_of_one_offset_at_either_end_throws_no_good_fix_away():
     rng, turning = np.random.default_rng(0), np.arange(200) % 60 == 30
     course = np.pi / 2 * np.cumsum(turning)
     truth = 7.0 * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)  # a walk of 5 s from fix to fix
-    z = truth + 3.0 * rng.standard_normal(truth.shape)
-    z[burst] += (700.0, -1400.0)
-    wrong = np.zeros(200, bool)
-    wrong[burst] = True
-    (one,) = clean_tracks([Recording("walk", 5.0 * np.arange(200), z, None, {})])
-    np.testing.assert_array_equal(one.flag == "outlier", wrong)
-    assert np.abs(one.position - truth).max() < 5 * 3.0
-    assert one.found.nis < 1.3
+    good = truth + 3.0 * rng.standard_normal(truth.shape)
+    wrong = np.zeros((2, 200), bool)
+    wrong[0, :4] = wrong[1, -4:] = True
+    fixes = good + wrong[..., None] * np.array([700.0, -1400.0])
+    for one, bad in zip(clean_tracks([Recording("walk", 5.0 * np.arange(200), z, None, {}) for z in fixes]), wrong,
+                        strict=True):  # fmt: skip
+        np.testing.assert_array_equal(one.flag == "outlier", bad)
+        assert np.abs(one.position - truth).max() < 5 * 3.0
+        assert one.found.nis < 1.3
 
 
-@pytest.mark.parametrize(("period", "burst"), [(5.0, slice(0, 6)), (5.0, slice(-6, None)), (10.0, slice(-6, None))])
-def test_a_burst_at_either_end_of_a_track_that_turns_hard_leaves_the_others_where_they_are(period, burst):
+def test_a_burst_at_either_end_of_a_track_that_turns_hard_leaves_the_others_where_they_are():
+    cases = [(5.0, slice(0, 6)), (5.0, slice(-6, None)), (10.0, slice(-6, None))]
     course = np.cumsum(np.radians(12.0) * ((np.arange(120) > 25) & (np.arange(120) < 35)))
-    truth = 10.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
-    z = truth + SIGMA * np.random.default_rng(2).standard_normal(truth.shape)
-    z[burst] += (2000.0, 1000.0)
-    (one,) = clean_tracks([Recording("burst", period * np.arange(120), z, None, {})])
-    good = np.delete(np.arange(120), np.arange(120)[burst])
-    assert (one.flag[burst] == "outlier").all()
-    assert error(one, truth, good) < SIGMA
+    unit = np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
+    noise, recordings = SIGMA * np.random.default_rng(2).standard_normal(unit.shape), []
+    for period, burst in cases:
+        z = 10.0 * period * unit + noise
+        z[burst] += (2000.0, 1000.0)
+        recordings.append(Recording("burst", period * np.arange(120), z, None, {}))
+    for one, (period, burst) in zip(clean_tracks(recordings), cases, strict=True):
+        good = np.delete(np.arange(120), np.arange(120)[burst])
+        assert (one.flag[burst] == "outlier").all()
+        assert error(one, 10.0 * period * unit, good) < SIGMA
 
 
-@pytest.mark.parametrize(("period", "jump", "speed"), [(5.0, 1000.0, 10.0), (5.0, 3000.0, 10.0), (5.0, 0.0, 220.0),
-                                                       (10.0, 0.0, 220.0)])  # fmt: skip
-def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal(period, jump, speed):
-    after = np.arange(120) >= 60
-    along = np.cumsum(period * speed * np.where(after & (jump == 0), -1.0, 1.0))
-    truth = np.stack([along, 3.0 * period * np.arange(120) + jump * after], 1)
-    z = truth + SIGMA * np.random.default_rng(0).standard_normal(truth.shape)
-    (one,) = clean_tracks([Recording("sudden", period * np.arange(120), z, None, {})])
-    assert (one.flag != "outlier").all()
-    assert error(one, truth, slice(None)) < SIGMA
+def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal():
+    after, steps, truths = np.arange(120) >= 60, np.arange(120), []
+    cases = [(5.0, 1000.0, 10.0), (5.0, 3000.0, 10.0), (5.0, 0.0, 220.0), (10.0, 0.0, 220.0)]
+    for period, jump, speed in cases:
+        along = np.cumsum(period * speed * np.where(after & (jump == 0), -1.0, 1.0))
+        truths.append(np.stack([along, 3.0 * period * steps + jump * after], 1))
+    noise = SIGMA * np.random.default_rng(0).standard_normal((120, 2))
+    recordings = [
+        Recording("sudden", period * steps, truth + noise, None, {})
+        for (period, *_), truth in zip(cases, truths, strict=True)
+    ]
+    for one, truth in zip(clean_tracks(recordings), truths, strict=True):
+        assert (one.flag != "outlier").all()
+        assert error(one, truth, slice(None)) < SIGMA
 
 
 def error(one, truth, at):
@@ -232,7 +239,7 @@ def test_tracks_of_a_few_fixes_are_cleaned(count):
 
 
 def test_a_target_that_fails_says_so_and_stops_no_other():
-    good, _, _ = recorded(12)
+    good, _, _ = recorded(12, steps=40)
     bad = Recording("bad", good.time, np.full_like(good.position, np.inf), None, {})
     one, other = clean_tracks([bad, good], sigma=SIGMA)
     assert one.failed.all()
@@ -348,17 +355,16 @@ def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_it
     assert not cleaned.segments
 
 
-@pytest.mark.parametrize(("count", "dt", "said"), [
-    (3, 10.0, "3 fixes tell little of sigma"),
-    (60, 900.0, ""),
-    (60, 5.0, ""),
-])  # fmt: skip
-def test_what_fixes_hardly_tell_of_sigma_is_said(count, dt, said):
-    rng, time = np.random.default_rng(7), dt * np.arange(count)
-    position = np.stack([8.0 * time, 0.0 * time], 1) + 5.0 * rng.standard_normal((count, 2))
-    recording = Recording("ship", time, position, None, {}, source=Source(word="ship"))
-    assert clean_tracks([recording])[0].found.doubt == said
-    assert clean_tracks([recording], sigma=5.0)[0].found.doubt == ""
+def test_what_fixes_hardly_tell_of_sigma_is_said():
+    def ship(count, dt):
+        rng, time = np.random.default_rng(7), dt * np.arange(count)
+        position = np.stack([8.0 * time, 0.0 * time], 1) + 5.0 * rng.standard_normal((count, 2))
+        return Recording("ship", time, position, None, {}, source=Source(word="ship"))
+
+    few, enough = [ship(3, 10.0)], [ship(60, dt) for dt in (900.0, 5.0)]
+    assert clean_tracks(few)[0].found.doubt == "3 fixes tell little of sigma"
+    assert clean_tracks(few, sigma=5.0)[0].found.doubt == ""
+    assert [one.found.doubt for one in clean_tracks(enough)] == ["", ""]
 
 
 def laps():
