@@ -37,10 +37,30 @@ def recorded(seed, *, steps=200, period=2.0, d=2, sigma=SIGMA, outliers=0.03, sp
     )
 
 
+TRACKS = {}
+"""By name what makes a recording and its truth, of those that are cleaned with nothing told."""
+
+
+def track(make):
+    TRACKS[make.__name__] = make
+    return make
+
+
 @pytest.fixture(scope="module")
-def cleaned():
+def results():
+    """What comes of all of ``TRACKS``, as one batch, beside the truth of each, and of the two of ``cleaned``."""
     several = [recorded(seed, d=d) for seed, d in ((0, 2), (1, 3))]
-    return several, clean_tracks([recording for recording, _, _ in several])
+    tracks = {name: make() for name, make in TRACKS.items()}
+    recordings = [recording for recording, *_ in (*several, *tracks.values())]
+    one, other, *done = clean_tracks(recordings)
+    found = {name: (truth, of) for (name, (_, truth)), of in zip(tracks.items(), done, strict=True)}
+    return found | {"cleaned": (several, [one, other])}
+
+
+@pytest.fixture
+def cleaned(results):
+    """A track in the plane and one in space: recordings, truths and which fixes are wrong; what comes of both."""
+    return results["cleaned"]
 
 
 @pytest.mark.slow
@@ -93,13 +113,17 @@ def test_what_is_told_is_taken():
     assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
 
 
-@pytest.mark.slow
-def test_fixes_that_state_their_own_noise_get_a_factor_on_it():
+@track
+def noise_of_their_own():
     rng = np.random.default_rng(1)
     recording, truth, _ = recorded(6, outliers=0.0)
     std = np.where(np.arange(200) % 2, 1.0, 6.0)
     z = truth + 5 * std[:, None] * rng.standard_normal(truth.shape)
-    (one,) = clean_tracks([Recording("own", recording.time, z, None, {}, sigma=std)])
+    return Recording("own", recording.time, z, None, {}, sigma=std), truth
+
+
+def test_fixes_that_state_their_own_noise_get_a_factor_on_it(results):
+    _, one = results["noise_of_their_own"]
     assert one.found.sigma == pytest.approx(5.0, rel=0.15)
     assert (one.flag == "outlier").mean() < 0.01
 
@@ -219,11 +243,15 @@ def test_a_gap_of_an_hour_is_bridged_and_unsure():
     assert one.std[one.row < 0][5].min() > 100 * SIGMA
 
 
-@pytest.mark.slow
-def test_repeated_positions_of_a_moored_ship_are_no_outliers():
+@track
+def moored_with_repeated_positions():
     rng = np.random.default_rng(0)
     z = np.round(np.repeat(3 * rng.standard_normal((30, 2)), 5, 0), 1)
-    (one,) = clean_tracks([Recording("moored", 10.0 * np.arange(150), z, None, {}, source=Source(word="ship"))])
+    return Recording("moored", 10.0 * np.arange(150), z, None, {}, source=Source(word="ship")), np.zeros((150, 2))
+
+
+def test_repeated_positions_of_a_moored_ship_are_no_outliers(results):
+    _, one = results["moored_with_repeated_positions"]
     assert one.found.bank == "ship"
     assert not one.failed.any()
     assert (one.flag == "outlier").mean() < 0.05
@@ -295,15 +323,20 @@ def test_a_target_of_a_few_fixes_among_missing_ones_has_a_speed():
     assert kind_of(Recording("few", np.arange(90.0), position, None, {})) == ("person", "by its speed of 2.0 m/s")
 
 
-def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers():
-    rng, time = np.random.default_rng(3), np.arange(0.0, 300.0)
-    climb = np.interp(time, [0, 60, 180, 300], [900, 900, 1900, 1900])
-    position = np.stack([200 * time, 0 * time, climb], 1) + 0.3 * rng.standard_normal((300, 3))
-    position[:, 2] = 7.62 * np.round(climb / 7.62)
-    (cleaned,) = clean_tracks([Recording("climb", time, position, None, {})])
-    assert not (cleaned.flag == "outlier").any()
-    assert np.abs(cleaned.position[:, 2] - climb).mean() < 7.62 / 4
-    assert cleaned.std[:, 2].mean() > 0.5
+@track
+def heights_in_steps():
+    rng, time = np.random.default_rng(3), np.arange(0.0, 200.0)
+    truth = np.stack([200 * time, 0 * time, np.interp(time, [40, 160], [900, 1900])], 1)
+    position = truth + 0.3 * rng.standard_normal((200, 3))
+    position[:, 2] = 7.62 * np.round(truth[:, 2] / 7.62)
+    return Recording("climb", time, position, None, {}), truth
+
+
+def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers(results):
+    truth, one = results["heights_in_steps"]
+    assert not (one.flag == "outlier").any()
+    assert np.abs(one.position - truth)[:, 2].mean() < 7.62 / 4
+    assert one.std[:, 2].mean() > 0.5
 
 
 @pytest.mark.parametrize("smooth", [True, False])
@@ -335,24 +368,32 @@ def test_a_few_fixes_on_either_side_of_a_long_gap_are_near_where_they_were_measu
     np.testing.assert_allclose(mirrored.position * [1, -1], one.position, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_sigma_for_each_fix_is_taken_without_a_warning():
+@track
+def a_sigma_for_each_fix():
     rng, time = np.random.default_rng(5), np.arange(0.0, 200.0)
-    sigma = np.where(time % 2, 2.0, 8.0)
-    position = np.stack([10 * time, 0 * time], 1) + sigma[:, None] * rng.standard_normal((200, 2))
-    (cleaned,) = clean_tracks([Recording("log", time, position, None, {}, None, np.broadcast_to(sigma, 200))])
-    assert 0.7 < cleaned.found.sigma < 1.4
+    sigma, truth = np.where(time % 2, 2.0, 8.0), np.stack([10 * time, 0 * time], 1)
+    position = truth + sigma[:, None] * rng.standard_normal((200, 2))
+    return Recording("log", time, position, None, {}, None, np.broadcast_to(sigma, 200)), truth
 
 
-def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_its_fixes():
-    rng, time = np.random.default_rng(6), 180.0 * np.arange(140)
-    position = 5.5 * rng.standard_normal((140, 2))
-    (cleaned,) = clean_tracks([Recording("moored", time, position, None, {}, source=Source(word="ship"))])
-    assert cleaned.found.sigma == pytest.approx(5.5, rel=0.1)
-    assert np.linalg.norm(cleaned.position, axis=1).mean() < 0.7 * np.linalg.norm(position, axis=1).mean()
-    assert 0.5 < cleaned.found.nis < 1.2
-    assert not cleaned.found.doubt
-    assert not cleaned.segments
+def test_a_sigma_for_each_fix_is_taken_without_a_warning(results):
+    assert 0.7 < results["a_sigma_for_each_fix"][1].found.sigma < 1.4
+
+
+@track
+def moored_and_heard_every_three_minutes():
+    position = 5.5 * np.random.default_rng(6).standard_normal((140, 2))
+    recording = Recording("moored", 180.0 * np.arange(140), position, None, {}, source=Source(word="ship"))
+    return recording, np.zeros((140, 2))
+
+
+def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_its_fixes(results):
+    _, one = results["moored_and_heard_every_three_minutes"]
+    assert one.found.sigma == pytest.approx(5.5, rel=0.1)
+    assert np.linalg.norm(one.position, axis=1).mean() < 0.7 * np.linalg.norm(one.raw, axis=1).mean()
+    assert 0.5 < one.found.nis < 1.2
+    assert not one.found.doubt
+    assert not one.segments
 
 
 def test_what_fixes_hardly_tell_of_sigma_is_said():
@@ -385,23 +426,33 @@ def test_a_car_that_is_measured_often_brakes_and_turns_as_hard_as_one_that_is_no
     assert after < 0.4**2 * before
 
 
-def test_a_gull_every_five_minutes_hardly_tells_sigma():
+@track
+def a_gull_every_five_minutes():
     rng, kept, velocity = np.random.default_rng(5), np.exp(-5 / 900), [np.zeros(2)]
     for _ in range(12_000):
         velocity.append(kept * velocity[-1] + 4.0 * np.sqrt(1 - kept**2) * rng.standard_normal(2))
-    position = np.cumsum(5.0 * np.stack(velocity), 0)[::60] + 15.0 * rng.standard_normal((201, 2))
-    time = 300.0 * np.arange(201)
-    (cleaned,) = clean_tracks([Recording("gull", time, position, None, {}, source=Source(word="animal"))])
-    assert cleaned.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+    truth = np.cumsum(5.0 * np.stack(velocity), 0)[::60]
+    position, time = truth + 15.0 * rng.standard_normal((201, 2)), 300.0 * np.arange(201)
+    return Recording("gull", time, position, None, {}, source=Source(word="animal")), truth
 
 
-def test_a_ship_that_goes_straight_is_known_better_than_its_fixes_hours_apart():
+def test_a_gull_every_five_minutes_hardly_tells_sigma(results):
+    _, one = results["a_gull_every_five_minutes"]
+    assert one.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+
+
+@track
+def a_ship_that_goes_straight():
     rng, time = np.random.default_rng(7), 7200.0 * np.arange(60)
     truth = np.stack([8.0 * time, 0.0 * time], 1)
     position = truth + 5.0 * rng.standard_normal((60, 2))
-    (cleaned,) = clean_tracks([Recording("ship", time, position, None, {}, source=Source(word="ship"))])
-    assert cleaned.found.sigma == pytest.approx(5.0, rel=0.15)
-    before, after = (np.square(z - truth).mean() for z in (position, cleaned.position))
+    return Recording("ship", time, position, None, {}, source=Source(word="ship")), truth
+
+
+def test_a_ship_that_goes_straight_is_known_better_than_its_fixes_hours_apart(results):
+    truth, one = results["a_ship_that_goes_straight"]
+    assert one.found.sigma == pytest.approx(5.0, rel=0.15)
+    before, after = (np.square(z - truth).mean() for z in (one.raw, one.position))
     assert after < 0.7**2 * before
 
 
