@@ -129,10 +129,13 @@ def short_tracks():
 
 @pytest.fixture
 def rough_figures(monkeypatch):
-    """Figures are written without a search for the places of their axes, which takes most of the time."""
+    """Figures have few dots, and no search for the places of their axes: both take most of the time."""
+    from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+    save = Figure.savefig
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: {})
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *given, **named: save(figure, *given, **named | {"dpi": 60}))
 
 
 @pytest.fixture
