@@ -95,22 +95,31 @@ def test_outliers_among_fixes_hours_apart_are_found_and_the_others_come_nearer(k
         assert after < before
 
 
-@pytest.mark.parametrize(("noise", "hours"), [(100.0, 2), (100.0, 4), (500.0, 4), (1000.0, 4)])
-def test_where_fixes_do_not_tell_noise_from_motion_the_path_is_no_farther_off_than_they_are(noise, hours):
-    several = [walk(seed, noise, hours=hours) for seed in range(3)]
-    cleaned = clean_tracks([of for of, *_ in several])
+CASES = [(100.0, 2), (100.0, 4), (500.0, 4), (1000.0, 4)]
+"""Noise in metres and hours between fixes where these hardly tell noise from motion."""
+
+
+@pytest.fixture(scope="module")
+def hardly_told():
+    """Three walks of each case, and what comes of each: all as one batch."""
+    several = [[walk(seed, noise, hours=hours) for seed in range(3)] for noise, hours in CASES]
+    cleaned = clean_tracks([recording for walks in several for recording, *_ in walks])
+    return {case: (several[i], cleaned[3 * i : 3 * i + 3]) for i, case in enumerate(CASES)}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_where_fixes_do_not_tell_noise_from_motion_the_path_is_no_farther_off_than_they_are(case, hardly_told):
     of_raw = []
-    for one, (recording, truth, wrong) in zip(cleaned, several, strict=True):
+    for (recording, truth, wrong), one in zip(*hardly_told[case], strict=True):
         before, after = (np.square(z - truth)[~wrong].mean() for z in (recording.position, one.position))
         of_raw.append(math.sqrt(after / before))
     assert np.median(of_raw) < 1.1
 
 
-def test_it_is_said_where_a_far_lower_sigma_is_as_likely():
-    recording, *_ = walk(0, 100.0, hours=4)
-    (one,) = clean_tracks([recording])
+def test_it_is_said_where_a_far_lower_sigma_is_as_likely(hardly_told):
+    one = hardly_told[100.0, 4][1][0]
     assert one.found.doubt == "Fixes 4 h apart hardly tell noise from motion: sigma is unsure"
-    (one,) = clean_tracks([recording], sigma=100.0)
+    (one,) = clean_tracks([one.recording], sigma=100.0)
     assert not one.found.doubt
 
 

@@ -23,8 +23,9 @@ def estimate(f, tracks):
 
 @pytest.fixture(scope="module")
 def poor():
-    """A poor start: many steps are abnormal, and every branch wins some."""
-    return without_acceleration(scenarios.bearings_outliers("std")).simulate(8, 3)
+    """A poor start: many of these first steps are abnormal, and every branch wins some."""
+    tracks = without_acceleration(scenarios.bearings_outliers("std")).simulate(24, 3)
+    return tracks._replace(z=tracks.z[:, :30], u=tracks.u[:30], truth=tracks.truth[:, :30])
 
 
 # ---------------------------------------------------------------- what it does

@@ -228,6 +228,7 @@ def test_a_recorded_flight_is_moved_little_to_make_it_smooth():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("rough_figures")
 def test_a_small_run_prints_both_tables_and_writes_json_and_a_picture(tmp_path, capsys):
     files = ["--json", str(tmp_path / "c.json"), "--plot", str(tmp_path / "c.png")]
     assert clean_check.main([*FEW, "--cases", *files]) == 0

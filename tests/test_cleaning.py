@@ -37,10 +37,30 @@ def recorded(seed, *, steps=200, period=2.0, d=2, sigma=SIGMA, outliers=0.03, sp
     )
 
 
+TRACKS = {}
+"""By name what makes a recording and its truth, of those that are cleaned with nothing told."""
+
+
+def track(make):
+    TRACKS[make.__name__] = make
+    return make
+
+
 @pytest.fixture(scope="module")
-def cleaned():
+def results():
+    """What comes of all of ``TRACKS``, as one batch, beside the truth of each, and of the two of ``cleaned``."""
     several = [recorded(seed, d=d) for seed, d in ((0, 2), (1, 3))]
-    return several, clean_tracks([recording for recording, _, _ in several])
+    tracks = {name: make() for name, make in TRACKS.items()}
+    recordings = [recording for recording, *_ in (*several, *tracks.values())]
+    one, other, *done = clean_tracks(recordings)
+    found = {name: (truth, of) for (name, (_, truth)), of in zip(tracks.items(), done, strict=True)}
+    return found | {"cleaned": (several, [one, other])}
+
+
+@pytest.fixture
+def cleaned(results):
+    """A track in the plane and one in space: recordings, truths and which fixes are wrong; what comes of both."""
+    return results["cleaned"]
 
 
 @pytest.mark.slow
@@ -88,18 +108,22 @@ def test_a_turn_is_a_manoeuvre_with_a_segment(cleaned):
 
 
 def test_what_is_told_is_taken():
-    recording, _, _ = recorded(5)
+    recording, _, _ = recorded(5, steps=40)
     (one,) = clean_tracks([recording], sigma=7.0, q=0.5, bank="vehicle")
     assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
 
 
-@pytest.mark.slow
-def test_fixes_that_state_their_own_noise_get_a_factor_on_it():
+@track
+def noise_of_their_own():
     rng = np.random.default_rng(1)
     recording, truth, _ = recorded(6, outliers=0.0)
     std = np.where(np.arange(200) % 2, 1.0, 6.0)
     z = truth + 5 * std[:, None] * rng.standard_normal(truth.shape)
-    (one,) = clean_tracks([Recording("own", recording.time, z, None, {}, sigma=std)])
+    return Recording("own", recording.time, z, None, {}, sigma=std), truth
+
+
+def test_fixes_that_state_their_own_noise_get_a_factor_on_it(results):
+    _, one = results["noise_of_their_own"]
     assert one.found.sigma == pytest.approx(5.0, rel=0.15)
     assert (one.flag == "outlier").mean() < 0.01
 
@@ -129,43 +153,50 @@ def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
     assert (np.abs(rows.position - one.position) < one.std).all()
 
 
-@pytest.mark.parametrize("burst", [slice(0, 4), slice(-4, None)])
-def test_a_burst_of_one_offset_at_either_end_throws_no_good_fix_away(burst):
+def test_a_burst_of_one_offset_at_either_end_throws_no_good_fix_away():
     rng, turning = np.random.default_rng(0), np.arange(200) % 60 == 30
     course = np.pi / 2 * np.cumsum(turning)
     truth = 7.0 * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)  # a walk of 5 s from fix to fix
-    z = truth + 3.0 * rng.standard_normal(truth.shape)
-    z[burst] += (700.0, -1400.0)
-    wrong = np.zeros(200, bool)
-    wrong[burst] = True
-    (one,) = clean_tracks([Recording("walk", 5.0 * np.arange(200), z, None, {})])
-    np.testing.assert_array_equal(one.flag == "outlier", wrong)
-    assert np.abs(one.position - truth).max() < 5 * 3.0
-    assert one.found.nis < 1.3
+    good = truth + 3.0 * rng.standard_normal(truth.shape)
+    wrong = np.zeros((2, 200), bool)
+    wrong[0, :4] = wrong[1, -4:] = True
+    fixes = good + wrong[..., None] * np.array([700.0, -1400.0])
+    for one, bad in zip(clean_tracks([Recording("walk", 5.0 * np.arange(200), z, None, {}) for z in fixes]), wrong,
+                        strict=True):  # fmt: skip
+        np.testing.assert_array_equal(one.flag == "outlier", bad)
+        assert np.abs(one.position - truth).max() < 5 * 3.0
+        assert one.found.nis < 1.3
 
 
-@pytest.mark.parametrize(("period", "burst"), [(5.0, slice(0, 6)), (5.0, slice(-6, None)), (10.0, slice(-6, None))])
-def test_a_burst_at_either_end_of_a_track_that_turns_hard_leaves_the_others_where_they_are(period, burst):
+def test_a_burst_at_either_end_of_a_track_that_turns_hard_leaves_the_others_where_they_are():
+    cases = [(5.0, slice(0, 6)), (5.0, slice(-6, None)), (10.0, slice(-6, None))]
     course = np.cumsum(np.radians(12.0) * ((np.arange(120) > 25) & (np.arange(120) < 35)))
-    truth = 10.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
-    z = truth + SIGMA * np.random.default_rng(2).standard_normal(truth.shape)
-    z[burst] += (2000.0, 1000.0)
-    (one,) = clean_tracks([Recording("burst", period * np.arange(120), z, None, {})])
-    good = np.delete(np.arange(120), np.arange(120)[burst])
-    assert (one.flag[burst] == "outlier").all()
-    assert error(one, truth, good) < SIGMA
+    unit = np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
+    noise, recordings = SIGMA * np.random.default_rng(2).standard_normal(unit.shape), []
+    for period, burst in cases:
+        z = 10.0 * period * unit + noise
+        z[burst] += (2000.0, 1000.0)
+        recordings.append(Recording("burst", period * np.arange(120), z, None, {}))
+    for one, (period, burst) in zip(clean_tracks(recordings), cases, strict=True):
+        good = np.delete(np.arange(120), np.arange(120)[burst])
+        assert (one.flag[burst] == "outlier").all()
+        assert error(one, 10.0 * period * unit, good) < SIGMA
 
 
-@pytest.mark.parametrize(("period", "jump", "speed"), [(5.0, 1000.0, 10.0), (5.0, 3000.0, 10.0), (5.0, 0.0, 220.0),
-                                                       (10.0, 0.0, 220.0)])  # fmt: skip
-def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal(period, jump, speed):
-    after = np.arange(120) >= 60
-    along = np.cumsum(period * speed * np.where(after & (jump == 0), -1.0, 1.0))
-    truth = np.stack([along, 3.0 * period * np.arange(120) + jump * after], 1)
-    z = truth + SIGMA * np.random.default_rng(0).standard_normal(truth.shape)
-    (one,) = clean_tracks([Recording("sudden", period * np.arange(120), z, None, {})])
-    assert (one.flag != "outlier").all()
-    assert error(one, truth, slice(None)) < SIGMA
+def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal():
+    after, steps, truths = np.arange(120) >= 60, np.arange(120), []
+    cases = [(5.0, 1000.0, 10.0), (5.0, 3000.0, 10.0), (5.0, 0.0, 220.0), (10.0, 0.0, 220.0)]
+    for period, jump, speed in cases:
+        along = np.cumsum(period * speed * np.where(after & (jump == 0), -1.0, 1.0))
+        truths.append(np.stack([along, 3.0 * period * steps + jump * after], 1))
+    noise = SIGMA * np.random.default_rng(0).standard_normal((120, 2))
+    recordings = [
+        Recording("sudden", period * steps, truth + noise, None, {})
+        for (period, *_), truth in zip(cases, truths, strict=True)
+    ]
+    for one, truth in zip(clean_tracks(recordings), truths, strict=True):
+        assert (one.flag != "outlier").all()
+        assert error(one, truth, slice(None)) < SIGMA
 
 
 def error(one, truth, at):
@@ -212,11 +243,15 @@ def test_a_gap_of_an_hour_is_bridged_and_unsure():
     assert one.std[one.row < 0][5].min() > 100 * SIGMA
 
 
-@pytest.mark.slow
-def test_repeated_positions_of_a_moored_ship_are_no_outliers():
+@track
+def moored_with_repeated_positions():
     rng = np.random.default_rng(0)
     z = np.round(np.repeat(3 * rng.standard_normal((30, 2)), 5, 0), 1)
-    (one,) = clean_tracks([Recording("moored", 10.0 * np.arange(150), z, None, {}, source=Source(word="ship"))])
+    return Recording("moored", 10.0 * np.arange(150), z, None, {}, source=Source(word="ship")), np.zeros((150, 2))
+
+
+def test_repeated_positions_of_a_moored_ship_are_no_outliers(results):
+    _, one = results["moored_with_repeated_positions"]
     assert one.found.bank == "ship"
     assert not one.failed.any()
     assert (one.flag == "outlier").mean() < 0.05
@@ -232,7 +267,7 @@ def test_tracks_of_a_few_fixes_are_cleaned(count):
 
 
 def test_a_target_that_fails_says_so_and_stops_no_other():
-    good, _, _ = recorded(12)
+    good, _, _ = recorded(12, steps=40)
     bad = Recording("bad", good.time, np.full_like(good.position, np.inf), None, {})
     one, other = clean_tracks([bad, good], sigma=SIGMA)
     assert one.failed.all()
@@ -288,15 +323,20 @@ def test_a_target_of_a_few_fixes_among_missing_ones_has_a_speed():
     assert kind_of(Recording("few", np.arange(90.0), position, None, {})) == ("person", "by its speed of 2.0 m/s")
 
 
-def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers():
-    rng, time = np.random.default_rng(3), np.arange(0.0, 300.0)
-    climb = np.interp(time, [0, 60, 180, 300], [900, 900, 1900, 1900])
-    position = np.stack([200 * time, 0 * time, climb], 1) + 0.3 * rng.standard_normal((300, 3))
-    position[:, 2] = 7.62 * np.round(climb / 7.62)
-    (cleaned,) = clean_tracks([Recording("climb", time, position, None, {})])
-    assert not (cleaned.flag == "outlier").any()
-    assert np.abs(cleaned.position[:, 2] - climb).mean() < 7.62 / 4
-    assert cleaned.std[:, 2].mean() > 0.5
+@track
+def heights_in_steps():
+    rng, time = np.random.default_rng(3), np.arange(0.0, 200.0)
+    truth = np.stack([200 * time, 0 * time, np.interp(time, [40, 160], [900, 1900])], 1)
+    position = truth + 0.3 * rng.standard_normal((200, 3))
+    position[:, 2] = 7.62 * np.round(truth[:, 2] / 7.62)
+    return Recording("climb", time, position, None, {}), truth
+
+
+def test_heights_in_steps_are_as_uncertain_as_their_rounding_and_make_no_outliers(results):
+    truth, one = results["heights_in_steps"]
+    assert not (one.flag == "outlier").any()
+    assert np.abs(one.position - truth)[:, 2].mean() < 7.62 / 4
+    assert one.std[:, 2].mean() > 0.5
 
 
 @pytest.mark.parametrize("smooth", [True, False])
@@ -328,37 +368,44 @@ def test_a_few_fixes_on_either_side_of_a_long_gap_are_near_where_they_were_measu
     np.testing.assert_allclose(mirrored.position * [1, -1], one.position, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_sigma_for_each_fix_is_taken_without_a_warning():
+@track
+def a_sigma_for_each_fix():
     rng, time = np.random.default_rng(5), np.arange(0.0, 200.0)
-    sigma = np.where(time % 2, 2.0, 8.0)
-    position = np.stack([10 * time, 0 * time], 1) + sigma[:, None] * rng.standard_normal((200, 2))
-    (cleaned,) = clean_tracks([Recording("log", time, position, None, {}, None, np.broadcast_to(sigma, 200))])
-    assert 0.7 < cleaned.found.sigma < 1.4
+    sigma, truth = np.where(time % 2, 2.0, 8.0), np.stack([10 * time, 0 * time], 1)
+    position = truth + sigma[:, None] * rng.standard_normal((200, 2))
+    return Recording("log", time, position, None, {}, None, np.broadcast_to(sigma, 200)), truth
 
 
-def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_its_fixes():
-    rng, time = np.random.default_rng(6), 180.0 * np.arange(140)
-    position = 5.5 * rng.standard_normal((140, 2))
-    (cleaned,) = clean_tracks([Recording("moored", time, position, None, {}, source=Source(word="ship"))])
-    assert cleaned.found.sigma == pytest.approx(5.5, rel=0.1)
-    assert np.linalg.norm(cleaned.position, axis=1).mean() < 0.7 * np.linalg.norm(position, axis=1).mean()
-    assert 0.5 < cleaned.found.nis < 1.2
-    assert not cleaned.found.doubt
-    assert not cleaned.segments
+def test_a_sigma_for_each_fix_is_taken_without_a_warning(results):
+    assert 0.7 < results["a_sigma_for_each_fix"][1].found.sigma < 1.4
 
 
-@pytest.mark.parametrize(("count", "dt", "said"), [
-    (3, 10.0, "3 fixes tell little of sigma"),
-    (60, 900.0, ""),
-    (60, 5.0, ""),
-])  # fmt: skip
-def test_what_fixes_hardly_tell_of_sigma_is_said(count, dt, said):
-    rng, time = np.random.default_rng(7), dt * np.arange(count)
-    position = np.stack([8.0 * time, 0.0 * time], 1) + 5.0 * rng.standard_normal((count, 2))
-    recording = Recording("ship", time, position, None, {}, source=Source(word="ship"))
-    assert clean_tracks([recording])[0].found.doubt == said
-    assert clean_tracks([recording], sigma=5.0)[0].found.doubt == ""
+@track
+def moored_and_heard_every_three_minutes():
+    position = 5.5 * np.random.default_rng(6).standard_normal((140, 2))
+    recording = Recording("moored", 180.0 * np.arange(140), position, None, {}, source=Source(word="ship"))
+    return recording, np.zeros((140, 2))
+
+
+def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_its_fixes(results):
+    _, one = results["moored_and_heard_every_three_minutes"]
+    assert one.found.sigma == pytest.approx(5.5, rel=0.1)
+    assert np.linalg.norm(one.position, axis=1).mean() < 0.7 * np.linalg.norm(one.raw, axis=1).mean()
+    assert 0.5 < one.found.nis < 1.2
+    assert not one.found.doubt
+    assert not one.segments
+
+
+def test_what_fixes_hardly_tell_of_sigma_is_said():
+    def ship(count, dt):
+        rng, time = np.random.default_rng(7), dt * np.arange(count)
+        position = np.stack([8.0 * time, 0.0 * time], 1) + 5.0 * rng.standard_normal((count, 2))
+        return Recording("ship", time, position, None, {}, source=Source(word="ship"))
+
+    few, enough = [ship(3, 10.0)], [ship(60, dt) for dt in (900.0, 5.0)]
+    assert clean_tracks(few)[0].found.doubt == "3 fixes tell little of sigma"
+    assert clean_tracks(few, sigma=5.0)[0].found.doubt == ""
+    assert [one.found.doubt for one in clean_tracks(enough)] == ["", ""]
 
 
 def laps():
@@ -379,23 +426,33 @@ def test_a_car_that_is_measured_often_brakes_and_turns_as_hard_as_one_that_is_no
     assert after < 0.4**2 * before
 
 
-def test_a_gull_every_five_minutes_hardly_tells_sigma():
+@track
+def a_gull_every_five_minutes():
     rng, kept, velocity = np.random.default_rng(5), np.exp(-5 / 900), [np.zeros(2)]
     for _ in range(12_000):
         velocity.append(kept * velocity[-1] + 4.0 * np.sqrt(1 - kept**2) * rng.standard_normal(2))
-    position = np.cumsum(5.0 * np.stack(velocity), 0)[::60] + 15.0 * rng.standard_normal((201, 2))
-    time = 300.0 * np.arange(201)
-    (cleaned,) = clean_tracks([Recording("gull", time, position, None, {}, source=Source(word="animal"))])
-    assert cleaned.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+    truth = np.cumsum(5.0 * np.stack(velocity), 0)[::60]
+    position, time = truth + 15.0 * rng.standard_normal((201, 2)), 300.0 * np.arange(201)
+    return Recording("gull", time, position, None, {}, source=Source(word="animal")), truth
 
 
-def test_a_ship_that_goes_straight_is_known_better_than_its_fixes_hours_apart():
+def test_a_gull_every_five_minutes_hardly_tells_sigma(results):
+    _, one = results["a_gull_every_five_minutes"]
+    assert one.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+
+
+@track
+def a_ship_that_goes_straight():
     rng, time = np.random.default_rng(7), 7200.0 * np.arange(60)
     truth = np.stack([8.0 * time, 0.0 * time], 1)
     position = truth + 5.0 * rng.standard_normal((60, 2))
-    (cleaned,) = clean_tracks([Recording("ship", time, position, None, {}, source=Source(word="ship"))])
-    assert cleaned.found.sigma == pytest.approx(5.0, rel=0.15)
-    before, after = (np.square(z - truth).mean() for z in (position, cleaned.position))
+    return Recording("ship", time, position, None, {}, source=Source(word="ship")), truth
+
+
+def test_a_ship_that_goes_straight_is_known_better_than_its_fixes_hours_apart(results):
+    truth, one = results["a_ship_that_goes_straight"]
+    assert one.found.sigma == pytest.approx(5.0, rel=0.15)
+    before, after = (np.square(z - truth).mean() for z in (one.raw, one.position))
     assert after < 0.7**2 * before
 
 

@@ -121,6 +121,7 @@ def test_a_title_of_a_run_is_harmless(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("rough_figures")
 def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, capsys):
     flights = rows("good") + rows("late", 0.1, last=2 * 10**10) + rows("other", 0.2)
     assert track_them(tmp_path, flights, "--dt", "1") == 1
@@ -137,6 +138,7 @@ def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, c
     assert track_them(tmp_path, rows("late", last=2 * 10**10), "--dt", "1") == 2
 
 
+@pytest.mark.usefixtures("rough_figures")
 def test_one_target_that_cannot_be_drawn_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
     draw = plotting.cleaned
 
@@ -187,6 +189,7 @@ def clean_badly(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("rough_figures")
 def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_exit_status(
     tmp_path, capsys, clean_badly
 ):
@@ -198,13 +201,14 @@ def test_an_estimate_of_a_recording_that_is_not_finite_is_said_and_shows_in_the_
     assert failed == {"bad": True, "good": False}
 
 
+@pytest.mark.usefixtures("rough_figures")
 def test_a_recording_without_any_finite_estimate_gives_no_warning(tmp_path, capsys, clean_badly):
     clean_badly(steps=10)
     assert track_them(tmp_path, rows("bad")) == 1
     assert capsys.readouterr().err == "torchfra: error: bad: NaN or infinity in 10 of 10 steps\n"
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("rough_figures", "short_tracks")
 def test_a_filter_whose_result_is_not_finite_is_said_and_shows_in_the_exit_status(tmp_path, capsys, monkeypatch):
     from torchfra.evaluation import runs
 
@@ -238,6 +242,7 @@ def test_an_error_of_the_particles_that_is_not_finite_shows_in_the_exit_status(m
     ]
 
 
+@pytest.mark.usefixtures("rough_figures")
 def test_a_run_without_a_finite_validation_says_that_it_learned_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tune, "validate", lambda training: float("inf"))
     small = ["iterations=1", "batch=2", "validation_runs=2", "compile=false", "--quiet"]

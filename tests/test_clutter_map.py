@@ -60,9 +60,10 @@ def test_what_goes_with_the_platform_is_clutter_in_the_frame_of_the_platform():
 
 def test_scenes_side_by_side_have_maps_of_their_own():
     targets = manager(clutter_map=ClutterMap(2.0))
-    both = targets(torch.stack([scans(1), scans(2)]))
-    for i, seed in enumerate((1, 2)):
-        alone = targets(scans(seed))
+    each = scans(1, 15), scans(2, 15)
+    both = targets(torch.stack(each))
+    for i, z in enumerate(each):
+        alone = targets(z)
         assert both.identity[i, : len(alone.identity)].tolist() == alone.identity.tolist()
         torch.testing.assert_close(both.mean[i, : len(alone.identity)], alone.mean, equal_nan=True)
 
@@ -70,18 +71,18 @@ def test_scenes_side_by_side_have_maps_of_their_own():
 def test_a_map_goes_on_when_it_was_saved():
     targets, state, states = manager(clutter_map=ClutterMap(2.0)), None, []
     state = targets.init()
-    for k, z in enumerate(scans(3)):
+    for k, z in enumerate(scans(3, 15)):
         state = targets.step(state, z)
-        if k == 20:
+        if k == 8:
             state = targets.restored(targets.saved(state))
         states.append(state)
-    torch.testing.assert_close(collect(states), targets(scans(3)), equal_nan=True, rtol=0, atol=0)
+    torch.testing.assert_close(collect(states), targets(scans(3, 15)), equal_nan=True, rtol=0, atol=0)
 
 
 def test_measurements_are_forgotten():
     targets = manager(clutter_map=ClutterMap(2.0, seconds=3.0))
     state = targets.init()
-    for z in scans(4):
+    for z in scans(4, 30):
         state = targets.step(state, z)
     assert len(state.clutter.weight) <= 4 * 14  # of the last 3 log(100) s
     assert state.clutter.scans.item() == pytest.approx(1 / (1 - math.exp(-1 / 3)), rel=1e-4)

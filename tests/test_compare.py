@@ -205,7 +205,7 @@ def command(*options):
     return cli.main(["compare", "--runs", "3", "--figure", "f.png", *options])
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks", "rough_figures")
 def test_the_command_takes_functions_of_a_file(mine, capsys):
     assert command("--scenario", "mine.py:own", "--filters", "srckf,mine.py:mine", "--outliers", "std") == 0
     said = capsys.readouterr().out
@@ -213,7 +213,7 @@ def test_the_command_takes_functions_of_a_file(mine, capsys):
     assert "mine.py:mine" in said
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks", "rough_figures")
 def test_the_command_takes_registered_names_and_writes_tables_and_figures_for_print(mine, capsys):
     files = ["--table", "t.tex", "--print", "p.pdf"]
     assert command("--import", "mine.py", "--scenario", f"own_{mine}", "--filters", f"mine_{mine}", *files) == 0

@@ -65,8 +65,8 @@ def test_it_answers_interpreted_first_and_compiled_later(tracks, gate):
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 @torch.no_grad()
-def test_the_backward_pass_is_made_while_the_filter_compiles(dtype, tracks, monkeypatch):
-    scenario, load, both, loaded = scenarios.bearings_outliers(), jit.load, threading.Barrier(2), []
+def test_the_backward_pass_is_made_while_the_filter_compiles(dtype, scenario, monkeypatch):
+    tracks, load, both, loaded = scenario.simulate(3, 0), jit.load, threading.Barrier(2), []
 
     def at_once(source):
         loaded.append(source)

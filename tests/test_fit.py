@@ -22,7 +22,7 @@ QUICK = {"compile": False, "iterations": 0, "quiet": True}
 """Newton's method alone, interpreted."""
 
 
-def walks(seed, runs=60, steps=25, q=Q, std=STD):
+def walks(seed, runs=120, steps=12, q=Q, std=STD):
     """Tracks of constant velocity with known noise: states and measurements."""
     rng, like = torch.Generator().manual_seed(seed), {"dtype": torch.float64}
     motion, one = ConstantVelocity(q), torch.tensor(1.0, **like)
@@ -143,7 +143,7 @@ def test_every_loss_is_lowered(data, loss):
 
 @pytest.mark.slow
 def test_the_smoothed_likelihood_finds_the_measurement_noise(data):
-    found = torchfra.fit(start(), {"z": data["z"][:, :15], "prior": PRIOR}, learn=("std",), loss="smoothed", **QUICK)
+    found = torchfra.fit(start(), {"z": data["z"][:60], "prior": PRIOR}, learn=("std",), loss="smoothed", **QUICK)
     assert abs(found.learned["sensor.std"] - STD) < 3 * found.errors["sensor.std"] < 0.6 * STD
     assert found.settings.errors == "sandwich"
 
@@ -209,7 +209,7 @@ def test_without_a_prior_tracks_begin_at_their_first_whole_measurement():
 
 @pytest.mark.slow
 def test_a_start_without_a_prior_does_not_move_what_is_found():
-    z = walks(4, 150, 25)[1]
+    z = walks(4, 300, 12)[1]
     found = torchfra.fit(start(), TensorDataset(z), learn=("q", "std"), **QUICK)
     for name, known in (("motion.q", Q), ("sensor.std", STD)):
         assert abs(found.learned[name] - known) < 3 * found.errors[name]
@@ -315,13 +315,13 @@ def test_a_filter_with_a_network_is_sent_to_a_loop_of_its_own():
 def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     from torchfra.fitting.descent import Descent
 
-    options = {"learn": ("q",), "compile": False, "iterations": 12, "validate_every": 3, "batch": 4}
+    options = {"learn": ("q",), "compile": False, "iterations": 7, "validate_every": 2, "batch": 4}
     z = {"z": walks(6, 12, 5)[1], "prior": PRIOR}
     unbroken = torchfra.fit(start(), z, **options)
     advance = Descent.advance
 
     def fails(self):
-        if self.iteration == 8:
+        if self.iteration == 5:
             raise KeyboardInterrupt
         return advance(self)
 
@@ -341,7 +341,7 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(tmp_path, capsys):
-    options = {"learn": ("q",), "compile": False, "iterations": 9, "validate_every": 3, "batch": 4}
+    options = {"learn": ("q",), "compile": False, "iterations": 4, "validate_every": 2, "batch": 4}
     z = {"z": walks(6, 12, 5)[1], "prior": PRIOR}
     path = tmp_path / "fit.pt"
     done = torchfra.fit(start(), z, checkpoint=path, **options)

@@ -83,6 +83,7 @@ def test_checkpoints_keep_less_and_leave_the_gradient(tracks):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("rough_figures")
 def test_tables_json_and_figure_have_both_systems(tmp_path, capsys):
     out, drawn = tmp_path / "g.json", tmp_path / "g.png"
     assert gradients.main([*SMALL, "--json", str(out), "--figure", str(drawn)]) == 0

@@ -152,7 +152,7 @@ def test_its_gradient_is_exact():
 
 @pytest.mark.slow
 def test_compiled_it_gives_the_same_and_the_same_gradients():
-    f = presets.imm(bank()[:3], SENSOR, inner=presets.fra, learn=("stay", "q", "std"))
+    f = presets.imm(bank()[:3], SENSOR, learn=("stay", "q", "std"))
     found = []
     for g in (f, copy.deepcopy(f).compile()):
         e = g(measured(4), PRIOR, dt=times())

@@ -15,15 +15,13 @@ def test_every_part_is_done_and_comes_with_its_number(jobs):
     assert dict(finished(math.sqrt, [(4.0,), (9.0,), (16.0,)], jobs)) == {0: 2.0, 1: 3.0, 2: 4.0}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_an_error_in_a_part_ends_the_work(jobs):
+def test_an_error_in_a_part_ends_the_work():
     with pytest.raises(ValueError, match="math domain error"):
-        list(finished(math.sqrt, [(4.0,), (-1.0,), (4.0,)], jobs))
+        list(finished(math.sqrt, [(4.0,), (-1.0,), (4.0,)], 1))
 
 
 @pytest.mark.slow
-def test_a_part_that_has_not_begun_is_left_out_after_an_error(tmp_path):
+def test_an_error_in_a_process_ends_the_work_and_what_has_not_begun_is_left_out(tmp_path):
     wrong, last = ("raise ValueError('wrong')",), (f"open({str(tmp_path / 'begun')!r}, 'w')",)
     with pytest.raises(ValueError, match="wrong"):
         list(finished(exec, [wrong, wrong, last], 2))

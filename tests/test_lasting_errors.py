@@ -26,14 +26,25 @@ def voyage(seed, std, seconds=0.0, count=500):
     return Recording("ship", np.arange(count) * 1.0, fixes, None, {}, source=Source(word="ship")), truth
 
 
-def held(several):
-    """The share of true coordinates within a standard deviation."""
-    done = clean_tracks([recording for recording, _ in several])
-    return np.mean([np.abs(one.position - truth) < one.std for one, (_, truth) in zip(done, several, strict=True)])
+@pytest.fixture(scope="module")
+def cleaned():
+    """Voyages with errors that last and without, cleaned as one batch: by name their truths and what comes of them."""
+    voyages = {
+        "20 s": [voyage(seed, 6.0, 20.0) for seed in range(3)],
+        "15 s": [voyage(0, 6.0, 15.0)],
+        "missing": [voyage(0, 6.0, 15.0)],
+        "few": [voyage(0, 6.0, 15.0, count=25)],
+        "few and white": [voyage(0, 1.0, 0.0, 25)],
+        "white": [voyage(seed, std) for seed in range(5) for std in (1.0, 6.0)],
+    }
+    voyages["missing"][0][0].position[100:120] = np.nan
+    done = iter(clean_tracks([recording for several in voyages.values() for recording, _ in several]))
+    return {name: [(next(done), truth) for _, truth in several] for name, several in voyages.items()}
 
 
-def test_bands_hold_the_truth_where_errors_last():
-    assert 0.55 < held([voyage(seed, 6.0, 20.0) for seed in range(3)]) < 0.8
+def test_bands_hold_the_truth_where_errors_last(cleaned):
+    held = np.mean([np.abs(one.position - truth) < one.std for one, truth in cleaned["20 s"]])
+    assert 0.55 < held < 0.8
 
 
 SEEN, ASSUMED = (
@@ -42,23 +53,21 @@ SEEN, ASSUMED = (
 )
 
 
-def said(recording, **settings):
+def said(one):
     """What is said of errors that last."""
-    (one,) = clean_tracks([recording], **settings)
     return [line for line in one.found.said if line.startswith("Errors that last")]
 
 
-def test_errors_that_last_are_said_with_their_size_and_time():
-    (line,) = said(voyage(0, 6.0, 15.0)[0])
+def test_errors_that_last_are_said_with_their_size_and_time(cleaned):
+    (line,) = said(cleaned["15 s"][0][0])
     assert line.startswith(SEEN)
     seconds, metres = line.removeprefix(SEEN).split(";")[0].split(" s, by ")
     assert 10.0 <= float(seconds) <= 40.0
     assert 3.0 < float(metres.removesuffix(" m")) < 12.0
 
 
-def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma():
-    recording, _ = voyage(0, 6.0, 15.0)
-    results = clean_tracks([recording, voyage(0, 1.0, 0.0, 25)[0]])
+def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma(cleaned):
+    results = [cleaned[name][0][0] for name in ("15 s", "few and white")]
     assert "Errors that last: 1 of 2" in notes(results)
     assert not any(line.startswith("Sigma is unsure") for line in overview(results))
 
@@ -66,13 +75,12 @@ def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_s
 def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
     recording, _ = voyage(0, 6.0, 15.0, count=250)
     bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
-    (line,) = said(recording, filter="srckf", bank=bank)
+    (line,) = said(*clean_tracks([recording], filter="srckf", bank=bank))
     assert line.startswith(SEEN)
 
 
-def test_white_noise_is_not_seen_as_errors_that_last():
-    several = [voyage(seed, std)[0] for seed in range(5) for std in (1.0, 6.0)]
-    assert not any(SEEN in line for one in clean_tracks(several) for line in one.found.said)
+def test_white_noise_is_not_seen_as_errors_that_last(cleaned):
+    assert not any(SEEN in line for one, _ in cleaned["white"] for line in one.found.said)
 
 
 def test_a_stated_deviation_that_is_twice_the_noise_is_not_seen_as_errors_that_last():
@@ -92,22 +100,19 @@ def test_errors_of_a_target_that_turns_all_the_time_are_assumed_and_less_so_in_t
     velocity = np.cumsum(0.3 * rng.standard_normal((300, 2)), 0)
     fixes = np.cumsum(velocity, 0) + 3.0 * rng.standard_normal((300, 2))
     walk = Recording("walk", np.arange(300.0), fixes, None, {})
-    on_the_ground, in_the_air = (clean_tracks([walk], bank=kind)[0].std for kind in ("vehicle", "aircraft"))
-    assert said(walk, bank="vehicle")[0].startswith(ASSUMED)
-    assert not said(walk, bank="aircraft")
-    assert np.median(in_the_air) < np.median(on_the_ground)
+    on_the_ground, in_the_air = (clean_tracks([walk], bank=kind)[0] for kind in ("vehicle", "aircraft"))
+    assert said(on_the_ground)[0].startswith(ASSUMED)
+    assert not said(in_the_air)
+    assert np.median(in_the_air.std) < np.median(on_the_ground.std)
 
 
-def test_fixes_that_are_missing_do_no_harm_and_few_say_nothing():
-    recording, _ = voyage(0, 6.0, 15.0)
-    gone = recording.position.copy()
-    gone[100:120] = np.nan
-    assert said(replace(recording, position=gone))
-    assert not said(replace(recording, time=recording.time[:25], position=recording.position[:25]))
+def test_fixes_that_are_missing_do_no_harm_and_few_say_nothing(cleaned):
+    assert said(cleaned["missing"][0][0])
+    assert not said(cleaned["few"][0][0])
 
 
 def test_an_estimate_is_left_alone_and_its_variance_grows_by_that_of_the_errors_in_their_mean():
-    (one,) = clean_tracks([voyage(0, 6.0)[0]], bank="aircraft")
+    (one,) = clean_tracks([voyage(0, 6.0, count=210)[0]], bank="aircraft")
     errors = Lasting(np.array([0.5]), np.array([4.0]), np.array([20.0]), one.found.sigma)
     wider = widened(one, errors)
     count = one.found.sigma**2 / one.covariance[200, 0, 0]

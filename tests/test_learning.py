@@ -171,7 +171,8 @@ def test_only_a_soft_decision_has_a_gradient_in_its_gate_and_preference(make, tr
 
 @pytest.mark.slow
 def test_a_preference_moves_the_decision_to_its_side(make):
-    tracks = without_acceleration(scenarios.bearings_outliers("std")).simulate(8, 3)
+    tracks = without_acceleration(scenarios.bearings_outliers("std")).simulate(24, 3)
+    tracks = tracks._replace(z=tracks.z[:, :30], u=tracks.u[:30])
     kept = [estimate(make("fra", preference=p), tracks).info.adaptive.sum().item() for p in (-1e6, -2.0, 0.0, 2.0, 1e6)]
     assert kept == sorted(kept, reverse=True)
     assert kept[0] > kept[2] > kept[4] == 0

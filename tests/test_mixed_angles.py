@@ -118,17 +118,19 @@ FILTERS = {
 @pytest.mark.parametrize("smooth", [False, True], ids=["filtered", "smoothed"])
 @pytest.mark.parametrize("name", FILTERS)
 def test_no_filter_of_several_hypotheses_depends_on_where_the_circle_is_cut(name, smooth):
-    estimates = []
+    offsets = (0.5 - HALF, HALF + 0.01, 2 * HALF - 1.0)
+    z, priors = zip(*map(headings, offsets), strict=True)
+    prior = Gaussian(torch.stack([p.mean for p in priors]).unsqueeze(1), priors[0].scale_tril)
+    f = FILTERS[name]()
     with torch.no_grad():
-        for offset in (0.5 - HALF, HALF + 0.01, 2 * HALF - 1.0):
-            f = FILTERS[name]()
-            estimates.append((offset, (f.smooth if smooth else f)(*headings(offset))))
-    (start, first), *others = estimates
-    for offset, other in others:
-        gap = BANK.difference(other.mean - tensor(offset - start, 0.0), first.mean)
+        estimate = (f.smooth if smooth else f)(torch.stack(z), prior)
+    (first, *others), (covariance, *more) = estimate.mean, estimate.covariance
+    for offset, mean in zip(offsets[1:], others, strict=True):
+        gap = BANK.difference(mean - tensor(offset - offsets[0], 0.0), first)
         torch.testing.assert_close(gap, torch.zeros_like(gap), rtol=0, atol=1e-9)
-        torch.testing.assert_close(other.covariance, first.covariance, rtol=1e-7, atol=1e-12)
-    assert ((first.mean[..., 0] >= 0) & (first.mean[..., 0] < 2 * HALF)).all() or "fra" in name
+    for other in more:
+        torch.testing.assert_close(other, covariance, rtol=1e-7, atol=1e-12)
+    assert ((first[..., 0] >= 0) & (first[..., 0] < 2 * HALF)).all() or "fra" in name
 
 
 @pytest.mark.slow

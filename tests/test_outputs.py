@@ -279,6 +279,7 @@ def test_no_output_replaces_an_input_or_another_output(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
 @pytest.mark.parametrize(("main", "arguments"), [
     (cli.main, [*COMPARE, "--figure", "{out}/f.png"]),
     (reproduce.main, ["growth", "--runs", "2", "--filters", "ghckf", "--sizes", "1", "--plots", "{out}"]),

@@ -60,15 +60,14 @@ def test_the_job_of_bearings_is_that_of_the_filter():
     ("scenario", "name"),
     [(LINEAR["plane"], name) for name in elsewhere.LINEAR] + [(BEARINGS, n) for n in elsewhere.PEERS],
 )
-@pytest.mark.parametrize("batch", [1, 3])
-def test_others_end_where_the_filter_does(scenario, name, batch, monkeypatch, capsys):
+def test_others_end_where_the_filter_does(scenario, name, monkeypatch, capsys):
     """In so far as they are installed."""
     for listed in ("LINEAR", "PEERS"):
         labels = getattr(elsewhere, listed)
         monkeypatch.setattr(elsewhere, listed, {name: labels[name]} if name in labels else {})
     for skipped in ("IN_TURN", "AT_ONCE"):
         monkeypatch.setattr(elsewhere, skipped, ())
-    tracks = scenario.simulate(batch, 0)
+    tracks = scenario.simulate(3, 0)
     with elsewhere.start_peers(scenario, tracks) as peers:
         if not peers:
             pytest.skip(capsys.readouterr().out)

@@ -292,6 +292,7 @@ def test_a_wrong_argument_is_one_line_that_names_it(arguments, message, capsys):
     assert error.count("\n") == 1
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_of_all_others_those_that_are_named_compete(tmp_path):
     file = tmp_path / "r.json"
     assert regret.main(["--filters", "fra", "--others", "srckf,imm_srckf", *FEW, "--quiet", "--json", str(file)]) == 0
@@ -337,7 +338,8 @@ def test_filters_tuned_to_a_cell_err_less_there_and_say_by_how_much_they_changed
         torch.testing.assert_close(best.motion.q(), factors[f"{name} tuned"]["q"] * one.motion.q())
     assert factors["srckf tuned"].keys() == {"q"}
     assert factors["rsrckf tuned"].keys() == {"q", "threshold"}
-    assert regret.main([*FEW, "--tuned", "srckf", "--quiet", "--json", str(tmp_path / "r.json")]) == 0
+    with short():
+        assert regret.main([*FEW, "--tuned", "srckf", "--quiet", "--json", str(tmp_path / "r.json")]) == 0
     cell = json.loads((tmp_path / "r.json").read_text())["cells"]["2-std"]
     assert cell["tuned"]["srckf tuned"].keys() == {"q"}
     assert "srckf tuned" in cell["filtered"]["filters"]

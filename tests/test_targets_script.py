@@ -42,6 +42,7 @@ def test_a_crowd_is_followed_and_timed():
     assert 0 < found["ms per scan, median"] <= found["ms per scan, largest"]
 
 
+@pytest.mark.usefixtures("rough_figures")
 def test_the_script_prints_and_writes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(script, "swiss_traffic", lambda: FLIGHTS)
     out = ["--json", str(tmp_path / "r.json"), "--picture", str(tmp_path / "r.png")]

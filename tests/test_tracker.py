@@ -282,8 +282,7 @@ def test_compiled_it_is_the_same():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["srckf", "gpb"])
-@pytest.mark.parametrize("away", [1e3, 1e5])
+@pytest.mark.parametrize(("name", "away"), [("srckf", 1e3), ("srckf", 1e5), ("gpb", 1e5)])
 def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away):
     origin, rng = torch.tensor([6.0e6, -2.2e6, 1.1e6], **F64), torch.Generator().manual_seed(1)
     f = getattr(presets, name)(ConstantVelocity(0.5, dims=3), Position(1.0, dims=3))
@@ -299,7 +298,7 @@ def test_with_an_origin_single_precision_keeps_a_metre_at_six_million(name, away
         apart, lost = max(apart, float((local - exact).norm())), max(lost, float((far - exact).norm()))
     assert single.state.belief.mean.dtype == torch.float32
     assert single.belief.mean.dtype == torch.float64
-    limits = {("srckf", 1e3): 0.002, ("srckf", 1e5): 0.02, ("gpb", 1e3): 0.02, ("gpb", 1e5): 0.1}
+    limits = {("srckf", 1e3): 0.002, ("srckf", 1e5): 0.02, ("gpb", 1e5): 0.1}
     assert apart < limits[name, away]
     assert lost > 5 * limits[name, away]
     forecast, expected = single.predict(45.0), double.predict(45.0)

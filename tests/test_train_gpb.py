@@ -22,6 +22,8 @@ TASKS = [
     {"scenario": "bearings-manoeuvre", "options": {"outliers": "bursts"}, "models": "bank", "allowed": 0.04},
     {"scenario": "bearings-outliers", "options": {"outliers": "none"}, "weight": 0, "models": "bank"},
 ]
+PLAIN = [{**task, "models": "motion"} for task in TASKS]
+"""The same for filters of one motion, which take less time."""
 SMALL = ("batch=2", "iterations=2", "validate_every=2", "validation_runs=2", "test_runs=2", "rivals=srckf,imm_srckf",
          "checkpoint_every=1", "compile=false", "population=4")  # fmt: skip
 
@@ -41,7 +43,7 @@ def run(tmp_path_factory):
     """What two iterations leave, and the folder."""
     out = tmp_path_factory.mktemp("gpb")
     with short():
-        return tune.tune(settings(tasks=TASKS), out, quiet=True), out
+        return tune.tune(settings(tasks=PLAIN), out, quiet=True), out
 
 
 # ---------------------------------------------------------------- what is shared
@@ -57,7 +59,13 @@ def test_filters_of_a_motion_and_of_a_bank_have_the_same_values(training):
         assert sum(p is q for p in f.parameters() for q in training.parameters.values()) == len(training.config.start)
 
 
-@pytest.mark.usefixtures("short_tracks")
+@pytest.fixture
+def no_cases(monkeypatch):
+    """No tracks are simulated and no rivals run: of what the filters of the tasks are."""
+    monkeypatch.setattr(Regrets, "_cases", lambda *given, **named: None)
+
+
+@pytest.mark.usefixtures("short_tracks", "no_cases")
 def test_tasks_with_the_same_models_have_one_filter():
     same = [TASKS[0], {**TASKS[0], "options": {"outliers": "none"}}, TASKS[1]]
     first, second, other = Regrets(settings("rivals=srckf", tasks=same)).filters
@@ -82,8 +90,7 @@ def test_models_with_other_values_share_a_filter_and_are_run_with_their_own():
             torch.testing.assert_close(found, metrics.rmse(alone.mean, batch.truth, scenario.position).mean())
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("short_tracks")
+@pytest.mark.usefixtures("short_tracks", "no_cases")
 def test_tasks_with_other_places_of_the_sensor_have_another_filter():
     tasks = [{"scenario": "ranges-outliers", "options": {"anchors": anchors}} for anchors in ("together", "around")]
     one, other = Regrets(settings("rivals=srckf", tasks=tasks)).filters
@@ -242,9 +249,9 @@ def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, mon
 
     monkeypatch.setattr(checkpoints, "save", save_and_stop)
     with pytest.raises(KeyboardInterrupt):
-        tune.tune(settings(tasks=TASKS), tmp_path, quiet=True)
+        tune.tune(settings(tasks=PLAIN), tmp_path, quiet=True)
     monkeypatch.setattr(checkpoints, "save", save)
-    resumed = tune.tune(settings(tasks=TASKS), tmp_path, resume=True, quiet=True)
+    resumed = tune.tune(settings(tasks=PLAIN), tmp_path, resume=True, quiet=True)
     assert resumed["iterations"] == 2
     assert resumed["values"] == run[0]["values"]
 
@@ -273,7 +280,8 @@ def test_the_named_run_has_several_sensors_bursts_recorded_flights_and_both_kind
     ('hold={"noise_levels":[9]}', "hold, noise_levels: expected places among 4 entries"),
 ])  # fmt: skip
 def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, message, tmp_path, capsys):
-    assert tune.main(["gpb", *SMALL, change, "--out", str(tmp_path / "x")]) == 2
+    few = f"tasks={json.dumps(TASKS[:1])}"  # unless the change is of these
+    assert tune.main(["gpb", *SMALL, few, change, "--out", str(tmp_path / "x")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
@@ -306,7 +314,7 @@ def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
 @pytest.mark.slow
 def test_levels_chains_and_sizes_a_factor_three_off_are_found_again(tmp_path, monkeypatch):
     """All but the calm level, which the agile one outweighs when both are merged."""
-    fewer = ["batch=24", "iterations=500", "lr=0.4", "validate_every=500"]
+    fewer = ["batch=8", "iterations=100", "lr=0.8", "validate_every=100"]
     values = tune.tune(configured("recover_gpb", fewer), tmp_path, quiet=True)["values"]
     learned, known = values["learned"], values["known"]
     for path in (
