@@ -17,23 +17,14 @@ for argument; do [[ $argument = --quick || $argument = --all ]] || arguments+=("
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev
 ruff check .
 ruff format --check .
-types=
 case $what in
   --quick)
     # Square roots and their gradients, and filters against what is written in numpy from their papers alone.
     arguments=(-m "not slow" tests/test_{tria,oracles,gpb_oracle,imm,states}.py "${arguments[@]}") ;;
+  --all) mypy --strict ;;
   *)
-    said=$(mktemp)
-    mypy --strict > "$said" 2>&1 &  # beside the tests, as it has work for one core
-    types=$!
-    [ "$what" ] || arguments=(-m "not slow" "${arguments[@]}") ;;
+    mypy --strict
+    arguments=(-m "not slow" "${arguments[@]}") ;;
 esac
 # One worker for each core, which takes over tests of another where it has none left, and one thread for each worker.
-failed=0
-OMP_NUM_THREADS=1 pytest -n auto --dist worksteal "${arguments[@]}" || failed=$?
-if [ "$types" ]; then
-  wait "$types" || failed=$?
-  cat "$said"
-  rm "$said"
-fi
-exit "$failed"
+OMP_NUM_THREADS=1 pytest -n auto --dist worksteal "${arguments[@]}"
