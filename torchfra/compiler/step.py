@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 import torchfra.compiler.operations  # noqa: F401  fills the table of operations that Entries look up
 from torchfra.compiler.copies import frozen, put_in_place
-from torchfra.compiler.entries import Entries, as_entries, entry_ids
+from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_back
 from torchfra.compiler.expressions import ZERO, Expressions, TooManyError
 from torchfra.compiler.names import give
 from torchfra.compiler.refusals import gradient_refusals_of, refusals_of
@@ -245,7 +245,7 @@ def pullback(
     """Gradients of the sources, from those of the outputs."""
     follows = [(x, g) for x, g in zip(outputs, gradients, strict=True) if x.requires_grad]
     results, pulls = zip(*follows, strict=True)
-    pulled = torch.autograd.grad(results, sources, pulls, allow_unused=True)
+    pulled = pulled_back(results, pulls, sources)
     return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
 
 
