@@ -20,7 +20,7 @@ from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, nu
 from torchfra.compiler.source import SCALARS
 from torchfra.compiler.trees import late
 from torchfra.compiler.version import Plan, Version
-from torchfra.compiler.whole_tracks import form_of, seconds_of
+from torchfra.compiler.whole_tracks import form_of, is_short, seconds_of
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
@@ -135,9 +135,12 @@ class Compiled:
             scanned: tuple[Any, Any] = self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
             return scanned
         now, plan, data = self._plan(f, state, measurements, past)
-        first = past and plan.kernels.is_new and plan.device.type == "cpu" and not f.scans
+        first = plan.kernels.is_new and plan.device.type == "cpu" and not f.scans
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
-            Making(target=self._make_backward, args=(f, plan, measurements)).start()
+            if past:
+                plan.kernels.meanwhile = Making(target=self._make_backward, args=(f, plan, measurements))
+            elif f.home is f and is_short(measurements.z.shape[:-1].numel()):
+                plan.kernels.meanwhile = Making(target=self._make_boundary, args=(plan,))
         steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
         state, kept = now.run(plan, steps, state, data, checkpoint, truncate)
         # The batch is that of scenes: time comes behind the targets of each.
@@ -190,6 +193,12 @@ class Compiled:
             past = f.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, kept.past)
             back = self._plan_back(f, backward_inputs(f, past, None, measurements, rank))[1]
             back.kernels.forwards(torch.Size([2]), plan.device)
+
+    @staticmethod
+    def _make_boundary(plan: Plan) -> None:
+        """Makes what ``_get_ready`` will need, while LLVM compiles the steps.  An error comes again there."""
+        with suppress(Exception):
+            plan.kernels.around(traced.boundary, learns=False)
 
     def once(
         self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements

@@ -109,6 +109,29 @@ def from_numbers(book: Expressions, numbers: Sequence[Any], shape: Sequence[int]
     return Entries(book, torch.tensor(numbers, dtype=torch.int64).reshape(tuple(shape)), dtype)
 
 
+def pulled_back(
+    results: Sequence[Tensor], gradients: Sequence[Tensor], sources: Sequence[Tensor]
+) -> tuple[Tensor | None, ...]:
+    """Gradients of the sources, from those of the results; None for what no result depends on."""
+    # Given the gradients themselves, ``torch.autograd.grad`` first loads sympy: half a second.
+    with torch.enable_grad():
+        graded = _Graded.apply(gradients, *results)  # type: ignore[no-untyped-call]  # untyped in torch
+    return torch.autograd.grad(graded, sources, allow_unused=True)
+
+
+class _Graded(torch.autograd.Function):
+    """A number, by which the gradients of these tensors are the given ones."""
+
+    @staticmethod
+    def forward(ctx: Any, gradients: Sequence[Tensor], *tensors: Tensor) -> Tensor:
+        ctx.gradients = gradients
+        return tensors[0].new_zeros(())
+
+    @staticmethod
+    def backward(ctx: Any, one: Tensor) -> tuple[Tensor | None, ...]:
+        return None, *ctx.gradients
+
+
 def unsupported(operation: Any, reason: str) -> NotImplementedError:
     """The error for an operation that kernels do not have: which one, and what to do."""
     return NotImplementedError(

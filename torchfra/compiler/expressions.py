@@ -145,13 +145,13 @@ class Expressions:
 
     def needed(self, outputs: Iterable[int]) -> list[int]:
         """The expressions that these need, themselves included, in an order in which they can be computed."""
-        found: set[int] = set()
-        todo = [*outputs]
+        nodes, found = self.nodes, {*outputs}
+        todo = [*found]
         while todo:
-            number = todo.pop()
-            if number not in found:
-                found.add(number)
-                todo += self.nodes[number][1]
+            for number in nodes[todo.pop()][1]:
+                if number not in found:
+                    found.add(number)
+                    todo.append(number)
         return sorted(found)
 
     def copied(self) -> Expressions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import defaultdict
 from collections.abc import Sequence
 from itertools import groupby
@@ -27,7 +28,8 @@ def with_merged(book: Expressions, steps: Sequence[Piece]) -> tuple[Expressions,
             if made.get(arg) != k:
                 users[arg].add(number)
     guards = {number: groups[k][0].guard for number, k in made.items()}
-    new, merged, gone, behind = book.copied(), dict[int, int](), set[int](), defaultdict[int, list[int]](list)
+    new, merged, gone, behind = copy.copy(book), dict[int, int](), set[int](), defaultdict[int, list[int]](list)
+    new.nodes = [*book.nodes]
     for number in made:
         op, args = book.nodes[number]
         if op != "select" or guards[number] is not None or book.is_bool(number):

@@ -280,40 +280,39 @@ class _Body:
         self._frame = of.plan.frame
         self.known: dict[int, str] = {}
         self._opened: dict[tuple[str, str, str], TensorEntries] = {}
-        self._piece: Piece | None = None
 
     def piece(self, piece: Piece, stored: set[int] | None) -> None:
         """All of a piece; ``stored``, if given, grows by what it writes."""
-        self._piece, step, frame = piece, self._of._step, self._frame
+        step, frame = self._of._step, self._frame
         late: list[int] = []
-        values = self._book.values
+        nodes, values, known, behind = self._book.nodes, self._book.values, self.known, self._of.plan.behind
         for number in piece.numbers:
-            access = step.loads.get(number)
-            for arg in self._book.nodes[number][1]:
-                if arg not in self.known and arg not in values:
+            for arg in nodes[number][1]:
+                if arg not in known and arg not in values:
                     self.take(arg, piece)
+            access = step.loads.get(number)
             if access is None:
                 self.compute(number)
             else:
-                self.known[number] = self.read(access)
+                known[number] = self.read(access)
             if number in frame.places or number in frame.left:
                 if number in frame.late:
                     late.append(number)
                 else:
-                    self.put_aside(number, self.known[number], piece)
-            for other, store in self._of.plan.behind[number] if stored is not None else ():
-                if other not in self.known and other not in values:
+                    self.put_aside(number, known[number], piece)
+            for other, store in behind.get(number, ()) if stored is not None else ():
+                if other not in known and other not in values:
                     self.take(other, piece)
                 self.written(other, store)
         for number in late:
-            self.put_aside(number, self.known[number], piece)
+            self.put_aside(number, known[number], piece)
         if stored is not None:
-            stored.update(other for number in piece.numbers for other, _ in self._of.plan.behind[number])
+            stored.update(other for number in piece.numbers for other, _ in behind.get(number, ()))
 
     def value(self, number: int) -> str:
         """An expression where numbers are wanted."""
-        constant = self._book.values.get(number)
-        return self.known[number] if constant is None else self.code.constant(constant)
+        known = self.known.get(number)
+        return self.code.constant(self._book.values[number]) if known is None else known
 
     def truth(self, number: int) -> str:
         """An expression where truth values are wanted."""
@@ -327,7 +326,7 @@ class _Body:
         if op == "call":
             self._call(number, args)
         elif op in _OPERATORS:
-            a, b = (self.value(i) for i in args)
+            a, b = map(self.value, args)
             self.known[number] = code.new(f"{_OPERATORS[op]} contract {code.numbers} {a}, {b}")
         elif op == "neg":
             self.known[number] = code.new(f"fneg {code.numbers} {self.value(args[0])}")
@@ -353,7 +352,7 @@ class _Body:
             where = code.at(self.known[args[0]], code.numbers, book.places[number])
             self.known[number] = code.load(code.numbers, where, code.lanes.size)
         else:
-            self.known[number] = self._of.applied(code, op, [self.value(i) for i in args])
+            self.known[number] = self._of.applied(code, op, [*map(self.value, args)])
 
     def _call(self, number: int, args: Sequence[int]) -> None:
         """A call of a routine; what is known of it then is where its results are."""

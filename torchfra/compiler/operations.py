@@ -69,3 +69,14 @@ RULES.update(
     }
 )
 RULES.update(_in_place_rules())
+
+
+def _of_entries(cls: Any, func: Any, types: Any, args: Any, kwargs: Any = None) -> Any:
+    return Entries.__torch_dispatch__(func, types, args, kwargs)
+
+
+if hasattr(torch.library, "register_torch_dispatch"):  # torch 2.4 does without
+    # For an operation without such a rule, torch first loads distributed tensors and sympy: half a second.
+    for _func, _rule in RULES.items():
+        if isinstance(_func, torch._ops.OpOverload) and _rule is not _decompose:
+            torch.library.register_torch_dispatch(_func, Entries, _of_entries)

@@ -6,7 +6,7 @@ import gc
 import os
 import threading
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
@@ -81,13 +81,18 @@ class Program:
         scan: the scan.
         narrow: whether it will run on one track alone.
         device: where it will run: the CPU, or a GPU on which each thread has one track.
+        written: called when the source is there, before it is compiled.
     """
 
-    def __init__(self, scan: Scan, narrow: bool = False, device: torch.device = _CPU) -> None:
+    def __init__(
+        self, scan: Scan, narrow: bool = False, device: torch.device = _CPU,
+        written: Callable[[], object] = lambda: None,
+    ) -> None:  # fmt: skip
         self._dtype, self._device = scan.dtype, device
         self._reads, self._timed, self._writes = scan.carry + scan.reads, scan.writes, scan.after + scan.writes
         with BUILDING:
             source = scan.cuda() if device.type == "cuda" else scan.source(narrow)
+        written()
         # Outside: several filters compile at the same time.
         self._run = cuda.load(source, device) if device.type == "cuda" else jit.load(source)
 

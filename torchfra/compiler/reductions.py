@@ -89,7 +89,9 @@ def _matrix_product(book: Expressions, a: Any, b: Any) -> Entries:
     a, b = as_entries(book, a), as_entries(book, b)
     rows, columns = torch.broadcast_tensors(a.ids.unsqueeze(-2), b.ids.mT.unsqueeze(-3))
     pairs = zip(rows.flatten(0, -2).tolist(), columns.flatten(0, -2).tolist(), strict=True)
-    numbers = [book.sum(book.apply("mul", p, q) for p, q in zip(*pair, strict=True)) for pair in pairs]
+    numbers = [  # the number of the constant 0 is false
+        book.sum(book.apply("mul", p, q) for p, q in zip(*pair, strict=True) if p and q) for pair in pairs
+    ]
     return from_numbers(book, numbers, rows.shape[:-1], a.dtype)
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.compiler.divisions import with_quotients
-from torchfra.compiler.entries import Entries, as_entries, entry_ids
+from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_back
 from torchfra.compiler.expressions import Expressions, Routine
 from torchfra.compiler.schedule import cost, ordered
 from torchfra.compiler.statements import called, statement
@@ -94,7 +94,7 @@ def _pullback(function: Function, wanted: tuple[bool, ...]) -> Function:
             results = tree.flatten(function(*inputs))
         follows = [(x, g) for x, g in zip(results, tensors[len(wanted) :], strict=True) if x.requires_grad]
         sources = [x for x in inputs if x.requires_grad]
-        grads = torch.autograd.grad(*([x for x, _ in follows], sources, [g for _, g in follows]), allow_unused=True)
+        grads = pulled_back([x for x, _ in follows], [g for _, g in follows], sources)
         return tuple(torch.zeros_like(x) if g is None else g for x, g in zip(sources, grads, strict=True))
 
     back.__name__ = f"gradient_of_{_name(function)}"

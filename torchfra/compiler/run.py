@@ -18,7 +18,7 @@ from torchfra.compiler.boundary import Boundary
 from torchfra.compiler.boundary_gradient import after_back, begin_back
 from torchfra.compiler.guards import savable
 from torchfra.compiler.learning import Learning
-from torchfra.compiler.program import BUILDING, Program, Ready, batch_first
+from torchfra.compiler.program import BUILDING, Making, Program, Ready, batch_first
 from torchfra.compiler.source import Scan
 from torchfra.compiler.step import Step
 from torchfra.compiler.track_kernel import TrackKernel, load, track_kernel
@@ -35,7 +35,11 @@ class Kernels:
 
     A track has ``state``, leaves ``(..., entries)``, and ``inputs``, ``(..., T, entries)`` or ``(..., entries)`` for
     what stays; their batches are full.
+
+    ``meanwhile``, if there is any, starts when the source of the next program is there, while LLVM compiles it.
     """
+
+    meanwhile: Making | None = None
 
     def __init__(self, step: Step) -> None:
         self.step = step
@@ -43,7 +47,7 @@ class Kernels:
         self._boundary: Boundary | None = None
         self._refused = set[bool]()
         self._track_functions: dict[bool, Any] = {}
-        self._making = threading.Lock()
+        self._making, self._making_around = threading.Lock(), threading.Lock()
 
     @property
     def is_new(self) -> bool:
@@ -72,8 +76,13 @@ class Kernels:
                 if name not in self._programs:
                     with BUILDING, torch.inference_mode(False):
                         scan = make()
-                    self._programs[name] = None if scan is None else Program(scan, narrow, device)
+                    self._programs[name] = None if scan is None else Program(scan, narrow, device, self._written)
         return self._programs[name]
+
+    def _written(self) -> None:
+        meanwhile, self.meanwhile = self.meanwhile, None
+        if meanwhile is not None:
+            meanwhile.start()
 
     def tracks(
         self, ready: Ready, batch: torch.Size, arguments: Sequence[Tensor], full: Sequence[Tensor],
@@ -92,17 +101,27 @@ class Kernels:
         if learns in self._refused or not hasattr(ready.run, "argtypes"):
             return None  # in the latter case it is no function of C but one that starts a GPU
         try:
-            with BUILDING, torch.inference_mode(False):
-                made = self._boundary = self._boundary or boundary(self.step)
-            if learns not in self._track_functions:
-                self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
-            kernel = track_kernel(ready, made, self._track_functions[learns], batch, arguments[:2], learns)
+            made, function = self.around(boundary, learns)
+            kernel = track_kernel(ready, made, function, batch, arguments[:2], learns)
             if kernel is None or not learns:
                 return kernel
             return Learning(kernel, ready, made, self._backward, batch, arguments, full)
         except NotImplementedError:
             self._refused.add(learns)
             return None
+
+    def around(self, boundary: Callable[[Step], Boundary], learns: bool) -> tuple[Boundary, Any]:
+        """What comes before and after the steps, and the function that does it; both are made once.
+
+        Raises:
+            NotImplementedError: kernels cannot do it.
+        """
+        with self._making_around:
+            with BUILDING, torch.inference_mode(False):
+                made = self._boundary = self._boundary or boundary(self.step)
+            if learns not in self._track_functions:
+                self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
+            return made, self._track_functions[learns]
 
     def _backward(self, kind: str, *how: Any) -> Program | None:
         """A part of the gradient pass of whole tracks on the CPU: see ``Learning``."""

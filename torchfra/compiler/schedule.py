@@ -32,7 +32,8 @@ class Piece(NamedTuple):
 
 def cost(book: Expressions, numbers: Iterable[int]) -> int:
     """Of expressions, in multiplications."""
-    return sum(book.calls[i].cost if i in book.calls else COSTS.get(book.nodes[i][0], 1) for i in numbers)
+    nodes, calls = book.nodes, book.calls
+    return sum(calls[i].cost if i in calls else COSTS.get(nodes[i][0], 1) for i in numbers)
 
 
 def pieces(book: Expressions, live: Sequence[int], ends: Sequence[int], length: int | None = None) -> list[Piece]:
@@ -73,13 +74,15 @@ def conditions(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> d
     What only one side of a choice uses is needed where the choice takes that side; so is what is combined with a truth
     value that settles the result.
     """
-    found: dict[int, frozenset[Condition]] = {number: frozenset() for number in ends}
+    nothing = frozenset[Condition]()
+    found = dict.fromkeys(ends, nothing)
 
     def needed(number: int, where: frozenset[Condition]) -> None:
-        found[number] = found[number] & where if number in found else where
+        known = found.get(number)
+        found[number] = where if known is None else known & where
 
     for number in reversed(live):
-        (op, args), where = book.nodes[number], found.get(number, frozenset())
+        (op, args), where = book.nodes[number], found.get(number, nothing)
         if op == "select":
             mask, yes, no = args
             needed(mask, where)
@@ -89,9 +92,12 @@ def conditions(book: Expressions, live: Sequence[int], ends: Iterable[int]) -> d
             first, second = sorted(args)
             needed(first, where)
             needed(second, where | implied(book, first, op == "and"))
-        else:
+        elif where:
             for arg in args:
                 needed(arg, where)
+        else:
+            for arg in args:
+                found[arg] = nothing
     return found
 
 
@@ -112,10 +118,11 @@ def regions(
     guards: dict[int, Condition | None] = dict.fromkeys(live)
     saved: dict[Condition, int] = defaultdict(int)
     under: dict[Condition, list[int]] = defaultdict(list)
-    for number in live:
+    costs = {number: cost(book, [number]) for number in live if where[number]}
+    for number in costs:
         if book.nodes[number][0] not in ("constant", "input"):
             for condition in where[number]:
-                saved[condition] += cost(book, [number])
+                saved[condition] += costs[number]
                 under[condition].append(number)
     while saved:
         best = max(saved, key=lambda condition: (saved[condition], condition))
@@ -125,7 +132,7 @@ def regions(
             if guards[number] is None:
                 guards[number] = best
                 for condition in where[number]:
-                    saved[condition] -= cost(book, [number])
+                    saved[condition] -= costs[number]
     return guards
 
 
@@ -140,9 +147,13 @@ def ordered(live: Sequence[int], before: Mapping[int, Sequence[int]], ends: Sequ
     for number in [*reversed(ends), *live]:
         todo = [number] if number in before else []
         while todo:
-            missing = {i for i in before[todo[-1]] if i not in done}
-            todo += sorted(missing, reverse=True)
-            if not missing:
+            if todo[-1] in done:
+                todo.pop()
+                continue
+            missing = [i for i in before[todo[-1]] if i not in done]
+            if missing:
+                todo += sorted(missing, reverse=True)
+            else:
                 done[todo.pop()] = None
     return list(done)
 
@@ -151,19 +162,29 @@ def _groups(
     live: Sequence[int], before: Mapping[int, Sequence[int]], guards: Mapping[int, Condition | None], inputs: set[int]
 ) -> dict[tuple[int, Condition | None], list[int]]:
     """Expressions by when they are computed, and where: a group needs nothing but earlier groups and itself."""
+    kinds = {guard: kind for kind, guard in enumerate(dict.fromkeys(guards.values()))}
+    kind = {number: kinds[guards[number]] for number in live}
     when: dict[int, int] = {}
-    stages = defaultdict(set)
+    stages: list[set[int]] = [set() for _ in kinds]
     for number in live:
-        when[number] = max((when[i] + (guards[i] != guards[number]) for i in before[number]), default=0)
-        stages[guards[number]].add(when[number])
-    order = {guard: sorted(of) for guard, of in stages.items()}
-    limits: dict[int, int] = {}
-    for number in reversed(live):  # what can wait for a later group does: fewer groups, and fewer values to keep
-        if guards[number] is not None or number in inputs:
-            of = order[guards[number]]
-            when[number] = of[bisect_right(of, limits.get(number, when[number])) - 1]
+        own, earliest = kind[number], 0
         for i in before[number]:
-            limits[i] = min(limits.get(i, when[number]), when[number] - (guards[i] != guards[number]))
+            stage = when[i] + (kind[i] != own)
+            if stage > earliest:
+                earliest = stage
+        when[number] = earliest
+        stages[own].add(earliest)
+    order = [*map(sorted, stages)]
+    always, limits = kinds.get(None), dict[int, int]()
+    for number in reversed(live):  # what can wait for a later group does: fewer groups, and fewer values to keep
+        own, latest = kind[number], when[number]
+        if own != always or number in inputs:
+            of = order[own]
+            when[number] = latest = of[bisect_right(of, limits.get(number, latest)) - 1]
+        for i in before[number]:
+            stage = latest - (kind[i] != own)
+            if stage < limits.get(i, stage + 1):
+                limits[i] = stage
     groups = defaultdict(list)
     for number in live:
         groups[when[number], guards[number]].append(number)

@@ -87,7 +87,7 @@ class AllReadyTracks:
 
     def due(self, form: Hashable, steps: int, learns: bool) -> bool:
         """Whether to get a form ready that has been called once more: of so many steps, with a gradient or without."""
-        if steps <= _SHORT and not learns:
+        if is_short(steps) and not learns:
             return True
         if len(self._calls) >= _COUNTED:
             self._calls.clear()
@@ -128,6 +128,11 @@ class AllReadyTracks:
         if sum(map(len, self._known.values())) >= _FORMS:
             self._known, self._calls = {}, Counter()
         self._known[form] = [tracks, *self._known.get(form, ())]
+
+
+def is_short(steps: int) -> bool:
+    """Whether so many steps of all tracks get ready at the first call of a form."""
+    return steps <= _SHORT
 
 
 def seconds_of(measurements: Measurements) -> Tensor:

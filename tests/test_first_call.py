@@ -1,0 +1,64 @@
+"""What the first call of a compiled filter makes, in which order and by which thread."""
+
+import threading
+
+import pytest
+import torch
+
+from torchfra import presets, scenarios
+from torchfra.compiler import run, step
+from torchfra.compiler.engine import Compiled
+from torchfra.compiler.source import Scan
+
+
+@pytest.fixture
+def scenario():
+    return scenarios.bearings_outliers()
+
+
+@pytest.fixture
+def events(monkeypatch):
+    """What happens in a call, by name and in order, with the thread that does it."""
+    happened = []
+
+    def before(name, function):
+        return lambda *args, **kwargs: happened.append((name, threading.current_thread())) or function(*args, **kwargs)
+
+    def after(name, function):
+        def call(*args, **kwargs):
+            result = function(*args, **kwargs)
+            happened.append((name, threading.current_thread()))
+            return result
+
+        return call
+
+    monkeypatch.setattr(Scan, "source", after("steps written", Scan.source))
+    monkeypatch.setattr(Compiled, "_make_backward", before("backward pass begun", Compiled._make_backward))
+    monkeypatch.setattr(run, "load", after("ends made", run.load))
+    return happened
+
+
+def test_the_backward_pass_is_traced_once_the_steps_are_written(scenario, events):
+    tracks = scenario.simulate(2, 0)
+    with torch.no_grad():
+        presets.imm_srckf(scenario.bank, scenario.sensor).compile().smooth(tracks.z, tracks.prior, u=tracks.u)
+    assert [name for name, _ in events][:2] == ["steps written", "backward pass begun"]
+
+
+def test_another_thread_makes_what_is_around_the_steps_while_they_are_compiled_and_makes_it_once(scenario, events):
+    tracks, f = scenario.simulate(2, 0), presets.srckf(scenario.motion, scenario.sensor).compile()
+    for _ in range(2):
+        with torch.no_grad():
+            f(tracks.z, tracks.prior, u=tracks.u)
+    assert [name for name, _ in events] == ["steps written", "ends made"]
+    assert events[1][1] is not threading.main_thread()
+
+
+def test_an_adjoint_that_will_be_too_long_is_not_traced_twice(scenario, monkeypatch):
+    adjoint, traced = step.Step._adjoint, []
+    monkeypatch.setattr(step.Step, "_adjoint", lambda self, *args: traced.append(args) or adjoint(self, *args))
+    tracks, f = scenario.simulate(2, 0), presets.srckf(scenario.motion, scenario.sensor).compile()
+    estimate = f(tracks.z.requires_grad_(), tracks.prior, u=tracks.u)
+    monkeypatch.setattr(step, "_MOST", 2000)  # the step has 1600 expressions, its adjoint 4600
+    estimate.mean.sum().backward()
+    assert len(traced) == 1
