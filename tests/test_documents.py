@@ -75,7 +75,7 @@ HELP_ONLY = {
     "scripts/many.py --tracks 1000,": "cleans flights: one line does so for all",
     **{
         f"scripts/{name}.py": f"run by test_{name}.py"
-        for name in ("certainty", "clean_check", "gradients", "lorenz", "okf", "particles", "regret")
+        for name in ("certainty", "clean_check", "gradients", "layer", "lorenz", "okf", "particles", "regret")
     },
     **{
         f"scripts/reproduce.py {name}": "run by test_scripts.py"

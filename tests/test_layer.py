@@ -1,9 +1,9 @@
 """The patterns of the page about filters as layers do what it says of them."""
 
-import re
+import json
 import warnings
-from pathlib import Path
 
+import layer
 import pytest
 import torch
 from one_graph import needs_one_graph
@@ -16,17 +16,11 @@ from torchfra.motion import ConstantVelocity
 from torchfra.running.distributed import share, team
 from torchfra.sensors import Position
 
-PAGE = Path(__file__).parent.parent / "scripts/docs/layer.md"
-DEFINITIONS = re.compile(r"^(?:import|from|def|class|[A-Z_]+ =).*\n(?:(?:    .*)?\n)*", re.M)
-
 
 @pytest.fixture(scope="module")
 def page():
     """What the page defines, without the lines that use it."""
-    scope = {}
-    for block in re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.S | re.M):
-        exec("".join(DEFINITIONS.findall(block)), scope)
-    return scope
+    return layer.code_of(layer.PAGE.read_text())
 
 
 @pytest.fixture
@@ -118,9 +112,7 @@ def test_torch_compile_and_half_precision_together_are_the_layer(page, model):
 
 def learn(arguments):
     """Two steps of descent of the page's layer on the tracks of this process; the first one prints what it learned."""
-    scope = {}
-    for block in re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.S | re.M):
-        exec("".join(DEFINITIONS.findall(block)), scope)
+    scope = layer.code_of(layer.PAGE.read_text())
     with team():
         model = scope["layer"](presets.srckf(ConstantVelocity(q=0.1), Position(2.0), learn=("q",)))
         replica = DistributedDataParallel(model) if distributed.is_initialized() else model
@@ -170,3 +162,28 @@ def test_lightning_trains_a_layer_in_mixed_precision(page, model):
         trainer.fit(Learner(), torch.utils.data.DataLoader(data, batch_size=8))
     after = [x for x in model.parameters() if x.requires_grad]
     assert all(x.isfinite().all() and not torch.equal(x, y) for x, y in zip(after, before, strict=True))
+
+
+@pytest.mark.slow
+def test_the_script_prints_and_writes_the_error_of_each_network(tmp_path, capsys):
+    out = tmp_path / "layer.json"
+    small = ["--steps", "4", "--tracks", "6", "--teachers", "truth", "--quiet", "--json", str(out)]
+    assert layer.main(small) == 0
+    assert capsys.readouterr().out == ""
+    errors = json.loads(out.read_text())["errors"]
+    assert [*errors] == ["srckf", "rsrckf", "perceptron, truth", "encoder, truth"]
+    assert all(later < now for now, later in errors.values())
+    assert errors["perceptron, truth"][0] < errors["srckf"][0]
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    (["--steps", "0"], "steps: expected 1 or more, received 0"),
+    (["--teachers", "me"], "teachers: expected names out of truth, likelihood, hidden, received me"),
+])  # fmt: skip
+def test_the_script_refuses_what_cannot_be_right(options, said, capsys):
+    try:
+        status = layer.main(options)
+    except SystemExit as end:
+        status = end.code
+    assert status == 2
+    assert said in capsys.readouterr().err
