@@ -35,6 +35,8 @@ METRIC = "gospa"
 PARTS = (METRIC, "followed", "followed_seen", "switches", "false_per_minute")
 OWN_PRESETS = ("radar", "radar_lidar")
 """Which sensors are used; there are no others."""
+STITCHING = Stitching(30.0, 80.0, probability=1 - 1e-9)
+"""Seconds and metres decide: who is out of sight for so long need not have gone straight on, as its covariance says."""
 PUBLISHED: dict[str, Figures] = {
     "scenario2": {"Stone Soup JPDA": 13.6, "Stone Soup JPDA, lidar too": 15.6},
     "scenario3": {"Stone Soup JPDA": 26.5, "Stone Soup JPDA, lidar too": 20.3},
@@ -136,7 +138,7 @@ def manager(name: str) -> Targets:
     both = name == "radar_lidar"
     return Targets(
         radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(5),
-        merging=Merging(extent=EXTENT), clutter_map=ClutterMap(SPREAD, 60.0), stitching=Stitching(30.0, 80.0),
+        merging=Merging(extent=EXTENT), clutter_map=ClutterMap(SPREAD, 60.0), stitching=STITCHING,
         sensors={"lidar": lidar} if both else None, views={"lidar": FieldOfView(REACH)} if both else None,
     )  # fmt: skip
 
