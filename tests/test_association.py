@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchfra.association import associate, joint_events, same_cluster
+from torchfra.association import associate, check_exact, joint_events, same_cluster
 
 
 def random_scan(rng, targets, count, share=0.6, scale=2.0):
@@ -226,3 +226,10 @@ def test_every_joint_event_is_enumerated_once():
         assert len(every) == len({tuple(e) for e in every.tolist()}) == number
     with pytest.raises(ValueError, match="exact: expected targets"):
         joint_events(8, 12)
+
+
+def test_the_pair_may_be_a_list_as_in_the_options_of_a_run():
+    check_exact([4, 10])
+    for bad in ([4], [4, 10.5], "ab", 4):
+        with pytest.raises(ValueError, match=r"exact: expected .*, such as \(4, 10\), received"):
+            check_exact(bad)

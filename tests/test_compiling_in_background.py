@@ -13,8 +13,8 @@ import torch
 from test_compile import close
 
 from torchfra import presets, scenarios, tree
-from torchfra.compiler import jit
-from torchfra.compiler.program import BUILDING
+from torchfra.compiler import jit, program
+from torchfra.compiler.program import BUILDING, Making
 from torchfra.compiler.step import Step
 from torchfra.types import CompileError
 
@@ -160,6 +160,21 @@ def test_a_child_of_a_process_that_compiles_has_the_kernels(tracks, gate):
     if child == 0:
         os._exit(0 if all(made.done() for made in f.engine._made.values()) else 1)
     assert os.waitpid(child, 0)[1] == 0
+
+
+def test_a_fork_waits_for_a_thread_that_another_has_started_since():
+    """As the thread that compiles a filter starts one that traces its backward pass."""
+    looked, done = threading.Event(), []
+
+    class Started(Making):
+        def join(self, timeout=None):
+            looked.set()
+            super().join(timeout)
+
+    second = Making(target=lambda: [time.sleep(0.2), done.append("second")])
+    Started(target=lambda: [looked.wait(60), second.start(), done.append("first")]).start()
+    program._wait()
+    assert {*done} == {"first", "second"}
 
 
 def test_a_process_that_ends_while_it_compiles_ends_well():

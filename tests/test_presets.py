@@ -4,6 +4,7 @@ import inspect
 import re
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 
@@ -150,3 +151,12 @@ def test_words_where_numbers_belong_are_an_error_that_names_the_argument(bad):
         models, sensor, others = with_companions(preset, name)
         with pytest.raises(ValueError, match=rf"^[\w, ]*\b{name}\b[\w, ]*: expected"):
             preset(models, sensor, **{**others, name: bad})
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_numbers_of_numpy_are_numbers(kind):
+    for preset, name in NUMBERS:
+        default = inspect.signature(preset).parameters[name].default
+        if isinstance(default, float):
+            models, sensor, others = with_companions(preset, name)
+            preset(models, sensor, **{**others, name: kind(default)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 
 def as_number(value: Any) -> float:
     """The value as a number; NaN for anything that is not a number, so that every comparison fails."""
-    if isinstance(value, int | float) or (isinstance(value, Tensor) and value.numel() == 1):
+    if isinstance(value, Real) or (isinstance(value, Tensor) and value.numel() == 1):
         return float(value)
     return float("nan")
 

@@ -21,7 +21,7 @@ def check_exact(exact: tuple[int, int]) -> None:
     Raises:
         ValueError: there are too many, or ``exact`` is no pair of numbers.
     """
-    pair = isinstance(exact, tuple) and len(exact) == 2 and all(is_integer(x, 0) for x in exact)
+    pair = isinstance(exact, tuple | list) and len(exact) == 2 and all(is_integer(x, 0) for x in exact)
     if not pair or (exact[1] + 1) ** exact[0] > _LARGEST:
         raise ValueError(
             f"exact: expected targets and measurements with (measurements + 1)^targets up to {_LARGEST}, such as "

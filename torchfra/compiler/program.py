@@ -56,9 +56,9 @@ class Making(threading.Thread):
 
 
 def _wait() -> None:
-    """Waits for all that make kernels."""
-    for thread in threading.enumerate():
-        if isinstance(thread, Making) and thread.ident is not None:
+    """Waits for all that make kernels, and for those that these have started."""
+    while making := [x for x in threading.enumerate() if isinstance(x, Making) and x.ident is not None]:
+        for thread in making:
             thread.join()
 
 
