@@ -117,12 +117,26 @@ def test_compiled_it_is_the_same():
         close(other.covariance, one.covariance)
 
 
+def test_a_track_of_which_a_copy_fails_has_failed():
+    f, z = presets.srckf(MOTION, Position(1.5)), measured()
+    copies = biased_copies(z, STD)
+    copies[2, 3, 1] = math.inf
+    estimate = considered(f, f(copies, PRIOR, dt=DT))
+    assert estimate.failure.step.item() == 3
+    assert bool(estimate.failed)
+    assert considered(f, f(biased_copies(z, STD), PRIOR, dt=DT)).failure.step.item() == -1
+
+
 BAD = [
     (lambda: biased_copies(torch.zeros(5, 2), -1.0), r"std: expected finite values of 0 or more, received -1"),
     (lambda: biased_copies(torch.zeros(5, 2), math.nan), r"std: expected finite values of 0 or more, received nan"),
     (lambda: biased_copies(torch.zeros(5, 2), [1.0, 2, 3]), r"std: expected a number or \(2,\), received \(3,\)"),
-    (lambda: considered(presets.srckf(MOTION, Position(1.5)), PRIOR), r"copies: expected those of biased measure"),
-    (lambda: considered(f := presets.srckf(MOTION, Position(1.5)), f(measured(), PRIOR)), r"copies: expected those"),
+    (lambda: considered(presets.srckf(MOTION, Position(1.5)), PRIOR), r"copies: expected the 3 of biased measurements"),
+    (lambda: considered(f := presets.srckf(MOTION, Position(1.5)), f(measured(), PRIOR)), r"copies: expected the 3"),
+    (
+        lambda: considered(f := presets.srckf(MOTION, Position(1.5)), f(measured().expand(5, -1, -1), PRIOR)),
+        r"copies: .* 3 of",
+    ),
 ]
 
 

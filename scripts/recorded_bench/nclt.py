@@ -157,7 +157,7 @@ def learned_mixture(
             mean, root = moment_match(Gaussian(*map(torch.stack, zip(*beliefs, strict=True))), log_weights)
             return estimates[0]._replace(mean=mean, scale_tril=root)
 
-        level = torch.stack([one.level for one in of])  # an error is at most the weighed errors of both
+        level = torch.stack([one.level for one in of])  # an error is at most the weighed errors of both: twice the risk
         return Followed(
             mixed([one.estimate for one in of]),
             mixed([one.smoothed for one in of]),

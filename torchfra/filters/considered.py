@@ -13,7 +13,7 @@ from torchfra.filters.base import Filter
 from torchfra.hyper import Value
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.numbers import as_numbers
-from torchfra.types import Estimate, Gaussian
+from torchfra.types import Estimate, Failure, Gaussian
 
 E = TypeVar("E", Estimate, Gaussian)
 
@@ -63,18 +63,23 @@ def considered(f: Filter, copies: E) -> E:
         copies: its estimates of ``biased_copies`` (whole tracks, filtered or smoothed), or such a belief.
 
     Returns:
-        The same without the dimension of copies.  All but ``scale_tril`` is that of the measurements as they are: so
-        ``filters.protection_level`` has the bias in its ``fault`` alone.
+        The same without the dimension of copies.  All but ``scale_tril`` is that of the measurements as they are (so
+        ``filters.protection_level`` has the bias in its ``fault`` alone), and ``failure`` where a copy has failed.
 
     Raises:
-        ValueError: a single estimate.
+        ValueError: another number of copies than one more than the sensor of the filter has elements.
 
     Source: Bierman (1977), "Factorization Methods for Discrete Sequential Estimation", chapter VIII; Tapley, Schutz &
     Born (2004), "Statistical Orbit Determination", chapter 6.  Differs: slopes are differences of estimates.  The
     filter of Schmidt (1966) has the bias in its gains too.
     """
-    if copies.mean.dim() < 2 + isinstance(copies, Estimate) or len(copies.mean) < 2:
-        raise ValueError(f"copies: expected those of biased measurements in front, received {tuple(copies.mean.shape)}")
+    count, whole = 1 + f.sensor.size, isinstance(copies, Estimate)
+    if copies.mean.dim() < 2 + whole or len(copies.mean) != count:
+        received = tuple(copies.mean.shape)
+        raise ValueError(f"copies: expected the {count} of biased measurements in front, received {received}")
     slope = f.motion.difference(copies.mean[1:], copies.mean[:1]).movedim(0, -1)
     one: E = tree.map_tensors(lambda x: x[0], copies)
+    if isinstance(copies, Estimate) and copies.failure is not None:
+        which = copies.failure.step.argmax(0, keepdim=True)  # a copy that failed, if one did
+        one = one._replace(failure=Failure(*(x.gather(0, which)[0] for x in copies.failure)))
     return one._replace(scale_tril=tria(hstack(one.scale_tril, slope)))
