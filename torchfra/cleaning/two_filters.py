@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -22,6 +23,8 @@ from torchfra.cleaning.ladder import (
     switched,
 )
 
+_RARE = 0.015
+"""Probability of an outlier by which two filters contradict each other, whatever a track says of its outliers."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
 
@@ -132,7 +135,7 @@ def _lost(
     ep, ev, pp, _, vv = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
     squares = [x.square().mean(0) for x in (ep, ev)]
     wide = [(model.least_size * v).maximum(square) for v, square in zip((pp, vv), squares, strict=True)]
-    rare = 2 * (torch.zeros_like(pp[0]) + model.begins).log()
+    rare = torch.full_like(pp[0], 2 * math.log(_RARE))
     log_lost = rare - 0.5 * len(ep) * sum(x / v + v.log() for x, v in zip(squares, wide, strict=True))
     seen = (~fixes.missing).long()
     before = seen.cumsum(0) - seen
