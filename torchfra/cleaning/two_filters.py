@@ -22,6 +22,9 @@ from torchfra.cleaning.ladder import (
     switched,
 )
 
+_RARE, _RARER = 0.015, 5.0
+"""Probability of an outlier two of which are as rare as a filter that is lost; of tracks with few outliers, so many
+times theirs."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
 
@@ -117,7 +120,7 @@ def _lost(
     Both sides have a few steps of the stretch, or else the last outlier of a burst would be a jump.
 
     A filter that begins is sure of nothing, so that it contradicts the other as it does thereafter; and two that agree
-    for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers in a row.
+    for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
 
     Args:
         predictions: of every step from the fixes before it.
@@ -132,8 +135,8 @@ def _lost(
     ep, ev, pp, _, vv = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
     squares = [x.square().mean(0) for x in (ep, ev)]
     wide = [(model.least_size * v).maximum(square) for v, square in zip((pp, vv), squares, strict=True)]
-    begins, lasts = (torch.zeros_like(pp[0]) + x for x in (model.begins, model.lasts))
-    rare = begins.log() + lasts.log()
+    begins = torch.zeros_like(pp[0]) + model.begins
+    rare = 2 * (_RARER * begins).clamp_max(_RARE).log()
     log_lost = rare - 0.5 * len(ep) * sum(x / v + v.log() for x, v in zip(squares, wide, strict=True))
     seen = (~fixes.missing).long()
     before = seen.cumsum(0) - seen
