@@ -25,6 +25,9 @@ _HARDLY, _OPEN, _MISFIT, _LOWER = 0.6, 3.0, 0.2, 2.0
 """The share of the standard deviation of its fix above which an estimate is hardly surer; how much less likely a track
 may be, in log, with a lower sigma that it does not rule out, and each of its fixes as far as levels of a random walk,
 of a few sizes, are for it; and the ratio of those that are tried."""
+_UNSURE, _FORGOTTEN = 0.28, 7200.0
+"""The same of a fix where fixes are rarer than any level ends; and seconds in which targets may forget their velocity,
+to a share of 1 / e."""
 _SURELY, _DECIDED = 0.95, 50.0
 """Probability of an outlier that the path goes past where sigma is open, and log of the odds of what is decided."""
 _HARDEST = 5.0
@@ -122,9 +125,10 @@ def levels_up_to(
     which levels begin and end many times those that begin often are likelier: the hardest of them shapes it.  What many
     leave in the mean changes little from one period to the next: where none lasts as long, each is for some periods.
 
-    Where a target can change its velocity by its speed within a period, it may come, go and rest between two fixes, and
-    one says nothing of the way to the next but its length: there levels of a random walk are added.  Without them
-    what no velocity explains would be noise.
+    Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
+    may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
+    a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
+    would take errors that last for motion, and where they are rarer than any level ends, slow drifts.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     held = acceleration.square() * period.clamp_min(_HELD)
@@ -139,13 +143,17 @@ def levels_up_to(
     share = (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
     levels = Levels(density, share, duration.maximum(_GAPS * (period - _LASTING[0])), torch.zeros_like(density))
     turns = fastest / acceleration  # seconds in which a target stops
-    return _with_walks(levels, fastest * period, period, turns) if q is None and (period > turns / 2).any() else levels
+    walking = (period > (turns / 2).clamp_min(_LASTING[1])) & (period <= _LASTING[0])
+    return _with_walks(levels, fastest * period, period, turns, walking) if q is None and walking.any() else levels
 
 
-def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, turns: Tensor) -> Levels:
-    """With levels of a random walk by shares of the ``farthest (B,)`` way, m, of targets that stop in ``turns`` s."""
-    size = farthest / _APART ** torch.arange(_WALKS).flip(0).unsqueeze(1)
-    walks = torch.where(period > turns / 2, period / (period + 4 * turns), math.exp(_RAREST))
+def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, turns: Tensor, walking: Tensor) -> Levels:
+    """With levels of a random walk by shares of the ``farthest (B,)`` way, m, of targets that stop in ``turns`` s.
+
+    Those that are not ``walking`` have levels that move nothing.
+    """
+    size = walking * farthest / _APART ** torch.arange(_WALKS).flip(0).unsqueeze(1)
+    walks = torch.where(walking, period / (period + 4 * turns), math.exp(_RAREST))
     return Levels(
         torch.cat([levels.q, levels.q[:1].expand_as(size)]),
         torch.cat([levels.log_share + torch.log1p(-walks), (walks / _WALKS).log().expand_as(size)]),
@@ -201,18 +209,24 @@ def _lowest(part: Part, begun: Levels, owner: Tensor) -> Tensor:
     """
     tried = part.sigma / _LOWER ** torch.arange(_COARSE).unsqueeze(1)
     fit, _, seen = _fits(part.fixes, begun, owner, tried, part.model.of_any_offset)
-    walks = (begun.log_share.exp() * (begun.walk > 0)).sum(0)
-    open_ = fit >= fit.amax(0) - _OPEN - _MISFIT * walks * seen
+    walks, period = (begun.log_share.exp() * (begun.walk > 0)).sum(0), _period(part)
+    misfit = torch.where(period > _LASTING[0], -_UNSURE * torch.expm1(-period / _FORGOTTEN), _MISFIT * walks)
+    open_ = fit >= fit.amax(0) - _OPEN - misfit * seen
     last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
 
 
+def _period(part: Part) -> Tensor:
+    """Seconds ``(B,)`` between most fixes."""
+    return torch.where(part.fixes.missing, math.nan, part.fixes.elapsed).nanmedian(0).values
+
+
 def _hardly_surer(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
-    """Of which tracks most estimates are hardly surer than their own fixes, ``(B,)``."""
+    """Tracks ``(B,)`` whose estimates are mostly hardly surer than their own fixes, or whose fixes are very rare."""
     seen = ~part.fixes.missing
     hardly = seen & (known.belief.pp > _HARDLY**2 * part.scaled.variance)
     several, every = (_summed(of.sum(0).to(part.sigma), owner) for of in (hardly, seen))
-    return several > 0.5 * every
+    return (several > 0.5 * every) | (_period(part) > _LASTING[0])
 
 
 def _fits(
