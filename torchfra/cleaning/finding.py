@@ -39,7 +39,7 @@ SHORT = 0
 """Owner of the rows of all tracks that are too short to be looked at alone."""
 _FEW = 2.0
 """Fixes that shares of levels are worth before any was seen."""
-_BEFORE = 100.0, 30.0
+_BEFORE = 300.0, 30.0
 """How many fixes the default rates of outliers count for: where the other one, before or beside it, is clean; and where
 it is an outlier."""
 _ROUNDS, _AGAIN, _SETTLED = 2, 4, 1.3

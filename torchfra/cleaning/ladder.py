@@ -44,7 +44,7 @@ class Belief(NamedTuple):
 class OutlierModel(NamedTuple):
     """How likely outliers are."""
 
-    begins: Tensor | float = 0.003
+    begins: Tensor | float = 0.015
     """Probability of an outlier after a fix that is none; one, or ``(B,)``."""
     lasts: Tensor | float = 0.35
     """Probability of an outlier after an outlier; one, or ``(B,)``."""

@@ -22,9 +22,6 @@ from torchfra.cleaning.ladder import (
     switched,
 )
 
-_RARE, _RARER = 0.015, 5.0
-"""Probability of an outlier two of which are as rare as a filter that is lost; of tracks with few outliers, so many
-times theirs."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
 
@@ -135,8 +132,7 @@ def _lost(
     ep, ev, pp, _, vv = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
     squares = [x.square().mean(0) for x in (ep, ev)]
     wide = [(model.least_size * v).maximum(square) for v, square in zip((pp, vv), squares, strict=True)]
-    begins = torch.zeros_like(pp[0]) + model.begins
-    rare = 2 * (_RARER * begins).clamp_max(_RARE).log()
+    rare = 2 * (torch.zeros_like(pp[0]) + model.begins).log()
     log_lost = rare - 0.5 * len(ep) * sum(x / v + v.log() for x, v in zip(squares, wide, strict=True))
     seen = (~fixes.missing).long()
     before = seen.cumsum(0) - seen
