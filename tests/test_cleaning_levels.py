@@ -90,9 +90,15 @@ def test_no_process_noise_changes_a_velocity_by_more_than_a_target_can(period, c
     levels = levels_up_to(acceleration, fastest, period, 8)
     assert (levels.q.amax() * period).sqrt().item() == pytest.approx(change)
     assert (levels.q[:8].diff(dim=0) > 0).all()
-    ways = (levels.walk * period).sqrt()
-    assert (ways > 0).any() == (15.0 < period <= 300.0)
-    assert ways.max() <= 6.0 * period * 1.001
+
+
+@pytest.mark.parametrize(
+    ("period", "walks"), [(1.0, False), (15.0, False), (16.0, True), (300.0, True), (301.0, False)]
+)
+def test_targets_walk_at_random_up_to_their_speed_between_fixes_15_s_to_5_min_apart(period, walks):
+    acceleration, fastest, period = (torch.tensor([x], dtype=torch.float64) for x in (3.0, 6.0, period))
+    ways = (levels_up_to(acceleration, fastest, period, 8).walk * period).sqrt()
+    assert ways.max().item() == pytest.approx(walks * 6.0 * period.item())
 
 
 @pytest.mark.parametrize(("begins", "lasts"), [(0.1, 0.0), (0.03, 0.6), (0.0, 0.0)])

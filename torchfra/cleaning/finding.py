@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -42,8 +42,8 @@ _FEW = 2.0
 _BEFORE = 300.0, 30.0
 """How many fixes the default rates of outliers count for: where the other one, before or beside it, is clean; and where
 it is an outlier."""
-_ROUNDS, _AGAIN, _SETTLED = 2, 4, 1.3
-"""Rounds of finding; how often they are done at most, and the factor of sigma beyond which they are done again."""
+_ROUNDS = 2
+"""Of finding."""
 _SLOWEST = 1e-5
 """Least density of the process noise, m^2/s^3."""
 _STILL = 0.1
@@ -85,20 +85,6 @@ class Part(NamedTuple):
         return Part(
             Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
             self.sigma[rows], self.least[rows], self.lowest[rows], self.model.of_rows(lambda x: x[rows]),
-        )  # fmt: skip
-
-    def with_rows(self, rows: Tensor, found: Part) -> Part:
-        """With what was found of some of the rows."""
-
-        def put(old: Tensor | float, new: Tensor) -> Tensor:
-            return (old + torch.zeros_like(self.sigma)).index_copy(-1, rows, new)
-
-        every = found.model._asdict().items()
-        model: dict[str, Any] = {k: put(getattr(self.model, k), x) for k, x in every if isinstance(x, Tensor)}
-        return Part(
-            self.fixes._replace(odds=put(self.fixes.odds, found.fixes.odds)),
-            self.levels._replace(log_share=put(self.levels.log_share, found.levels.log_share)),
-            put(self.sigma, found.sigma), self.least, put(self.lowest, found.lowest), self.model._replace(**model),
         )  # fmt: skip
 
     @property
@@ -301,22 +287,7 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
         find_sigma: whether to find sigma.
         find_q: whether to find the shares of the levels.
     """
-    begun, rows = [part.levels for part in parts], torch.arange(len(owner))
-    for _ in range(_AGAIN):
-        some = [part.at(rows) for part in parts]
-        found = _rounds(some, owner[rows], find_sigma=find_sigma, find_q=find_q)
-        ratios = torch.stack([new.sigma / old.sigma for new, old in zip(found, some, strict=True)])
-        parts = [part.with_rows(rows, new) for part, new in zip(parts, found, strict=True)]
-        rows = rows[(ratios.log().abs() > math.log(_SETTLED)).any(0)]
-        if not len(rows):
-            break
-    if find_sigma:
-        parts = [_with_lowest(part, levels, owner) for part, levels in zip(parts, begun, strict=True)]
-    return parts
-
-
-def _rounds(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) -> list[Part]:
-    """Some rounds of ``fitted``."""
+    begun = [part.levels for part in parts]
     for left in reversed(range(_ROUNDS)):
         known = [two_filters(part.scaled, part.levels, part.model.of_any_offset) for part in parts]
         if find_q:
@@ -330,6 +301,8 @@ def _rounds(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool)
             ]
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
+    if find_sigma:
+        parts = [_with_lowest(part, levels, owner) for part, levels in zip(parts, begun, strict=True)]
     return parts
 
 
