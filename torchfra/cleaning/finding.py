@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
-from torchfra.filters.alarms import LIKELY
 
 _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
@@ -28,11 +27,8 @@ of a few sizes, are for it; and the ratio of those that are tried."""
 _UNSURE, _FORGOTTEN = 0.28, 7200.0
 """The same of a fix where fixes are rarer than any level ends; and seconds in which targets may forget their velocity,
 to a share of 1 / e."""
-_SURELY, _DECIDED = 0.95, 50.0
+_SURELY, _DECIDED = 0.8, 50.0
 """Probability of an outlier that the path goes past where sigma is open, and log of the odds of what is decided."""
-_HARDEST = 5.0
-"""How many times as far as ``OutlierModel.reach`` a target may be beside its way at its hardest: past outliers beyond
-that the path goes if they are more probable than not."""
 _STEPS, _ROWS = 200, 2
 """Of each track that are looked at for sigma: steps of a row, and rows."""
 SHORT = 0
@@ -336,9 +332,7 @@ def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
     if not len(rows):
         return known
     some = part.at(rows)
-    off = (some.fixes.z - known.belief.position[..., rows].movedim(0, 1)).square().sum(1).sqrt()
-    least = torch.where(off > _HARDEST * some.model.reach, LIKELY, _SURELY)
-    fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > least, _DECIDED, -_DECIDED))
+    fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
     position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], known.belief[:2], strict=True))
     return known._replace(belief=known.belief._replace(position=position, velocity=velocity))
