@@ -441,6 +441,33 @@ def test_a_gull_every_five_minutes_hardly_tells_sigma(results):
     assert one.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
 
 
+def test_a_gull_that_rests_between_its_flights_tells_sigma_and_its_outliers():
+    rng, path = np.random.default_rng(9), [np.zeros(2)]
+    for _ in range(4):  # rests of two hours, and flights of one that nobody foretells
+        path += 24 * path[-1:] + list(path[-1] + np.cumsum(2000.0 * rng.standard_normal((12, 2)), 0))
+    path = np.array(path)
+    z = path + 15.0 * rng.standard_normal(path.shape)
+    wrong = np.isin(np.arange(len(path)), [10, 50, 90])
+    z[wrong] += (20_000.0, -15_000.0)
+    (cleaned,) = clean_tracks(
+        [Recording("gull", 300.0 * np.arange(len(path)), z, None, {}, source=Source(word="bird"))]
+    )
+    np.testing.assert_array_equal(cleaned.flag == "outlier", wrong)
+    assert cleaned.found.sigma == pytest.approx(15.0, rel=0.25)
+    assert error(cleaned, path, ~wrong) < 15.0 * np.sqrt(2)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 5.0])
+@pytest.mark.parametrize("period", [5.0, 20.0, 300.0])
+def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(period, sigma):
+    rng = np.random.default_rng(4)
+    course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians from fix to fix
+    path = 9.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
+    z = path + sigma * rng.standard_normal(path.shape)
+    (cleaned,) = clean_tracks([Recording("drone", period * np.arange(100), z, None, {})])
+    assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(z - path).sum(1).mean())
+
+
 @track
 def a_ship_that_goes_straight():
     rng, time = np.random.default_rng(7), 7200.0 * np.arange(60)

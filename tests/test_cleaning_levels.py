@@ -20,7 +20,7 @@ def white(dt, q=Q):
 
 def one_level(batch, q=Q):
     q = torch.full((1, batch), q, dtype=torch.float64)
-    return Levels(q, torch.zeros_like(q), torch.full_like(q, 60.0))
+    return Levels(q, torch.zeros_like(q), torch.full_like(q, 60.0), torch.zeros_like(q))
 
 
 @pytest.fixture
@@ -88,8 +88,17 @@ def test_time_that_runs_backwards_gives_the_same_track_backwards(fixes):
 def test_no_process_noise_changes_a_velocity_by_more_than_a_target_can(period, change):
     acceleration, fastest, period = (torch.tensor([x], dtype=torch.float64) for x in (3.0, 6.0, period))
     levels = levels_up_to(acceleration, fastest, period, 8)
-    assert (levels.q[-1] * period).sqrt().item() == pytest.approx(change)
-    assert (levels.q.diff(dim=0) > 0).all()
+    assert (levels.q.amax() * period).sqrt().item() == pytest.approx(change)
+    assert (levels.q[:8].diff(dim=0) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("period", "walks"), [(1.0, False), (15.0, False), (16.0, True), (300.0, True), (301.0, False)]
+)
+def test_targets_walk_at_random_up_to_their_speed_between_fixes_15_s_to_5_min_apart(period, walks):
+    acceleration, fastest, period = (torch.tensor([x], dtype=torch.float64) for x in (3.0, 6.0, period))
+    ways = (levels_up_to(acceleration, fastest, period, 8).walk * period).sqrt()
+    assert ways.max().item() == pytest.approx(walks * 6.0 * period.item())
 
 
 @pytest.mark.parametrize(("begins", "lasts"), [(0.1, 0.0), (0.03, 0.6), (0.0, 0.0)])
@@ -144,8 +153,9 @@ def test_the_chain_of_levels_is_the_exponential_of_its_rates_whatever_q_is_told(
     fastest, hardest = torch.tensor([300.0]).double(), torch.tensor([9.0]).double()
     levels = levels_up_to(hardest, fastest, gap, 7, q)
     restart, duration = levels.log_restart.exp()[:, 0], levels.duration[:, 0]
-    rates = (restart - torch.eye(7)) / duration.unsqueeze(1)
-    each = torch.eye(7, dtype=torch.float64)
-    lasts, follow = levels.chain.over(gap.expand(7, 1), each.unsqueeze(-1))
+    count = len(restart)
+    rates = (restart - torch.eye(count)) / duration.unsqueeze(1)
+    each = torch.eye(count, dtype=torch.float64)
+    lasts, follow = levels.chain.over(gap.expand(count, 1), each.unsqueeze(-1))
     whole = lasts[0, :, 0].exp().diag() + follow[..., 0]
     torch.testing.assert_close(whole, torch.matrix_exp(rates * period), rtol=0, atol=1e-8)

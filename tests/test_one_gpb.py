@@ -32,9 +32,12 @@ def alike(belief):
 
 
 def levels():
-    q, share, last = torch.tensor([[1e-3, 0.1, 5.0, 80.0], [0.4, 0.3, 0.2, 0.1], [300.0, 90.0, 40.0, 15.0]]).double()
+    q, share, last, walk = torch.tensor([
+        [1e-3, 0.1, 5.0, 80.0, 1e-3], [0.4, 0.3, 0.2, 0.1, 0.1], [300.0, 90.0, 40.0, 15.0, 200.0],
+        [0.0, 0.0, 0.0, 0.0, 900.0],
+    ]).double()  # fmt: skip
     share = share / share.sum()
-    return Levels(*(x[:, None].expand(-1, TRACKS) for x in (q, share.log(), last)))
+    return Levels(*(x[:, None].expand(-1, TRACKS) for x in (q, share.log(), last, walk)))
 
 
 @pytest.fixture(params=[1, 2], ids=["one axis", "two axes"])

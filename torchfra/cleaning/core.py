@@ -219,7 +219,8 @@ def _found(
     said = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
         said = (*said, f"Sigma of the height: {metres(answer.height)}")
-    doubt = _hardly_told(steps) if answer.lowest < _OPEN * answer.sigma else ""
+    open_ = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
+    doubt = _hardly_told(steps) if open_ else ""
     found = frozenset(key for key, value in told.items() if value is None)
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said, doubt=doubt)
 

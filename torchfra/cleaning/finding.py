@@ -20,10 +20,14 @@ _LARGER = 8.0
 """Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
 _MANY, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
-_OPEN, _LOWER, _FORGOTTEN = 0.28, 1.5, 7200.0
-"""How much less likely a fix may be, in log, with a lower sigma that its track does not rule out; the ratio of those
-that are tried; and seconds in which targets may forget their velocity, to a share of 1 / e."""
-_SURELY, _DECIDED = 0.95, 50.0
+_HARDLY, _OPEN, _MISFIT, _LOWER = 0.6, 3.0, 0.2, 2.0
+"""The share of the standard deviation of its fix above which an estimate is hardly surer; how much less likely a track
+may be, in log, with a lower sigma that it does not rule out, and each of its fixes as far as levels of a random walk,
+of a few sizes, are for it; and the ratio of those that are tried."""
+_UNSURE, _FORGOTTEN = 0.28, 7200.0
+"""The same of a fix where fixes are rarer than any level ends; and seconds in which targets may forget their velocity,
+to a share of 1 / e."""
+_SURELY, _DECIDED = 0.8, 50.0
 """Probability of an outlier that the path goes past where sigma is open, and log of the odds of what is decided."""
 _STEPS, _ROWS = 200, 2
 """Of each track that are looked at for sigma: steps of a row, and rows."""
@@ -47,6 +51,9 @@ _LASTING = 300.0, 15.0
 _SLOW, _GAPS = 0.03, 3.0
 """Where fixes come more rarely than any level ends: change of the velocity between two, m/s, from which on levels are
 told apart; and gaps that levels last, as what many levels leave in the mean changes slowly."""
+_WALKS, _APART, _STAYS = 5, 2.5, 10.0
+"""Levels of a target that comes and goes between two fixes, the ratio of the ways by which they move it, and how many
+fixes each of them lasts."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
 _RAREST = -25.0
@@ -64,9 +71,22 @@ class Part(NamedTuple):
     least: Tensor
     """``(B,)`` m that sigma has at least."""
     lowest: Tensor
-    """``(B,)`` m, the lowest sigma that the track does not rule out: the path goes as near to the fixes as it says."""
+    """``(B,)`` m, the lowest sigma that a track does not rule out whose estimates are hardly surer than its fixes: the
+    path goes as near to these as it says.  NaN of other tracks."""
     model: OutlierModel = DEFAULT
     """How likely outliers are."""
+
+    def at(self, rows: Tensor) -> Part:
+        """Some of the rows."""
+        return Part(
+            Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
+            self.sigma[rows], self.least[rows], self.lowest[rows], self.model.of_rows(lambda x: x[rows]),
+        )  # fmt: skip
+
+    @property
+    def on_line(self) -> Part:
+        """With outliers as likely as before any fix was seen."""
+        return self._replace(model=DEFAULT._replace(reach=self.model.reach))
 
     @property
     def scaled(self) -> Fixes:
@@ -86,6 +106,11 @@ def levels_up_to(
     Their shares fall towards the hardest, or to either side of a density ``q`` that is told, m^2/s^3.  Over a period in
     which levels begin and end many times those that begin often are likelier: the hardest of them shapes it.  What many
     leave in the mean changes little from one period to the next: where none lasts as long, each is for some periods.
+
+    Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
+    may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
+    a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
+    would take errors that last for motion, and where they are rarer than any level ends, slow drifts.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     held = acceleration.square() * period.clamp_min(_HELD)
@@ -98,13 +123,31 @@ def levels_up_to(
     passed = period / duration
     often = passed.log() - (-torch.expm1(-passed)).log()  # next to 0 where levels last
     share = (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
-    return Levels(density, share, duration.maximum(_GAPS * (period - _LASTING[0])))
+    levels = Levels(density, share, duration.maximum(_GAPS * (period - _LASTING[0])), torch.zeros_like(density))
+    turns = fastest / acceleration  # seconds in which a target stops
+    walking = (period > (turns / 2).clamp_min(_LASTING[1])) & (period <= _LASTING[0])
+    return _with_walks(levels, fastest * period, period, turns, walking) if q is None and walking.any() else levels
 
 
-def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor) -> Tensor:
+def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, turns: Tensor, walking: Tensor) -> Levels:
+    """With levels of a random walk by shares of the ``farthest (B,)`` way, m, of targets that stop in ``turns`` s.
+
+    Those that are not ``walking`` have levels that move nothing.
+    """
+    size = walking * farthest / _APART ** torch.arange(_WALKS).flip(0).unsqueeze(1)
+    walks = torch.where(walking, period / (period + 4 * turns), math.exp(_RAREST))
+    return Levels(
+        torch.cat([levels.q, levels.q[:1].expand_as(size)]),
+        torch.cat([levels.log_share + torch.log1p(-walks), (walks / _WALKS).log().expand_as(size)]),
+        torch.cat([levels.duration, levels.duration[:1].maximum(_STAYS * period).expand_as(size)]),
+        torch.cat([levels.walk, size.square() / period]),
+    )
+
+
+def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
     tried = _rough(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    return likeliest(fixes, levels, owner, tried, DEFAULT.of_any_offset)
+    return likeliest(fixes, levels, owner, tried, model.of_any_offset)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -140,22 +183,32 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model:
     return likely
 
 
-def _lowest(part: Part, levels: Levels, owner: Tensor) -> Tensor:
-    """The lowest standard deviations ``(B,)`` that tracks do not rule out, where fixes are rarer than levels end.
+def _lowest(part: Part, begun: Levels, owner: Tensor) -> Tensor:
+    """The lowest standard deviations ``(B,)`` that tracks do not rule out.
 
-    There a target forgets its velocity between fixes, what is left looks like noise, and the likeliest sigma may be ten
-    times what it is.
+    Where what is noise and what is motion can hardly be told apart, a sigma that is too large costs far more than one
+    that is too small: with it the path cuts corners, and without it the path goes through the fixes.
     """
-    fixes = part.fixes
-    period = torch.where(fixes.missing, math.nan, fixes.elapsed).nanmedian(0).values
-    rare = period > _LASTING[0]
-    if not rare.any():
-        return part.sigma
     tried = part.sigma / _LOWER ** torch.arange(_COARSE).unsqueeze(1)
-    fit, _, seen = _fits(fixes, levels, owner, tried, part.model.of_any_offset)
-    open_ = fit >= fit.amax(0) + _OPEN * torch.expm1(-period / _FORGOTTEN) * seen
+    fit, _, seen = _fits(part.fixes, begun, owner, tried, part.model.of_any_offset)
+    walks, period = (begun.log_share.exp() * (begun.walk > 0)).sum(0), _period(part)
+    misfit = torch.where(period > _LASTING[0], -_UNSURE * torch.expm1(-period / _FORGOTTEN), _MISFIT * walks)
+    open_ = fit >= fit.amax(0) - _OPEN - misfit * seen
     last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
-    return torch.where(rare, tried.gather(0, last.unsqueeze(0))[0], part.sigma).maximum(part.least)
+    return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
+
+
+def _period(part: Part) -> Tensor:
+    """Seconds ``(B,)`` between most fixes."""
+    return torch.where(part.fixes.missing, math.nan, part.fixes.elapsed).nanmedian(0).values
+
+
+def _hardly_surer(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
+    """Tracks ``(B,)`` whose estimates are mostly hardly surer than their own fixes, or whose fixes are very rare."""
+    seen = ~part.fixes.missing
+    hardly = seen & (known.belief.pp > _HARDLY**2 * part.scaled.variance)
+    several, every = (_summed(of.sum(0).to(part.sigma), owner) for of in (hardly, seen))
+    return (several > 0.5 * every) | (_period(part) > _LASTING[0])
 
 
 def _fits(
@@ -237,12 +290,25 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
             parts = [_with_shares(part, of, owner) for part, of in zip(parts, known, strict=True)]
         parts = [_with_chain(part, of, owner) for part, of in zip(parts, known, strict=True)]
         parts = _with_evidence(parts, known, owner)
+        if not left:
+            hardly = [_hardly_surer(part, of, owner) for part, of in zip(parts, known, strict=True)]
+            parts = [
+                part._replace(lowest=part.sigma.where(of, math.nan)) for part, of in zip(parts, hardly, strict=True)
+            ]
         if find_sigma and not left:
             parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     if find_sigma:
-        lowest = [_lowest(part, levels, owner) for part, levels in zip(parts, begun, strict=True)]
-        parts = [part._replace(lowest=low) for part, low in zip(parts, lowest, strict=True)]
+        parts = [_with_lowest(part, levels, owner) for part, levels in zip(parts, begun, strict=True)]
     return parts
+
+
+def _with_lowest(part: Part, begun: Levels, owner: Tensor) -> Part:
+    """With the lowest sigma of the tracks whose estimates are hardly surer than their fixes."""
+    rows = (~part.lowest.isnan()).nonzero()[:, 0]
+    if not len(rows):
+        return part
+    lowest = _lowest(part._replace(levels=begun).at(rows), Levels(*(x[:, rows] for x in begun)), owner[rows])
+    return part._replace(lowest=part.lowest.index_copy(0, rows, lowest))
 
 
 def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], Tensor]:
@@ -251,8 +317,8 @@ def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], T
         known = [two_filters(part.scaled, part.levels, part.model) for part in parts]
     else:  # what other axes say of an outlier, and how likely one is, is of all fixes
         unsaid = [part.fixes._replace(odds=torch.zeros_like(part.fixes.odds)) for part in parts]
-        parts = [part._replace(fixes=fixes, model=DEFAULT) for part, fixes in zip(parts, unsaid, strict=True)]
-        known = [filtered(part.scaled, part.levels) for part in parts]
+        parts = [part._replace(fixes=fixes).on_line for part, fixes in zip(parts, unsaid, strict=True)]
+        known = [filtered(part.scaled, part.levels, part.model) for part in parts]
     outlier = _outlier(parts, known)
     return [_near_fixes(part, of, outlier) if smooth else of for part, of in zip(parts, known, strict=True)], outlier
 
@@ -262,12 +328,13 @@ def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
 
     No fix is moved far for a noise that may not be there.  How sure that is stays as it was.
     """
-    open_ = part.lowest < part.sigma
-    if not open_.any():
+    rows = (~part.lowest.isnan()).nonzero()[:, 0]
+    if not len(rows):
         return known
-    fixes = part.fixes._replace(odds=torch.where(outlier > _SURELY, _DECIDED, -_DECIDED))
-    path = two_filters(part._replace(fixes=fixes, sigma=part.lowest).scaled, part.levels, part.model).belief
-    position, velocity = (torch.where(open_, new, old) for new, old in zip(path[:2], known.belief[:2], strict=True))
+    some = part.at(rows)
+    fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
+    path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
+    position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], known.belief[:2], strict=True))
     return known._replace(belief=known.belief._replace(position=position, velocity=velocity))
 
 

@@ -50,6 +50,8 @@ class OutlierModel(NamedTuple):
     """Probability of an outlier after an outlier; one, or ``(B,)``."""
     least_size: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
+    reach: Tensor | float = 0.0
+    """The same as a distance, m, as far as targets often are beside their way; one, or ``(B,)``."""
     same_offset: float = 0.5
     """Probability that an outlier after another is as far off in the same direction."""
     alone: Tensor | float = 0.001
@@ -113,11 +115,13 @@ class Levels(NamedTuple):
     """The Markov chain of the process noise: a level lasts, then another is drawn from the restart distribution."""
 
     q: Tensor
-    """``(J, B)`` densities, m^2/s^3, ascending."""
+    """``(J, B)`` densities, m^2/s^3, ascending where there is no ``walk``."""
     log_share: Tensor
     """``(J, B)`` logs of the shares of the time that levels have in the long run."""
     duration: Tensor
     """``(J, B)`` mean time that a level lasts, s."""
+    walk: Tensor
+    """``(J, B)`` densities of what moves the position alone, m^2/s: a target that comes and goes between two fixes."""
 
     @property
     def log_restart(self) -> Tensor:
@@ -247,13 +251,11 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
         belief, log_weights, outlier, last = state
         if k:
             mixed, log_weights = switched(belief, log_weights, chain, elapsed.unsqueeze(0))
-            belief = _predicted(mixed, levels.q, elapsed)
+            belief = _predicted(mixed, levels, elapsed)
         prior_outlier = model.begins + outlier * (model.lasts - model.begins)
         clean, log_density = corrected(belief, z, variance, missing, model)
         if model.same_offset:
-            log_density[1, 1] = _again(
-                log_density[1, 1], _entry(belief, 1), z - last, levels.q, elapsed, variance, model
-            )
+            log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, levels, elapsed, variance, model)
         joint = log_chain + log_weights + log_density  # (2, 2, J, B): now, before
         share = (joint[:, 1] - joint[:, 0]).sigmoid()
         after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
@@ -300,7 +302,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
     outliers = Outliers(
         [range(dims)],
         outlier_transition=model.chain(sigma).permute(2, 1, 0),
-        outlier_sizes=(model.least_size,),
+        outlier_sizes=(max(model.least_size, float((model.reach / sigma).square().max())),),
         outlier_shares=(1.0,),
         outliers_inform=False,
         same_offset=model.same_offset,
@@ -309,10 +311,27 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
         len(levels.q), noise_levels=(1.0,), jump_factors=(), durations=levels.duration.T,
         restart=levels.log_restart.exp().T,
     )  # fmt: skip
-    bank = Bank([ConstantVelocity(q, dims, spectral=True) for q in levels.q])
+    bank = Bank([
+        ConstantVelocity(q, dims, spectral=True) if not walk.any() else _Walking(q, walk, dims)
+        for q, walk in zip(levels.q, levels.walk, strict=True)
+    ])  # fmt: skip
     sensor = Position(sigma.unsqueeze(-1).expand(-1, dims), dims=dims)
     share = model.share(sigma)
     return GPB(bank, sensor, regimes=regimes, outliers=outliers, prior_outlier=share, prior_inflation=1.0)
+
+
+class _Walking(ConstantVelocity):
+    """Constant velocity that white noise disturbs, and a random walk of the position besides."""
+
+    def __init__(self, q: Tensor, walk: Tensor, dims: int) -> None:
+        super().__init__(q, dims, spectral=True)
+        self.register_buffer("walk", walk)
+
+    def process_noise(self, dt: Tensor) -> Tensor:
+        """``S_Q (..., n, 3 dims)``."""
+        root = super().process_noise(dt)
+        step = (self.get_buffer("walk") * dt).sqrt()
+        return torch.cat([root, step[..., None, None] * torch.eye(self.size, self.dims).to(root)], -1)
 
 
 def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, Tensor]:
@@ -331,9 +350,9 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, T
     return belief, log_quality + levels.log_share
 
 
-def _predicted(x: Belief, q: Tensor, gap: Tensor) -> Belief:
-    pv = x.pv + gap * x.vv
-    pp = x.pp + gap * (x.pv + pv) + q * (gap**3 / 3)
+def _predicted(x: Belief, levels: Levels, gap: Tensor) -> Belief:
+    q, pv = levels.q, x.pv + gap * x.vv
+    pp = x.pp + gap * (x.pv + pv) + q * (gap**3 / 3) + levels.walk * gap
     return Belief(x.position + gap * x.velocity, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
 
 
@@ -346,7 +365,8 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: Ou
     z = z.nan_to_num().reshape(d, *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
     residual = seen * (z - x.position)  # products with 0: much faster than a choice
     squared = d * _over_axes(residual, residual)
-    wide = x.pp + torch.maximum(model.least_size * variance, squared / d)
+    least = model.least_size * variance
+    wide = x.pp + torch.maximum(least.clamp_min(model.reach**2), squared / d)
     total = x.pp + variance
     gain, gain_v = seen * x.pp / total, seen * x.pv / total
     left = seen * variance / total + missing  # 1 - gain would lose digits of a start that is far off
@@ -360,14 +380,21 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: Ou
 
 
 def _again(
-    log_density: Tensor, x: Belief, moved: Tensor, q: Tensor, elapsed: Tensor, variance: Tensor, model: OutlierModel
+    log_density: Tensor,
+    x: Belief,
+    moved: Tensor,
+    levels: Levels,
+    elapsed: Tensor,
+    variance: Tensor,
+    model: OutlierModel,
 ) -> Tensor:
     """Log density ``(J, B)`` of an outlier after another, which may be as far off in the same direction.
 
     Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
     """
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
-    wide = 2 * variance + elapsed.square() * x.vv - q * (2 / 3 * elapsed**3)  # the velocity was surer before
+    wide = 2 * variance + elapsed.square() * x.vv - levels.q * (2 / 3 * elapsed**3)  # the velocity was surer before
+    wide = wide + levels.walk * elapsed
     squared = d * _over_axes(residual, residual)
     same = math.log(model.same_offset) - 0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
     other = log_density + math.log1p(-model.same_offset)

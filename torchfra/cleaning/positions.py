@@ -15,7 +15,7 @@ from torch import Tensor
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Used
 from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
-from torchfra.cleaning.kinds import KINDS
+from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
@@ -89,7 +89,7 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, c
         rows, parts = _between(tracks, rows, parts)
     known, outlier = estimated(parts, smooth=settings.smooth)
     if not settings.smooth:
-        parts = [part._replace(model=DEFAULT) for part in parts]
+        parts = [part.on_line for part in parts]
     calm = [_CALM * KINDS[kinds[row.track]].acceleration for row in rows]
     return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
 
@@ -111,9 +111,10 @@ def _parts(
             rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
             least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         told = None if settings.sigma is None else torch.full_like(most, settings.sigma)
-        sigma = first_sigma(fixes, levels, _owners(rows, tracks)) if told is None else told
+        model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
+        sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if told is None else told
         sigma = sigma.maximum(least)
-        parts.append(Part(fixes, levels, sigma, least, sigma))
+        parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), model))
     return rows, parts
 
 
@@ -183,10 +184,13 @@ def _joined(
     """The rows of each track put together."""
     nis = torch.stack([_nis(part, of) for part, of in zip(parts, known, strict=True)]).sum(0)
     mean, covariance = _moments(known)
-    share = parts[0].levels.log_share.exp()
-    q = (share * parts[0].levels.q.log()).sum(0).exp()
-    density = (known[0].levels * parts[0].levels.q).sum(1)
-    manoeuvre = (known[0].levels * (parts[0].levels.q > 10 * q.maximum(calm.square()))).sum(1)
+    levels, share = parts[0].levels, parts[0].levels.log_share.exp()
+    seen = [steps.at(steps.measured) for steps in tracks]
+    period = torch.tensor([period_of(seen[row.track]) for row in rows], dtype=torch.float64)
+    densities = levels.q + 3 * levels.walk / period.square()  # a random walk goes as far in a period
+    q = (share * densities.log()).sum(0).exp()
+    density = (known[0].levels * densities).sum(1)
+    manoeuvre = (known[0].levels * (densities > 10 * q.maximum(calm.square()))).sum(1)
     found = []
     for i in range(len(tracks)):
         first = next(b for b, row in enumerate(rows) if row.track == i)
