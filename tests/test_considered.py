@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from irregular import DT, F64, MOTION, PRIOR, close, measured
 from oracles.lasting import lasting_errors
 
 import torchfra
@@ -14,21 +15,7 @@ from torchfra.filters import biased_copies, considered
 from torchfra.motion import ConstantVelocity, CoordinatedTurn, Odometry
 from torchfra.sensors import Position, Ranges
 
-F64 = {"dtype": torch.float64}
-MOTION = ConstantVelocity(0.3, spectral=True)
-PRIOR = Gaussian(torch.tensor([1.0, -2, 3, 4], **F64), torch.tensor([5.0, 6, 2, 1], **F64).diag())
-DT = torch.tensor([0.5, 1, 3, 1, 0.2, 8, 1, 1, 2, 1], **F64)
 STD = torch.tensor([3.0, 5.0], **F64)
-
-
-def close(a, b, tolerance=1e-9):
-    torch.testing.assert_close(a, torch.as_tensor(b, **F64), rtol=tolerance, atol=tolerance)
-
-
-def measured(*batch):
-    z = 10 * torch.randn(*batch, len(DT), 2, generator=torch.Generator().manual_seed(3), **F64)
-    z[..., 3, 0], z[..., 6, :] = torch.nan, torch.nan
-    return z
 
 
 @pytest.mark.parametrize("std", [3.0, STD], ids=["one number", "each element"])

@@ -123,9 +123,7 @@ class IMM(Filter[IMMState]):
             raise ValueError(f"transition, stay: expected one of the two, received {received}")
         if subset is not None:
             subset.check(self.motion, transition if durations is None else _reachable(count, transition), initial)
-        initial = (
-            torch.full((count,), 1 / count, dtype=torch.float64) if initial is None else as_numbers(initial, "initial")
-        )
+        initial = as_numbers([1 / count] * count if initial is None else initial, "initial")
         if initial.shape[-1:] != (count,):
             raise ValueError(f"initial: expected ({count},), received {tuple(initial.shape)}")
         self.transition = None
