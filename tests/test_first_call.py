@@ -42,7 +42,8 @@ def test_the_backward_pass_is_traced_once_the_steps_are_written(scenario, events
     tracks = scenario.simulate(2, 0)
     with torch.no_grad():
         presets.imm_srckf(scenario.bank, scenario.sensor).compile().smooth(tracks.z, tracks.prior, u=tracks.u)
-    assert [name for name, _ in events][:2] == ["steps written", "backward pass begun"]
+    order = [name for name, _ in events if name != "ends made"]  # by a third thread, at any time after the steps
+    assert order[:2] == ["steps written", "backward pass begun"]
 
 
 def test_another_thread_makes_what_is_around_the_steps_while_they_are_compiled_and_makes_it_once(scenario, events):
