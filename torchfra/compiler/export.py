@@ -22,6 +22,7 @@ from torchfra.compiler.step import Input, Step
 from torchfra.hyper import hypers, one_of
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
+from torchfra.numbers import is_integer
 from torchfra.tree import flatten, paths
 from torchfra.types import Gaussian
 from torchfra.version import __version__
@@ -93,7 +94,7 @@ def _check(f: Any, name: str, u: int, inputs: Collection[str], dtype: torch.dtyp
         raise ValueError(f"name: expected small letters, digits and _ as in names of C++, received {name!r}")
     if name in _TAKEN:
         raise ValueError(f"name: expected one that C++ or the example program do not use, received {name!r}")
-    if isinstance(u, bool) or not isinstance(u, int) or u < 0:
+    if not is_integer(u, 0):
         raise ValueError(f"u: expected a whole number of 0 or more, received {u!r}")
     for key in inputs:
         one_of(inputs=(key, ("std", "noise")))
