@@ -186,7 +186,7 @@ class Compiled:
         step, rank = plan.kernels.step, len(plan.batch)
         leaves = zip(flatten(step.record), late(step.record), strict=True)
         record = [torch.zeros(*(1,) * rank, 2 + more, *x.shape, dtype=x.dtype) for x, more in leaves]
-        state = map_tensors(lambda x: torch.zeros(*(1,) * rank, *x.shape, dtype=step.dtype), step.state)
+        state = map_tensors(lambda x: torch.zeros((*(1,) * rank, *x.shape), dtype=step.dtype), step.state)
         with suppress(Exception), torch.no_grad():
             kept = unflatten(step.record, iter(record))
             estimate = f.estimate_of(state, kept)
