@@ -15,7 +15,7 @@ from torchfra.filters.base import Mix
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, wide, without_failed
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, without_failed
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.linalg.safe import safe_log, safe_log1p
@@ -103,7 +103,7 @@ def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Te
             together = pooled(belief, before, motion)
         pairs = zip(belief, repeated(together, count), strict=True)
         two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
-        return (wide if motion.linear else matched)(two, roots, motion.angles)
+        return matched(two, roots, motion.angles, triangular=not motion.linear)
 
     return predicted, interact
 
