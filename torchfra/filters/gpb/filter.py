@@ -177,21 +177,24 @@ class GPB(Filter[GPBState]):
         smoothed = mixing.smoothed(regimes.by_belief(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
-        if_any = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
-        if_any = torch.where(measured.unsqueeze(-1), if_any, state.outlier)
-        any_outlier = torch.where(measured, posterior.mode[1, 0, 0].square(), 0.0).unsqueeze(-1)
-        by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
-        kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), if_any
-        expected = self.compare(self.expected(predicted), frame)
+        # The next state; what it knows of outliers is of the last step with a measurement.
+        blocks = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
+        blocks = torch.where(measured.unsqueeze(-1), blocks, state.outlier)
+        kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
         last = None if state.last is None else Last(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
         now = GPBState(belief, lagged, *kept, state.lasted, relaxation, last)
         alarm = self.alarm(state, now, frame)
-        info = Step(tree.Late(lagged), by_regime, any_outlier * if_any, alarm)
+        now = now._replace(lasted=alarm.lasted)  # the alarm has counted this step
+
+        # The record: for the estimate, and for the backward pass.
+        some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
+        by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
+        info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm)
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
         past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation, ratio)
-        record = Record(belief, expected.residual, *innovation(expected), info, posterior.log_likelihood, past=past)
-        return now._replace(lasted=alarm.lasted), record
+        expected = self.compare(self.expected(predicted), frame)
+        return now, Record(belief, expected.residual, *innovation(expected), info, posterior.log_likelihood, past=past)
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
@@ -249,8 +252,9 @@ class GPB(Filter[GPBState]):
         carried = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
         ahead = regimes.predicted_parts(carried, nis, self.motion.position)
         mean, root = (regimes.per_regime(x) for x in mixed)
-        rest, spread = ahead.spread[..., :-n], ahead.spread[..., -n:] - root  # of the same unknowns: x' - x
-        change = hstack(rest, hstack(spread, ahead.process_noise))[..., :d, :]
+        # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
+        rest, slope = ahead.spread[..., :-n], ahead.spread[..., -n:]
+        change = hstack(rest, slope - root, ahead.process_noise)[..., :d, :]
         expected = Gaussian(self.motion.difference(ahead.mean, mean)[..., :d], tria(change))
         probability = self.outliers.repeated(state.outlier, relaxation, state.last.measured, frame.measured)
         z = self.sensor.difference(frame.z, state.last.z)

@@ -40,6 +40,11 @@ class Posterior(NamedTuple):
     log_likelihood: Tensor
     """``(...)`` log likelihood of the measurement."""
 
+    @property
+    def some_outlier(self) -> Tensor:
+        """``(...)`` probability that the measurement has an outlier in some block."""
+        return self.mode[1, 0, 0].square()
+
 
 @event_ranks(log_weight=0)
 class Hypotheses(NamedTuple):

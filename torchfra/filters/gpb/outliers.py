@@ -247,48 +247,46 @@ class Outliers(nn.Module):
         if self.outlier_offsets is not None:
             offsets = in_front(self.outlier_offsets(mean), rank)
             offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets])
-        belief, log_density, outliers = (
-            Gaussian(torch.zeros_like(mean), eye.expand_as(root)),
-            torch.zeros_like(mean[..., 0]),
-            [],
-        )
-        only, first_one = len(self.blocks) == 1, torch.ones_like(missing[..., :1, None])
+        belief = Gaussian(torch.zeros_like(mean), eye.expand_as(root))
+        log_density, outliers = torch.zeros_like(mean[..., 0]), []
+        single, none_measured = len(self.blocks) == 1, torch.ones_like(missing[..., :1, None])
         log_ratio = None if repeated is None else torch.zeros_like(mean[..., 0])
         for b, block in enumerate(self.blocks):
-            share, gone = prior[..., b], missing[..., list(block)]
+            # In front: without any outlier so far, and with some; before the first block the two are one.
+            chance, absent = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
             whitened = compare(so_far, block)
             if b and whitened.rest.shape[-1]:
-                whitened = whitened._replace(spread=hstack(first_one * tria(whitened.rest), whitened.slope))
-            first_one = first_one * gone.amin(-1)[..., None, None]
+                whitened = whitened._replace(spread=hstack(none_measured * tria(whitened.rest), whitened.slope))
+            none_measured = none_measured * absent.amin(-1)[..., None, None]
             rows, cross, left, residual = _in_space_of(whitened, belief)
-            adapted = self.adapted(sizes, residual[-1:], gone, offsets)
-            updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, gone, offsets)
+            adapted = self.adapted(sizes, residual[-1:], absent, offsets)
+            updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, absent, offsets)
             none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
             if not self.outliers_inform:
                 updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
             if b:  # after the first block, beliefs without and with outliers differ
-                first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
+                first, log_first = sequential(rows[:1], residual[:1], sizes[:1], absent)
                 none, log_none = _entry(first, 0), log_first[0]
             joint = torch.cat(
-                [(log_updated[0] + torch.log1p(-share)).unsqueeze(0), log_updated[1:] + share.log() + log_shares]
+                [(log_updated[0] + torch.log1p(-chance)).unsqueeze(0), log_updated[1:] + chance.log() + log_shares]
             )
-            first_size = int(only)  # given that some block is an outlier, a single block is
+            start = int(single)  # given that some block is an outlier, a single block is: no inlier among its sizes
             if repeated is not None and log_ratio is not None:
-                chance, change = repeated[0][..., b], elements_of(repeated[1], block)
-                _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], gone)  # noise of two steps
-                alone, same = joint[first_size:], log_same + share.log() + safe_log(chance)
-                joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-chance), same.expand_as(joint[:1])])
+                again, change = repeated[0][..., b], elements_of(repeated[1], block)
+                _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], absent)  # noise of two steps
+                without, same = joint[start:], log_same + chance.log() + safe_log(again)
+                joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-again), same.expand_as(joint[:1])])
                 updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
-                log_ratio = log_ratio + _log_ratio(log_sum(joint[first_size:], 0), log_sum(alone, 0))
-            roots, log_some = share_roots(joint[first_size:])
-            some = matched(Gaussian(updated.mean[first_size:], updated.scale_tril[first_size:]), roots)
+                log_ratio = log_ratio + _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))
+            roots, log_some = share_roots(joint[start:])
+            some = matched(Gaussian(updated.mean[start:], updated.scale_tril[start:]), roots)
             both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
             spread = cross @ both.scale_tril
             spread = spread if left is None else hstack(spread, left)
             belief = Gaussian(belief.mean + apply(cross, both.mean), tria(spread))
             log_density = log_density + torch.cat([log_none, log_some])
-            outliers.append(torch.ones_like(log_some) if only else roots[1:].square().sum(0))
+            outliers.append(torch.ones_like(log_some) if single else roots[1:].square().sum(0))
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
 
@@ -319,6 +317,9 @@ def sequential(
         The posterior ``(C, ..., k)`` of the unknowns, with any root, and the log density ``(C, ...)`` of the
         measurement, constants left out.
 
+    For each row ``h``, with ``f = S^T h`` and ``s^2 = f^T f + size``, the gain is ``S f / s^2`` and the root afterwards
+    ``S - S f f^T / (s (s + sqrt(size)))``.
+
     Source: Potter's square-root update, in Bierman (1977), chapter II.
     """
     rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
@@ -326,15 +327,15 @@ def sequential(
     root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
     mean, noise, squares, stds = torch.zeros_like(rows[0]), sizes.sqrt(), torch.zeros_like(residual[..., 0]), []
     for i in range(m):
-        follows = (root * rows[i].unsqueeze(1)).sum(0)
-        std = (follows.square().sum(0) + sizes).sqrt()
-        once = 1 / (std * (std + noise))
-        inverse = (std + noise) * once  # of std, by the same division
+        f = (root * rows[i].unsqueeze(1)).sum(0)
+        std = (f.square().sum(0) + sizes).sqrt()
+        factor = 1 / (std * (std + noise))
+        inverse = (std + noise) * factor  # of std, by the same division
         off = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
         normalised = (off - (mean * rows[i]).sum(0)) * inverse
-        covariance = (root * follows).sum(1)
+        covariance = (root * f).sum(1)
         mean = mean + covariance * (normalised * inverse)
-        root = root - covariance.unsqueeze(1) * (follows * once)
+        root = root - covariance.unsqueeze(1) * (f * factor)
         squares = squares + normalised.square()
         stds.append(torch.where(missing[..., i] > 0, 1.0, std))
     # The log of two factors at a time: their product does not overflow where their squares do not.

@@ -242,6 +242,9 @@ class Regimes(nn.Module):
     def penalised(self, log_weight: Tensor, nis: Tensor) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
+        Their covariances scale with the innovation, so they would explain one of any size equally well.  Beyond its
+        limit the weight of a jump falls as ``1 / nis``, and that of a manoeuvre as ``1 / nis^2``.
+
         Args:
             log_weight: of the regimes by the Markov chain alone.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
