@@ -78,7 +78,7 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
 
 
 def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
-    """``interaction`` for a transition ``(1 - e) I + e / K``: stay, or restart with a model drawn from all uniformly.
+    """``interaction`` for a transition ``(1 - e) I + e / K``: a model stays, or restarts as any of them, uniformly.
 
     The mixed belief of each model has two components, its own belief and that of all models together, instead of K.
     The moments are the same.  Angles count from the likelier of the two.
@@ -93,8 +93,8 @@ def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Te
     """
     before, count = state.log_weights, len(motion)  # type: ignore[arg-type]  # a Bank
     own = safe_log1p(-restart).to(before).unsqueeze(-1) + before
-    drawn = safe_log(restart / count).to(before).unsqueeze(-1)
-    roots, predicted = share_roots(torch.stack(torch.broadcast_tensors(own, drawn)))
+    restarted = safe_log(restart / count).to(before).unsqueeze(-1)
+    roots, predicted = share_roots(torch.stack(torch.broadcast_tensors(own, restarted)))
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""

@@ -339,13 +339,13 @@ class GPB(Filter[GPBState]):
         outliers.check(sensor)
         return super().parts_for(sensor) | {"outliers": outliers}
 
-    def unremembered(self, state: GPBState) -> GPBState:
+    def without_memory(self, state: GPBState) -> GPBState:
         """A state without outliers in its last measurement, from which outliers in the next do not follow."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
         last = None if state.last is None else self._unmeasured(state.belief.mean)
-        return self.remembering(state, state._replace(outlier=outlier, last=last))
+        return self.with_memory_of(state, state._replace(outlier=outlier, last=last))
 
-    def remembering(self, state: GPBState, before: GPBState) -> GPBState:
+    def with_memory_of(self, state: GPBState, before: GPBState) -> GPBState:
         """A state after a measurement of another sensor, whose outliers say nothing of this filter's own sensor."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
@@ -370,11 +370,11 @@ class GPB(Filter[GPBState]):
         """The hypotheses after each step."""
         return steps
 
-    def fresh(self, past: GPBPast) -> GPBPast:
+    def provisional_past(self, past: GPBPast) -> GPBPast:
         """The past as it is: no later measurement decides anything of it."""
         return past
 
-    decided = fresh
+    last_past = provisional_past
 
     def needed_of_next(self, past: GPBPast) -> GPBPast:
         """Of the next step the normalised innovation squared, whether it has a measurement, and ``log_repeated``."""

@@ -21,7 +21,7 @@ from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-def learned(
+def learn_noise(
     estimate: NominalNoise, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
     share_noise: bool,
 ) -> Any:  # fmt: skip
