@@ -14,9 +14,12 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Used
-from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
+from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels
+from torchfra.cleaning.parts import SHORT, Part
+from torchfra.cleaning.process_noise import levels_up_to
+from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 

@@ -17,7 +17,7 @@ from torchfra.cleaning.ladder import (
     corrected,
     filter_forward,
     merged,
-    predicted,
+    predictions_of,
     steps,
     switched,
 )
@@ -70,7 +70,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
 def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """What the fixes up to each step say of it."""
     every = list(steps(fixes, levels, model))
-    predictions = predicted(every)
+    predictions = predictions_of(every)
     known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(step.known for step in every), strict=True)))
     log_weights = torch.stack([step.log_weights for step in every])  # (T, 2, J, B)
     whole, _ = merged(log_weights.flatten(1, 2), known, 1)
