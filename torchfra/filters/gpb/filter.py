@@ -70,7 +70,8 @@ class GPB(Filter[GPBState]):
     update and a likelihood.  After a step the hypotheses are merged into one Gaussian for each motion (and each level
     that ``Regimes.separate_levels`` keeps separate) without an outlier in the step and one with an outlier in some
     block; the next measurement weighs those two.  So no gate decides whether a large innovation is an outlier or a
-    manoeuvre, and the filter is smooth in its inputs.  Over steps without any measurement, however many, both are
+    manoeuvre, and the filter is smooth in its inputs.  Over the regimes it is IMM, which mixes beliefs before a step;
+    over the two outlier modes GPB2, which merges them after the next one.  Over steps without any measurement, however many, both are
     carried on, and the first motion keeps its regime if regimes have no ``durations``.
 
     With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's belief, and a prime for the step
