@@ -54,7 +54,7 @@ def clean_tracks(
     """Recorded tracks, cleaned.
 
     The default, ``"gpb"`` without a ``Bank`` of your own, weighs levels of process noise and outliers in closed form
-    (``cleaning.ladder``); ``Cleaned.filters`` gives the same as modules.
+    (``cleaning.closed_form``); ``Cleaned.filters`` gives the same as modules.
     Other filters run as the catalogue has them, with the sigma and q that this one has found.
 
     Args:
@@ -167,18 +167,10 @@ def _clean_batch(
     recordings: Sequence[Recording], *, coarse: Sequence[float], moved: Sequence[bool], name: str,
     bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
-    """Recordings of the same dimensions, cleaned.
+    """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
 
-    Args:
-        recordings: as measured, or with fixes that are moved.
-        coarse: of each metres between the heights that it can tell.
-        moved: of each whether its fixes are moved: then how large their errors are is known.
-        name: of the filter.
-        bank: see ``clean_tracks``, as for all that follow.
-        settings: see ``clean_tracks``.
-        dt: see ``clean_tracks``.
-        compile: see ``clean_tracks``.
-        fallback: see ``clean_tracks``.
+    Of each, ``coarse`` is how many metres lie between the heights that it can tell, and ``moved`` whether fixes were
+    moved in time: then how large their errors are is known.
     """
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
@@ -242,7 +234,7 @@ def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
 
 
 def _unsure(steps: Steps) -> str:
-    """That noise cannot be distinguished from motion."""
+    """The words for a track in which noise and motion look alike."""
     return f"Fixes {duration(period_of(steps))} apart hardly tell noise from motion: sigma is unsure"
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import DEFAULT
+from torchfra.cleaning.closed_form import DEFAULT
 from torchfra.cleaning.parts import Part, summed
 from torchfra.cleaning.sigma import finer_sigma, hardly_surer, lowest_sigma
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels, OutlierModel
+from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 
 SHORT = 0
 """Owner of the rows of all tracks that are too short to have values of their own."""

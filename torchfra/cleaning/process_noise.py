@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import Levels
+from torchfra.cleaning.closed_form import Levels
 
 _LEAST_DENSITY = 1e-5
 """Least density of the process noise, m^2/s^3."""
@@ -39,7 +39,7 @@ def levels_up_to(
     Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
     may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
     a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
-    would take errors that last for motion, and where they are rarer than any level ends, slow drifts.
+    would take time-correlated errors for motion, and where they are rarer than any level ends, slow drifts.
 
     Args:
         acceleration: the hardest.

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, steps
+from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.two_filters import Smoothed
