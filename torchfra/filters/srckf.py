@@ -96,8 +96,8 @@ class SRCKF(Filter[State]):
         if others and not self.noise.plain:
             expected = "none beside an estimate of the measurement noise"
             raise ValueError(f"robust, fading: expected {expected}, received {' and '.join(others)}")
-        if isinstance(self.noise, SageHusa) and len(self.noise.element) != sensor.size:
-            count = len(self.noise.element)
+        if isinstance(self.noise, SageHusa) and len(self.noise.block_of) != sensor.size:
+            count = len(self.noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
 
     @property

@@ -24,9 +24,10 @@ from torchfra.filters.gpb.hypotheses import (
     from_state,
     merge,
     to_state,
+    values_first,
 )
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import Regimes, Switching, in_front
+from torchfra.filters.gpb.regimes import Regimes, Switching
 from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Last, Step
 from torchfra.filters.interaction import for_each_model
@@ -71,8 +72,8 @@ class GPB(Filter[GPBState]):
     that ``Regimes.separate_levels`` keeps separate) without an outlier in the step and one with an outlier in some
     block; the next measurement weighs those two.  So no gate decides whether a large innovation is an outlier or a
     manoeuvre, and the filter is smooth in its inputs.  Over the regimes it is IMM, which mixes beliefs before a step;
-    over the two outlier modes GPB2, which merges them after the next one.  Over steps without any measurement, however many, both are
-    carried on, and the first motion keeps its regime if regimes have no ``durations``.
+    over the two outlier modes GPB2, which merges them after the next measurement.  Over steps without any measurement,
+    however many, both modes are carried on, and the first motion keeps its regime if regimes have no ``durations``.
 
     With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's belief, and a prime for the step
     before, a step is:
@@ -147,7 +148,7 @@ class GPB(Filter[GPBState]):
         """The state of a prior: for every belief the prior as it is, and inflated except for parameters."""
         mean, root = belief
         outlying = self.prior_outlier(mean)
-        log_prior = in_front(torch.stack([torch.log1p(-outlying), outlying.log()], -1), mean.dim() + 1)
+        log_prior = values_first(torch.stack([torch.log1p(-outlying), outlying.log()], -1), mean.dim() + 1)
         log_weight = log_prior + safe_log(self.regimes.initial_distribution(mean[None, ..., 0]))[None, :, None]
         inflated = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
         factor = torch.where(inflated, self.prior_inflation(mean).sqrt()[..., None], 1.0)[..., None]

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
-from torchfra.filters.gpb.hypotheses import Hypotheses
-from torchfra.filters.gpb.regimes import in_front
+from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import mean_durations
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
@@ -126,6 +125,7 @@ class Outliers(nn.Module):
         within = torch.zeros(covariance.shape[-2:], dtype=torch.bool, device=root.device)
         for block in self.blocks:
             within[torch.tensor(block).unsqueeze(-1), torch.tensor(block)] = True
+        # A correlation of less is rounding, in float32 too.
         correlated = covariance.abs() > 1e-6 * std.unsqueeze(-1) * std.unsqueeze(-2)
         if bool((correlated & ~within).any()):
             raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
@@ -241,11 +241,14 @@ class Outliers(nn.Module):
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
         rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
-        sizes, log_shares = in_front(self.outlier_sizes(mean), rank), in_front(self.outlier_shares(mean).log(), rank)
+        sizes, log_shares = (
+            values_first(self.outlier_sizes(mean), rank),
+            values_first(self.outlier_shares(mean).log(), rank),
+        )
         sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of no outlier, and of outliers
         offsets = None
         if self.outlier_offsets is not None:
-            offsets = in_front(self.outlier_offsets(mean), rank)
+            offsets = values_first(self.outlier_offsets(mean), rank)
             offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets])
         belief = Gaussian(torch.zeros_like(mean), eye.expand_as(root))
         log_density, outliers = torch.zeros_like(mean[..., 0]), []

@@ -45,6 +45,7 @@ def learn_noise(
     measured = share.sum(-1)[..., None, None]  # probability that each target was measured
     total = measured.sum(-3, keepdim=True)
     mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
+    # Below a half no target was measured, more likely than not.
     return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
 
 
