@@ -240,58 +240,83 @@ class Outliers(nn.Module):
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
-        rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
-        sizes, log_shares = (
-            values_first(self.outlier_sizes(mean), rank),
-            values_first(self.outlier_shares(mean).log(), rank),
-        )
-        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of no outlier, and of outliers
-        offsets = None
-        if self.outlier_offsets is not None:
-            offsets = values_first(self.outlier_offsets(mean), rank)
-            offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets])
-        belief = Gaussian(torch.zeros_like(mean), eye.expand_as(root))
-        log_density, outliers = torch.zeros_like(mean[..., 0]), []
-        single, none_measured = len(self.blocks) == 1, torch.ones_like(missing[..., :1, None])
-        log_ratio = None if repeated is None else torch.zeros_like(mean[..., 0])
+        eye, noise = torch.eye(reads, dtype=root.dtype, device=root.device), self._noise(mean)
+        belief, log_density = Gaussian(torch.zeros_like(mean), eye.expand_as(root)), torch.zeros_like(mean[..., 0])
+        none_measured, outliers, ratios = torch.ones_like(missing[..., :1, None]), [], []
         for b, block in enumerate(self.blocks):
-            # In front: without any outlier so far, and with some; before the first block the two are one.
-            chance, absent = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
-            whitened = compare(so_far, block)
+            whitened, absent = compare(so_far, block), missing[..., list(block)]
             if b and whitened.rest.shape[-1]:
                 whitened = whitened._replace(spread=hstack(none_measured * tria(whitened.rest), whitened.slope))
             none_measured = none_measured * absent.amin(-1)[..., None, None]
             rows, cross, left, residual = _in_space_of(whitened, belief)
-            adapted = self.adapted(sizes, residual[-1:], absent, offsets)
-            updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, absent, offsets)
-            none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
-            if not self.outliers_inform:
-                updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
-            if b:  # after the first block, beliefs without and with outliers differ
-                first, log_first = sequential(rows[:1], residual[:1], sizes[:1], absent)
-                none, log_none = _entry(first, 0), log_first[0]
-            joint = torch.cat(
-                [(log_updated[0] + torch.log1p(-chance)).unsqueeze(0), log_updated[1:] + chance.log() + log_shares]
-            )
-            start = int(single)  # given that some block is an outlier, a single block is: no inlier among its sizes
-            if repeated is not None and log_ratio is not None:
-                again, change = repeated[0][..., b], elements_of(repeated[1], block)
-                _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], absent)  # noise of two steps
-                without, same = joint[start:], log_same + chance.log() + safe_log(again)
-                joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-again), same.expand_as(joint[:1])])
-                updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
-                log_ratio = log_ratio + _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))
-            roots, log_some = share_roots(joint[start:])
-            some = matched(Gaussian(updated.mean[start:], updated.scale_tril[start:]), roots)
-            both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
-            spread = cross @ both.scale_tril
+            again = None if repeated is None else (repeated[0][..., b], elements_of(repeated[1], block))
+            unknowns, log_block, outlier, ratio = self._weigh_modes(rows, residual, absent, prior[..., b], noise, again)
+            spread = cross @ unknowns.scale_tril
             spread = spread if left is None else hstack(spread, left)
-            belief = Gaussian(belief.mean + apply(cross, both.mean), tria(spread))
-            log_density = log_density + torch.cat([log_none, log_some])
-            outliers.append(torch.ones_like(log_some) if single else roots[1:].square().sum(0))
+            belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
+            log_density = log_density + log_block
+            outliers.append(outlier)
+            ratios += [] if ratio is None else [ratio]
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
+        log_ratio = reduce(torch.add, ratios) if ratios else None
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
+
+    def _noise(self, mean: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Sizes ``(1 + C, ...)`` of the noise, the first of no outlier, logs ``(C, ...)`` of shares, and offsets."""
+        rank = mean.dim() - 1
+        sizes, shares = values_first(self.outlier_sizes(mean), rank), self.outlier_shares(mean)
+        sizes, log_shares = torch.cat([torch.ones_like(sizes[:1]), sizes]), values_first(shares.log(), rank)
+        if self.outlier_offsets is None:
+            return sizes, log_shares, None
+        offsets = values_first(self.outlier_offsets(mean), rank)
+        return sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets])
+
+    def _weigh_modes(
+        self, rows: Tensor, residual: Tensor, absent: Tensor, chance: Tensor,
+        noise: tuple[Tensor, Tensor, Tensor | None], again: tuple[Tensor, Whitened] | None,
+    ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None]:  # fmt: skip
+        """The update of unknowns by one block, without any outlier so far and with some, which are in front.
+
+        Args:
+            rows: ``(1 or 2, R, 2, ..., m, k)`` measurement matrix of the unknowns, ``N(0, I)`` before: before the first
+                block the two in front are one.
+            residual: ``(1 or 2, R, 2, ..., m)``.
+            absent: ``(..., m)`` 1 where missing, 0 where measured.
+            chance: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
+            noise: from ``_noise``.
+            again: probability that an outlier has the offset of the step before, and the change of the measurement.
+
+        Returns:
+            The posterior ``(2, R, 2, ..., k)`` of the unknowns, the log density ``(2, R, 2, ...)`` of the block, the
+            probability ``(1, R, 2, ...)`` that it is an outlier, given that some block is, and the log likelihood ratio
+            with and without ``again``.
+        """
+        (sizes, log_shares, offsets), single, log_ratio = noise, len(self.blocks) == 1, None
+        adapted = self.adapted(sizes, residual[-1:], absent, offsets)
+        updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, absent, offsets)
+        none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
+        if not self.outliers_inform:
+            updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
+        if len(rows) > 1:
+            first, log_first = sequential(rows[:1], residual[:1], sizes[:1], absent)
+            none, log_none = _entry(first, 0), log_first[0]
+        joint = torch.cat(
+            [(log_updated[0] + torch.log1p(-chance)).unsqueeze(0), log_updated[1:] + chance.log() + log_shares]
+        )
+        start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
+        if again is not None:
+            probability, change = again
+            _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], absent)  # noise of two steps
+            without, same = joint[start:], log_same + chance.log() + safe_log(probability)
+            joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
+            updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
+            log_ratio = _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))
+        roots, log_some = share_roots(joint[start:])
+        some = matched(Gaussian(updated.mean[start:], updated.scale_tril[start:]), roots)
+        both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
+        outlier = torch.ones_like(log_some) if single else roots[1:].square().sum(0)
+        return both, torch.cat([log_none, log_some]), outlier, log_ratio
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last at least the mean square of a residual ``(..., m)`` if adaptive."""
