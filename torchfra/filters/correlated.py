@@ -213,6 +213,7 @@ def with_errors(preset: P, takes: bool = True) -> P:
         if not takes:
             expected = f"one without time-correlated errors, as {preset.__name__} has none in its state"
             raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
+        # Each element with an error gets the next component behind those of the target.
         errors, behind = errors_of(sensor), count(_one(motion).size)
         biased = Biased(without_errors(sensor), [next(behind) if has else None for has in have_errors(sensor)])
         options = {name: x for name, x in options.items() if name not in (first, second)}

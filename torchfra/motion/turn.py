@@ -85,6 +85,7 @@ class CoordinatedTurn(Motion):
             return matrix
         rate = self.rate(matrix)
         zero = torch.zeros_like(rate)
+        # The acceleration is the rate times the velocity turned by 90 degrees, and 0 on axes outside of the turn.
         across = _plane(self.dims, zero, rate)
         across = across * torch.ones(self.dims, dtype=rate.dtype, device=rate.device).index_fill_(
             0, torch.arange(2, self.dims, device=rate.device), 0.0

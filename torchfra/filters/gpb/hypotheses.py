@@ -132,6 +132,7 @@ def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
         x = x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
         if not more:
             return x
+        # The first layer has the beliefs of the motions; of every other one the first motion counts.
         layers = x.expand(more + 1, *x.shape[1:])
         return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
 

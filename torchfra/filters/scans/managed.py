@@ -71,6 +71,7 @@ def update_uncertain(
 def _advanced(
     f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None, visible: Tensor | None
 ) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
+    """One scan, in which a target that is not measured is missed, even if nothing is measured."""
     state, record = f.advance(state, frame, exists=exists, visible=visible, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
