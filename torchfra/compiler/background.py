@@ -43,7 +43,7 @@ class InBackground:
         """See ``filters.engine.Engine``."""
         return self._call("once", f, arguments)
 
-    def scan(self, f: Any, *arguments: Any) -> Any:
+    def over_steps(self, f: Any, *arguments: Any) -> Any:
         """See ``filters.engine.Engine``."""
         return self._call("scan", f, arguments)
 

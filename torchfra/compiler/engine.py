@@ -93,8 +93,8 @@ class Compiled:
         cut = checkpoint or truncate
         done = self._ready(f, measurements, prior, past, cut)
         if done is None:
-            begun, rank = f.begun(measurements, prior)
-            done = self.scan(f, begun, measurements, rank, checkpoint, truncate, past)
+            begun, rank = f.first_state(measurements, prior)
+            done = self.over_steps(f, begun, measurements, rank, checkpoint, truncate, past)
             self._get_ready(f, begun, measurements, prior, past, cut)
         if isinstance(done, Estimate):
             return done, None, None
@@ -126,13 +126,15 @@ class Compiled:
             now, plan, data = self._plan(f, state, measurements, past)
             now.get_tracks_ready(form, plan, prior, state, data, past, plain)
 
-    def scan(
+    def over_steps(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Any]:  # fmt: skip
         """The state after whole tracks that have been checked, and what ``f.keep`` keeps of each step."""
         if not self.takes(measurements.z):
-            scanned: tuple[Any, Any] = self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
+            scanned: tuple[Any, Any] = self.otherwise.over_steps(
+                f, state, measurements, rank, checkpoint, truncate, past
+            )
             return scanned
         now, plan, data = self._plan(f, state, measurements, past)
         first = plan.kernels.is_new and plan.device.type == "cpu" and not f.scans
@@ -224,10 +226,10 @@ class Compiled:
         if not isinstance(dt, (Tensor, float, int)):
             f._frame(state, measurements)
         now = self._now(f)
-        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
         kind = _whole(f, measurements), watched
-        done = now.ready[kind](state, data, now.read(), None if checked else f.instants)
+        done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
     @staticmethod
@@ -245,7 +247,7 @@ class Compiled:
                     now.steps.clear()
                 plan = now.steps[form] = now.plan(traced.Observe(*kind), state, data, (False,) * 5)
         else:
-            check_changing(data, f.instants)
+            check_changing(data, f.zero_dt)
         now.get_ready(plan, state, data, kind)
         return now.run(plan, 1, state, data)
 
@@ -255,9 +257,9 @@ def _whole(f: Any, measurements: Measurements) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _seconds(dt: float, dtype: torch.dtype, instants: bool) -> Tensor:
+def _seconds(dt: float, dtype: torch.dtype, zero_dt: bool) -> Tensor:
     """A time step that has been checked."""
     seconds = number(dt, dtype)
     if not is_ordinary(seconds, dtype):
-        check_seconds(dt, dtype, instants)
+        check_seconds(dt, dtype, zero_dt)
     return seconds

@@ -54,7 +54,7 @@ class ReadySteps:
         self._known: dict[Hashable, list[ReadyStep]] = {}
 
     def __call__(
-        self, state: Any, data: Data, values: Sequence[Tensor], instants: bool | None
+        self, state: Any, data: Data, values: Sequence[Tensor], zero_dt: bool | None
     ) -> tuple[Any, Any] | None:
         """The next state and the record of the step; None where no step is ready.
 
@@ -62,7 +62,7 @@ class ReadySteps:
             state: before the step.
             data: of the step.
             values: what the filter holds.
-            instants: whether ``dt`` may be 0, to check what comes with the measurement; None where that is good.
+            zero_dt: whether ``dt`` may be 0, to check what comes with the measurement; None where that is good.
 
         Raises:
             ValueError: the time step or the noise has a bad value.
@@ -70,8 +70,8 @@ class ReadySteps:
         for step in self._known.get(_kind(state, data), ()):
             tensors = step.tensors(state, data, values)
             if tensors is not None:
-                if instants is not None:
-                    check_changing(data, instants)
+                if zero_dt is not None:
+                    check_changing(data, zero_dt)
                 made: tuple[Any, Any] = step.made(step.run(tensors))
                 return made
         return None
@@ -96,7 +96,7 @@ def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
         return torch.tensor(value, dtype=dtype)
 
 
-def check_changing(data: Data, instants: bool) -> None:
+def check_changing(data: Data, zero_dt: bool) -> None:
     """Checks the values that come with each measurement.
 
     Raises:
@@ -104,7 +104,7 @@ def check_changing(data: Data, instants: bool) -> None:
     """
     z, dt, _, std, noise = data
     if noise is not None or not all(x is None or is_ordinary(x, z.dtype) for x in (dt, std)):
-        check_values(Measurements(*data).as_track(), instants)
+        check_values(Measurements(*data).as_track(), zero_dt)
 
 
 def is_ordinary(x: Time, dtype: torch.dtype) -> bool:

@@ -46,7 +46,7 @@ class Standalone(NamedTuple):
         state: those of a state.
         inputs: those of what a step reads.
         outputs: those of what it writes.
-        instants: whether a step may take no time.
+        zero_dt: whether a step may take no time.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Standalone(NamedTuple):
     state: Sequence[Field]
     inputs: Sequence[Field]
     outputs: Sequence[Field]
-    instants: bool
+    zero_dt: bool
 
     def files(self) -> dict[str, str]:
         """The text of each file by its name."""
@@ -94,7 +94,7 @@ class Standalone(NamedTuple):
 
     def _named(self, text: str) -> str:
         mean, root = (str(x.shape.numel()) for x in self.prior)
-        words = {"INSTANT": "0 or more" if self.instants else "above 0", "MEAN": mean, "ROOT": root, "NAME": self.name,
+        words = {"INSTANT": "0 or more" if self.zero_dt else "above 0", "MEAN": mean, "ROOT": root, "NAME": self.name,
                  "SCALAR": SCALARS[self.advance.dtype]}  # fmt: skip
         for word, value in words.items():
             text = text.replace(word, value)

@@ -32,8 +32,8 @@ class View:
     def advance(self, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Any]:
         """One step, from a state with an empty memory; the next state has the memory of the one before."""
         parent: Any = super()
-        after, record = parent.advance(parent.unremembered(state), frame, *mix)
-        return parent.remembering(after, state), record
+        after, record = parent.advance(parent.without_memory(state), frame, *mix)
+        return parent.with_memory_of(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Any:
         """A view of the home filter around another sensor."""

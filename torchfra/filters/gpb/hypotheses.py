@@ -40,6 +40,11 @@ class Posterior(NamedTuple):
     log_likelihood: Tensor
     """``(...)`` log likelihood of the measurement."""
 
+    @property
+    def some_outlier(self) -> Tensor:
+        """``(...)`` probability that the measurement has an outlier in some block."""
+        return self.mode[1, 0, 0].square()
+
 
 @event_ranks(log_weight=0)
 class Hypotheses(NamedTuple):
@@ -60,7 +65,7 @@ class Hypotheses(NamedTuple):
         roots, total = share_roots(torch.where(none, 0.0, log_weight))
         roots, total = torch.where(none, 0.0, roots), torch.where(none, -torch.inf, total)
         sizes = [self.log_weight.shape[axis] for axis in axes]
-        return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _kept(total, axes)
+        return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _reinserted(total, axes)
 
     def posterior(self) -> Posterior:
         """Probability of each, where weights are prior times likelihood of the measurement."""
@@ -99,7 +104,7 @@ def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
     first = [_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch))]
     one = matched(Gaussian(*first[:2]), first[2], angles)
-    return Gaussian(*(_kept(x, axes) for x in one))
+    return Gaussian(*(_reinserted(x, axes) for x in one))
 
 
 def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
@@ -127,6 +132,7 @@ def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
         x = x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
         if not more:
             return x
+        # The first layer has the beliefs of the motions; of every other one the first motion counts.
         layers = x.expand(more + 1, *x.shape[1:])
         return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
 
@@ -168,7 +174,7 @@ def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], coun
 
     def placed(event: int, x: Tensor) -> Tensor:
         x = x.movedim((-2 - event, -1 - event), sorted(range(2), key=axes.__getitem__))  # in the order of their axes
-        return _kept(x, [axis for axis in range(count) if axis not in axes])
+        return _reinserted(x, [axis for axis in range(count) if axis not in axes])
 
     every: Hypotheses = tree.map_ranked(placed, Hypotheses(belief, log_weight))
     return every
@@ -189,6 +195,12 @@ def batch_first(values: Tensor, axis: int) -> Tensor:
     return _behind(values, (axis,), 3, 0)
 
 
+def values_first(values: Tensor, rank: int) -> Tensor:
+    """Values ``(..., C)`` of tracks as ``(C, ...)``, with ``rank`` dimensions behind the first, the last of tracks."""
+    values = values.movedim(-1, 0)
+    return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])
+
+
 def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
     """Moves some of the ``count`` axes behind the batch, in front of the event; the others, of size 1, are dropped."""
     x = _in_front(x, axes)
@@ -199,11 +211,12 @@ def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
 
 
 def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
+    """Moves axes in front of all others, in this order."""
     return x.movedim(tuple(axes), tuple(range(len(axes))))
 
 
-def _kept(x: Tensor, axes: Sequence[int]) -> Tensor:
-    """Inserts the axes that a sum has taken away again, with size 1."""
+def _reinserted(x: Tensor, axes: Sequence[int]) -> Tensor:
+    """Inserts axes of size 1, in the place of those that a sum has taken away."""
     for axis in sorted(axes):
         x = x.unsqueeze(axis)
     return x
