@@ -13,11 +13,9 @@ from test_compile import both, close
 
 from torchfra.compiler import schedule
 from torchfra.compiler.expressions import ZERO, Expressions, Routine
-from torchfra.compiler.frame import frame, needs
-from torchfra.compiler.masked import with_masked
-from torchfra.compiler.merges import with_merged
-from torchfra.compiler.plan import Plan
+from torchfra.compiler.plan import Plan, frame, needs
 from torchfra.compiler.program import Program
+from torchfra.compiler.rewrites import with_masked, with_merged
 from torchfra.compiler.schedule import Piece, cut, pieces
 from torchfra.compiler.source import Port, Scan
 

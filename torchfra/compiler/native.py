@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from torchfra.compiler.access import Access, Step
 from torchfra.compiler.elementary_functions import SHARED, applied, function
 from torchfra.compiler.expressions import Expressions, Routine
-from torchfra.compiler.frame import crossing, needs
 from torchfra.compiler.gathering import gathered
 from torchfra.compiler.instructions import Code, Lanes
-from torchfra.compiler.plan import Plan
+from torchfra.compiler.plan import Access, Plan, Step, crossing, needs
 from torchfra.compiler.routines import called_by
 from torchfra.compiler.schedule import Condition, Piece
 from torchfra.compiler.tensor_entries import BLOCK, TensorEntries

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.compiler.divisions import with_quotients
 from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_back
 from torchfra.compiler.expressions import Expressions, Routine
+from torchfra.compiler.rewrites import with_quotients
 from torchfra.compiler.schedule import cost, ordered
 from torchfra.compiler.statements import called, statement
 from torchfra.linalg.batches import broadcast_shapes

@@ -14,8 +14,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
-from torchfra.compiler.boundary import Boundary
-from torchfra.compiler.boundary_gradient import after_back, begin_back
+from torchfra.compiler.boundary import Boundary, after_back, begin_back
 from torchfra.compiler.guards import savable
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import BUILDING, Making, Program, Ready, batch_first

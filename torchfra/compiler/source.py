@@ -7,16 +7,13 @@ from dataclasses import dataclass
 
 import torch
 
-from torchfra.compiler.access import Access, Step
-from torchfra.compiler.choices import with_choices_last
-from torchfra.compiler.divisions import with_quotients
 from torchfra.compiler.expressions import ZERO, Expressions
 from torchfra.compiler.instructions import Lanes
-from torchfra.compiler.masked import with_masked
 from torchfra.compiler.native import Native
 from torchfra.compiler.pages import PAST
-from torchfra.compiler.plan import Plan
+from torchfra.compiler.plan import Access, Plan, Step
 from torchfra.compiler.processor import lanes_of
+from torchfra.compiler.rewrites import with_choices_last, with_masked, with_quotients
 from torchfra.compiler.schedule import Condition, conditions, regions
 from torchfra.compiler.sharing import kernel, module
 from torchfra.compiler.statements import file, template

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from torchfra.compiler.access import Access
 from torchfra.compiler.instructions import Code, Lanes, phi
+from torchfra.compiler.plan import Access
 
 PORT = "{ ptr, i64, i64, i64 }"
 """A tensor: where it is, and how far it is to the next track, the next step, the next entry."""

@@ -12,11 +12,10 @@ from torch import Tensor, nn
 
 from torchfra.compiler import traced
 from torchfra.compiler.backward import BackwardInputs, retreat
-from torchfra.compiler.copies import frozen
 from torchfra.compiler.program import Program
 from torchfra.compiler.run import Kernels, has_gradient
 from torchfra.compiler.single_steps import Data, ReadyStep, ReadySteps, number
-from torchfra.compiler.step import Input, Step
+from torchfra.compiler.step import Input, Step, frozen
 from torchfra.compiler.unchanged import Seen
 from torchfra.compiler.whole_tracks import AllReadyTracks, ReadyTracks, WholeTracks
 from torchfra.gaussian.inputs import Measurements

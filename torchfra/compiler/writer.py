@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from torchfra.compiler.access import Access
-from torchfra.compiler.plan import Plan
+from torchfra.compiler.plan import Access, Plan
 from torchfra.compiler.routines import texts
 from torchfra.compiler.schedule import Piece
 from torchfra.compiler.statements import as_number, as_truth, called, declared, function, indented, statement
