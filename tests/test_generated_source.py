@@ -11,7 +11,7 @@ import torch
 
 import torchfra
 from torchfra import presets
-from torchfra.compiler import names, origin
+from torchfra.compiler import cpp, origin
 from torchfra.compiler.export import export
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.step import Input, Step
@@ -90,15 +90,15 @@ def test_a_gradient_names_the_lines_it_is_the_gradient_of():
 @pytest.mark.parametrize("path", ["at", "double", "v17", "in0", "std", "errno", "sin_", "a__b", "_a", "Δ", "log1p_"])
 def test_a_name_that_c_reads_otherwise_is_not_given(path):
     book = Expressions()
-    names.give(book, path, [book.input()], single=True)
+    cpp.give(book, path, [book.input()], single=True)
     assert book.names == {}
 
 
 def test_no_two_expressions_have_one_name_and_none_has_two():
     book = Expressions()
     x, y, z = book.input(), book.input(), book.input()
-    names.give(book, "a", [x, y, x, 0], single=False)
-    names.give(book, "a_1", [z], single=True)
-    names.give(book, "b.c", [x], single=True)
-    names.give(book, "b.c", [z], single=True)
+    cpp.give(book, "a", [x, y, x, 0], single=False)
+    cpp.give(book, "a_1", [z], single=True)
+    cpp.give(book, "b.c", [x], single=True)
+    cpp.give(book, "b.c", [z], single=True)
     assert book.names == {x: "a_0", y: "a_1", z: "b_c"}

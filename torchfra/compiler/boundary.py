@@ -15,8 +15,8 @@ from torch import Tensor
 
 from torchfra.compiler.entries import Entries, as_entries, entry_ids
 from torchfra.compiler.expressions import Expressions
-from torchfra.compiler.processor import lanes_of
-from torchfra.compiler.refusals import refusals_of
+from torchfra.compiler.llvm import lanes_of
+from torchfra.compiler.origin import refusals_of
 from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.step import Step, carried, ports, pullback
 from torchfra.compiler.track_native import Checked, Places, track_module

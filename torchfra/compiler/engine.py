@@ -12,15 +12,13 @@ from torch import Tensor, nn
 
 from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
-from torchfra.compiler.guards import hooked
+from torchfra.compiler.forms import hooked, late
 from torchfra.compiler.llvm import is_installed
 from torchfra.compiler.program import BUILDING, Making
+from torchfra.compiler.ready import Data, check_changing, form_of, is_ordinary, is_short, number, seconds_of
 from torchfra.compiler.run import has_gradient
-from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, number
 from torchfra.compiler.source import SCALARS
-from torchfra.compiler.trees import late
 from torchfra.compiler.version import Plan, Version
-from torchfra.compiler.whole_tracks import form_of, is_short, seconds_of
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced

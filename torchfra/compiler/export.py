@@ -11,12 +11,11 @@ import torch
 from torch import Tensor
 
 from torchfra.compiler import traced
+from torchfra.compiler.cpp import KEYWORDS, file
 from torchfra.compiler.entries import Entries, as_entries
 from torchfra.compiler.expressions import Expressions
-from torchfra.compiler.names import KEYWORDS
-from torchfra.compiler.refusals import refusals_of
+from torchfra.compiler.origin import refusals_of
 from torchfra.compiler.source import SCALARS, Scan
-from torchfra.compiler.statements import file
 from torchfra.compiler.step import Input, Step, frozen, give_all, ports
 from torchfra.hyper import hypers, one_of
 from torchfra.linalg.tracing import elementary

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchfra.compiler.boundary import PRIOR, Boundary, after_back
-from torchfra.compiler.guards import guard, savable
+from torchfra.compiler.forms import guard, savable
 from torchfra.compiler.program import Program, Ready, batch_first, strided
 from torchfra.compiler.source import Port
 from torchfra.compiler.track_kernel import TrackKernel

@@ -15,7 +15,7 @@ from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
 from torchfra.compiler.boundary import Boundary, after_back, begin_back
-from torchfra.compiler.guards import savable
+from torchfra.compiler.forms import savable
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import BUILDING, Making, Program, Ready, batch_first
 from torchfra.compiler.source import Scan

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 
 import torch
 
+from torchfra.compiler.cpp import Writer, file, template
 from torchfra.compiler.expressions import ZERO, Expressions
 from torchfra.compiler.instructions import Lanes
+from torchfra.compiler.llvm import lanes_of
 from torchfra.compiler.native import Native
 from torchfra.compiler.pages import PAST
 from torchfra.compiler.plan import Access, Plan, Step
-from torchfra.compiler.processor import lanes_of
 from torchfra.compiler.rewrites import with_choices_last, with_masked, with_quotients
 from torchfra.compiler.schedule import Condition, conditions, regions
 from torchfra.compiler.sharing import kernel, module
-from torchfra.compiler.statements import file, template
 from torchfra.compiler.tensor_entries import functions
-from torchfra.compiler.writer import Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""

@@ -13,14 +13,14 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 import torchfra.compiler.operations  # noqa: F401  fills the table of operations that Entries look up
+from torchfra.compiler.cpp import give
 from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_back
 from torchfra.compiler.expressions import ZERO, Expressions, TooManyError
-from torchfra.compiler.names import give
-from torchfra.compiler.refusals import gradient_refusals_of, refusals_of
+from torchfra.compiler.forms import late
+from torchfra.compiler.origin import gradient_refusals_of, refusals_of
 from torchfra.compiler.routines import called_for_each
 from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.tangents import tangent
-from torchfra.compiler.trees import late
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, paths, unflatten
 
