@@ -41,8 +41,8 @@ def source():
 def test_inputs_state_and_outputs_have_the_names_of_their_fields(source):
     step = source.partition("namespace advance")[2]
     for name in ("z_0", "z_1", "dt", "belief_mean_3", "belief_scale_tril_0", "next_belief_mean_3", "log_likelihood"):
-        assert re.search(rf"const V {name} = ", step), name
-    declared = re.findall(r"const [VM] (\w+) = [^;]*;", step)
+        assert re.search(rf"const Scalar {name} = ", step), name
+    declared = re.findall(r"const (?:Scalar|bool) (\w+) = [^;]*;", step)
     assert len(declared) > 100
     assert not re.search(r"_r\d+\(", step)  # no routines: it is not large
 

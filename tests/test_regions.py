@@ -278,7 +278,7 @@ def test_the_gradient_of_a_branch_is_computed_where_the_branch_is(make, tracks, 
     shares, source = [], Scan.source
 
     def planned(scan, narrow=False):
-        shares.append(Plan(scan.step(), narrow).guarded)
+        shares.append(Plan(scan.loop(), narrow).guarded)
         return source(scan, narrow)
 
     monkeypatch.setattr(Scan, "source", planned)

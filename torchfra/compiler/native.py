@@ -9,13 +9,16 @@ from torchfra.compiler.elementary_functions import SHARED, applied, function
 from torchfra.compiler.expressions import Expressions, Routine
 from torchfra.compiler.gathering import gathered
 from torchfra.compiler.instructions import Code, Lanes
-from torchfra.compiler.plan import Access, Plan, Step, crossing, needs
+from torchfra.compiler.plan import Access, Loop, Order, Plan, crossing, needs
 from torchfra.compiler.routines import called_by
 from torchfra.compiler.schedule import Condition, Piece
 from torchfra.compiler.tensor_entries import BLOCK, TensorEntries
 
 _ALWAYS = ("%s", "%aside", "%left", "%in", "%out", "%at")
 """What a function takes that is called for all tracks."""
+_BEGIN, _ONCE = ("%s", "%left", "%in", "%at"), ("%s", "%in", "%at")
+_LAST, _END = ("%s", "%out", "%at"), ("%s", "%left", "%out", "%at")
+"""What those take that are called before and after the loop."""
 _OPERATORS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq"}
 _LONG = 20_000
@@ -27,19 +30,19 @@ class Native:
     """Writes the functions of a step.
 
     Args:
-        step: the step.
+        loop: the step.
         lanes: the tracks of a pack.
         backwards: whether from the last step to the first.
         name: what the names of its functions begin with.
     """
 
-    def __init__(self, step: Step, lanes: Lanes, backwards: bool = False, name: str = "") -> None:
-        self._step, self.lanes, self._backwards, self._name = step, lanes, backwards, name
-        self.plan = Plan(step, lanes.width == 1)
+    def __init__(self, loop: Loop, lanes: Lanes, backwards: bool = False, name: str = "") -> None:
+        self._loop, self.lanes, self._backwards, self._name = loop, lanes, backwards, name
+        self.plan = Plan(loop, lanes.width == 1)
         self._book, self._frame = self.plan.book, self.plan.frame
         self.declared: set[str] = set()
         self.texts: list[str] = []
-        self._called = set[str]() if len(step.live) > _LONG else None
+        self._called = set[str]() if len(loop.live) > _LONG else None
         self._write()
 
     @property
@@ -50,11 +53,17 @@ class Native:
     @property
     def written(self) -> int:
         """Numbers that are written at each step of a track."""
-        return len(self._step.stores)
+        return len(self._loop.stores)
 
-    def _function(self, name: str, args: Sequence[str], result: str = "void") -> Code:
+    def _function(self, name: str, args: Sequence[str]) -> Code:
         parameters = ", ".join(f"ptr noalias {arg}" for arg in args)
-        return Code(self.lanes, f"define internal {result} @{self._name}{name}({parameters})")
+        return Code(self.lanes, f"define internal void @{self._name}{name}({parameters})")
+
+    def _ordered(self, name: str, args: Sequence[str], orders: Sequence[Order], guarded: bool = False) -> None:
+        """A function that does what a plan says; ``guarded``: in a region."""
+        body = _Body(self, self._function(name, args), guarded=guarded)
+        body.do(orders)
+        self._done(body.code)
 
     def _done(self, code: Code) -> None:
         if not code.lines or not code.lines[-1].startswith("ret"):
@@ -74,14 +83,11 @@ class Native:
 
     def _write(self) -> None:
         plan = self.plan
-        for routine in called_by(self._book, self._step.live):
+        for routine in called_by(self._book, self._loop.live):
             self._routine(routine)
-        self._begin()
+        self._ordered("begin", _BEGIN, plan.begin())
         for k, piece in enumerate(plan.before):
-            body = _Body(self, self._function(f"before{k}", ("%s", "%in", "%at")))
-            body.piece(piece, None)
-            self._done(body.code)
-        stored = {*plan.next}
+            self._ordered(f"before{k}", _ONCE, plan.once(piece))
         calls: list[tuple[list[str], str | None]] = []
         start, first = 0, list[str]()
         needed = [needs(self._book, piece) for piece in plan.steps]
@@ -89,17 +95,15 @@ class Native:
             parts = list(group)
             names = [f"piece{k}" for k in range(start, start + len(parts))]
             for name, piece in zip(names, parts, strict=True):
-                body = _Body(self, self._function(name, ("%s",) if guard else _ALWAYS))
-                body.piece(piece, stored)
-                self._done(body.code)
+                self._ordered(name, ("%s",) if guard else _ALWAYS, plan.each(piece), bool(guard))
             if guard:
                 others = [*needed[:start], *needed[start + len(parts) :]]
                 calls.append((first, self._region(guard, parts, names, start, others)))
             start, first = start + len(parts), [] if guard else names
         calls.append(([*first, "turn"], None))
-        self._turn(stored)
-        self._last()
-        self._end()
+        self._ordered("turn", _ALWAYS, plan.turn())
+        self._ordered("last", _LAST, plan.last())
+        self._ordered("end", _END, plan.end())
         self._loops(calls)
 
     def _routine(self, routine: Routine) -> None:
@@ -114,47 +118,6 @@ class Native:
             if i in computed:
                 code.store(code.numbers, body.value(i), code.at("%r", code.numbers, k), self.lanes.size)
         self._done(code)
-
-    def _begin(self) -> None:
-        """Reads what is carried."""
-        body = _Body(self, self._function("begin", ("%s", "%left", "%in", "%at")))
-        for number, access in self._step.first.items():
-            body.put_aside(number, body.read(access), None)
-        self._done(body.code)
-
-    def _turn(self, stored: set[int]) -> None:
-        """Ends a step: writes what no piece has computed, and moves what is carried on."""
-        body = _Body(self, self._function("turn", _ALWAYS))
-        stores = [(i, access) for i, access in self._step.stores if i not in stored]
-        for number in dict.fromkeys([*(i for i, _ in stores), *(i for i, _ in self._frame.moves)]):
-            body.take(number)
-        for number, access in stores:
-            body.written(number, access)
-        for number, place in self._frame.moves:
-            body.code.store(
-                body.code.numbers, body.kept(number), body.code.at("%s", body.code.numbers, place), self.lanes.size
-            )
-        self._done(body.code)
-
-    def _last(self) -> None:
-        """Writes of the last step what the next one would write."""
-        body = _Body(self, self._function("last", ("%s", "%out", "%at")))
-        for number, access in self._step.stores:
-            if number in self.plan.next:
-                body.take(number)
-                body.written(number, access)
-        self._done(body.code)
-
-    def _end(self) -> None:
-        """Writes what the last step has carried."""
-        body = _Body(self, self._function("end", ("%s", "%left", "%out", "%at")))
-        for number, access in self._step.end:
-            if number in self._step.carried:
-                body.take(number, None)
-                body.write(access, body.known[number])
-            else:
-                body.write(access, body.code.constant(0.0))
-        self._done(body.code)
 
     def _region(
         self,
@@ -224,9 +187,9 @@ class Native:
             ]  # fmt: skip
             for number, (type, value) in enumerate(fields):
                 code.store(type, value, code.field(BLOCK, arguments["%at"], number))
-            call("begin", ("%s", "%left", "%in", "%at"), arguments)
+            call("begin", _BEGIN, arguments)
             for number in range(len(self.plan.before)):
-                call(f"before{number}", ("%s", "%in", "%at"), arguments)
+                call(f"before{number}", _ONCE, arguments)
         with code.loop("%steps") as k:
             time = k
             if self._backwards:
@@ -264,48 +227,41 @@ class Native:
         with code.loop(packs) as p:
             arguments = of(p)
             with code.where(some):
-                call("last", ("%s", "%out", "%at"), arguments)
+                call("last", _LAST, arguments)
             code.store("i64", "0", code.field(BLOCK, at, 2, p))
-            call("end", ("%s", "%left", "%out", "%at"), arguments)
+            call("end", _END, arguments)
         self._done(code)
 
 
 class _Body:
     """The instructions of one function, and the values that it knows."""
 
-    def __init__(self, of: Native, code: Code, book: Expressions | None = None) -> None:
-        self._of, self.code, self._book = of, code, book or of.plan.book
+    def __init__(self, of: Native, code: Code, book: Expressions | None = None, guarded: bool = False) -> None:
+        self._of, self.code, self._book, self._guarded = of, code, book or of.plan.book, guarded
         self._frame = of.plan.frame
         self.known: dict[int, str] = {}
-        self._opened: dict[tuple[str, str, str], TensorEntries] = {}
+        self._opened: dict[Access, TensorEntries] = {}
 
-    def piece(self, piece: Piece, stored: set[int] | None) -> None:
-        """All of a piece; ``stored``, if given, grows by what it writes."""
-        step, frame = self._of._step, self._frame
-        late: list[int] = []
-        nodes, values, known, behind = self._book.nodes, self._book.values, self.known, self._of.plan.behind
-        for number in piece.numbers:
-            for arg in nodes[number][1]:
-                if arg not in known and arg not in values:
-                    self.take(arg, piece)
-            access = step.loads.get(number)
-            if access is None:
+    def do(self, orders: Sequence[Order]) -> None:
+        """What a plan says."""
+        code = self.code
+        for what, number, access, place in orders:
+            if what == "compute":
                 self.compute(number)
+            elif what == "take":
+                value = code.load(code.numbers, self._place(number), code.lanes.size)
+                self.known[number] = self._truth_of(value) if self._book.is_bool(number) else value
+            elif access is None:
+                value = self._kept(number)
+                to = code.at("%s", code.numbers, place) if what == "move" else self._place(number)
+                code.store(code.numbers, value, to, code.lanes.size)
+            elif what == "read":
+                tensor = self._tensor(access)
+                self.known[number] = tensor.load(access.entry) if access.packed else tensor.get(access.entry)
+            elif access.type == "bool":
+                self._tensor(access).mark(access.entry, self.truth(number))
             else:
-                known[number] = self.read(access)
-            if number in frame.places or number in frame.left:
-                if number in frame.late:
-                    late.append(number)
-                else:
-                    self.put_aside(number, known[number], piece)
-            for other, store in behind.get(number, ()) if stored is not None else ():
-                if other not in known and other not in values:
-                    self.take(other, piece)
-                self.written(other, store)
-        for number in late:
-            self.put_aside(number, known[number], piece)
-        if stored is not None:
-            stored.update(other for number in piece.numbers for other, _ in behind.get(number, ()))
+                self._tensor(access).write(access.entry, self.value(number))
 
     def value(self, number: int) -> str:
         """An expression where numbers are wanted."""
@@ -361,66 +317,31 @@ class _Body:
         self.known[number] = code.place(code.numbers, max(len(routine.outputs), 1))
         code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {self.known[number]})")
 
-    def take(self, number: int, piece: Piece | None = None) -> None:
-        """Takes a value from its place, unless it is a constant."""
-        if number in self._book.values:
-            return
+    def _kept(self, number: int) -> str:
+        """A value as it lies in its place: of a truth value all bits where it holds."""
+        if not self._book.is_bool(number):
+            return self.value(number)
         code = self.code
-        value = code.load(code.numbers, self._place(number, piece), code.lanes.size)
-        self.known[number] = self._truth_of(value) if self._book.is_bool(number) else value
-
-    def put_aside(self, number: int, value: str, piece: Piece | None) -> None:
-        """Puts a value into its place."""
-        value = self.kept_truth(value) if self._book.is_bool(number) else value
-        self.code.store(self.code.numbers, value, self._place(number, piece), self.code.lanes.size)
-
-    def kept(self, number: int) -> str:
-        """A value as it lies in its place."""
-        return self.kept_truth(self.truth(number)) if self._book.is_bool(number) else self.value(number)
-
-    def kept_truth(self, value: str) -> str:
-        """A truth value as numbers: all bits where it holds."""
-        code = self.code
-        integer = code.new(f"sext {code.truths} {value} to {code.integers}")
+        integer = code.new(f"sext {code.truths} {self.truth(number)} to {code.integers}")
         return code.new(f"bitcast {code.integers} {integer} to {code.numbers}")
 
     def _truth_of(self, value: str) -> str:
-        return code_of_truth(self.code, value)
+        code = self.code
+        integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
+        zero = "0" if code.lanes.width == 1 else "zeroinitializer"
+        return code.new(f"icmp ne {code.integers} {integer}, {zero}")
 
-    def _place(self, number: int, piece: Piece | None) -> str:
+    def _place(self, number: int) -> str:
         """The place of a value; regions have all places side by side."""
         place, own = self._frame.places.get(number), self._frame.own
         if place is None:
             return self.code.at("%left", self.code.numbers, self._frame.left[number])
-        if place < own or (piece and piece.guard):
+        if place < own or self._guarded:
             return self.code.at("%s", self.code.numbers, place)
         return self.code.at("%aside", self.code.numbers, place - own)
 
-    def _open(self, access: Access) -> TensorEntries:
-        key = access.port, access.type, access.step
+    def _tensor(self, access: Access) -> TensorEntries:
+        key = access._replace(entry=0)
         if key not in self._opened:
             self._opened[key] = TensorEntries(self.code, access)
         return self._opened[key]
-
-    def read(self, access: Access) -> str:
-        """What lies in a tensor."""
-        entries = self._open(access)
-        return entries.load(access.entry) if access.how == "load" else entries.get(access.entry)
-
-    def written(self, number: int, access: Access) -> None:
-        """Writes an expression to a tensor."""
-        if access.how == "mark":
-            self._open(access).mark(access.entry, self.truth(number))
-        else:
-            self.write(access, self.value(number))
-
-    def write(self, access: Access, value: str) -> None:
-        """Writes numbers to a tensor."""
-        self._open(access).write(access.entry, value)
-
-
-def code_of_truth(code: Code, value: str) -> str:
-    """Truth values: whether a number in a place stands for true."""
-    integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
-    zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-    return code.new(f"icmp ne {code.integers} {integer}, {zero}")

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.expressions import ZERO, Expressions
 from torchfra.compiler.rewrites import with_merged
 from torchfra.compiler.schedule import Piece, cut, guarded_share, pieces
 
@@ -15,27 +15,20 @@ class Access(NamedTuple):
     """An entry of a tensor that is read or written."""
 
     port: str
-    type: str
-    """Type of the entries."""
-    how: str
-    """The function that does it."""
+    """``"in"`` or ``"out"``."""
+    number: int
+    """Of the tensor among those."""
     entry: int
-    step: str = "step"
-    """Field of ``Block``: ``step``, or ``before`` for the step before."""
-
-    @property
-    def name(self) -> str:
-        """Name of the tensor in a function."""
-        return self.port.replace("[", "").replace("]", "").replace("out", "late" if self.step == "before" else "out")
-
-    @property
-    def opened(self) -> str:
-        """The line that declares the tensor."""
-        return f"const Entries<{self.type}> {self.name}({self.port}, at, at.{self.step});"
+    type: str = "Scalar"
+    """Of its entries: ``"Scalar"``, what the arithmetic is in, ``"double"`` or ``"bool"``."""
+    packed: bool = False
+    """Whether the entries of neighbouring tracks lie side by side."""
+    before: bool = False
+    """Whether that of the step before."""
 
 
-class Step(NamedTuple):
-    """What is computed, read and written.
+class Loop(NamedTuple):
+    """What the step of a loop over time computes, reads and writes.
 
     Args:
         book: the expressions.
@@ -183,16 +176,29 @@ _PACKS, _BYTES = 32, 3 << 17
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
 
 
+class Order(NamedTuple):
+    """One thing that a function of a step does with an expression."""
+
+    what: str
+    """``"take"`` it from its place, ``"compute"`` it, ``"read"`` it from a tensor, ``"keep"`` it in its place,
+    ``"move"`` it to that of another, ``"write"`` it to a tensor."""
+    number: int
+    access: Access | None = None
+    """The entry of the tensor."""
+    place: int = -1
+    """The other place."""
+
+
 class Plan:
-    """How a step is computed.
+    """How a step is computed: its functions, as orders for who writes them in a language.
 
     Args:
-        step: the step.
+        loop: the step.
         narrow: whether for one track.
         length: expressions of a function, about; None for what suits a CPU.
 
     Attributes:
-        step: the step.
+        loop: the step.
         book: the expressions.
         before: pieces that are computed once.
         steps: those of each step.
@@ -202,43 +208,99 @@ class Plan:
         many: whether packs of tracks share regions.
         packs: of a block of tracks at most.
         unread: places of values that are carried but that no step reads.
-        next: state that a region completes at the end of a step: by its number, that of the old state of the next one,
-            which writes it.
-        behind: by the expression behind which it is done, what is written, and where.
     """
 
-    def __init__(self, step: Step, narrow: bool, length: int | None = None) -> None:
-        self.step, self.book = step, step.book
-        live = [i for i in step.live if i not in self.book.values and i not in step.carried]
-        self.before = [Piece(part, None) for part in cut(self.book, [i for i in live if i not in step.varying], length)]
-        ends = [*step.carried.values(), *(i for i, _ in step.stores)]
-        steps = pieces(self.book, [i for i in live if i in step.varying], ends, length)
+    def __init__(self, loop: Loop, narrow: bool, length: int | None = None) -> None:
+        self.loop, self.book = loop, loop.book
+        live = [i for i in loop.live if i not in self.book.values and i not in loop.carried]
+        self.before = [Piece(part, None) for part in cut(self.book, [i for i in live if i not in loop.varying], length)]
+        ends = [*loop.carried.values(), *(i for i, _ in loop.stores)]
+        steps = pieces(self.book, [i for i in live if i in loop.varying], ends, length)
         self.book, self.steps, self.merged = with_merged(self.book, steps)
         self.guarded = guarded_share(self.book, self.steps)
         self.many = bool(self.guarded) and not narrow
-        self.frame = frame(self.book, self.before, self.steps, step.carried, ends, self.merged, self.many)
+        self.frame = frame(self.book, self.before, self.steps, loop.carried, ends, self.merged, self.many)
         self.unread = max(1, len({*self.frame.left.values()}))
         room = _BYTES // 64 - (self.frame.size - self.frame.own)
         self.packs = max(1, min(_PACKS, room // (self.frame.own + self.unread))) if self.many else 1
         always = (piece for piece in self.steps if piece.guard is None)
         self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
-        self.next = {} if narrow else self._written_next()
-        self.frame.late.update(self.next)
-        self.behind = self._writes()
+        self._next = {} if narrow else self._written_next()
+        self.frame.late.update(self._next)
+        self._behind = self._writes()
+
+    def begin(self) -> list[Order]:
+        """Reads what is carried."""
+        read = self.loop.first.items()
+        return [order for i, access in read for order in (Order("read", i, access), Order("keep", i))]
+
+    def once(self, piece: Piece) -> list[Order]:
+        """A piece of ``before``."""
+        return self._piece(piece, {})
+
+    def each(self, piece: Piece) -> list[Order]:
+        """A piece of ``steps``."""
+        return self._piece(piece, self._behind)
+
+    def _piece(self, piece: Piece, behind: Mapping[int, Sequence[tuple[int, Access]]]) -> list[Order]:
+        orders, late, known = list[Order](), list[Order](), {*piece.numbers, *self.book.values}
+
+        def take(number: int) -> None:
+            if number not in known:
+                orders.append(Order("take", number))
+                known.add(number)
+
+        for number in piece.numbers:
+            for arg in self.book.nodes[number][1]:
+                take(arg)
+            access = self.loop.loads.get(number)
+            orders.append(Order("read" if access else "compute", number, access))
+            if number in self.frame.places or number in self.frame.left:
+                (late if number in self.frame.late else orders).append(Order("keep", number))
+            for other, store in behind.get(number, ()):
+                take(other)
+                orders.append(Order("write", other, store))
+        return orders + late
+
+    def turn(self) -> list[Order]:
+        """Ends a step: writes what no piece has computed, and moves what is carried on, all at once."""
+        behind = {i for piece in self.steps for number in piece.numbers for i, _ in self._behind.get(number, ())}
+        stores = [(i, access) for i, access in self.loop.stores if i not in behind and i not in self._next]
+        numbers = dict.fromkeys([*(i for i, _ in stores), *(i for i, _ in self.frame.moves)])
+        return [
+            *(Order("take", i) for i in numbers if i not in self.book.values),
+            *(Order("write", i, access) for i, access in stores),
+            *(Order("move", i, place=place) for i, place in self.frame.moves),
+        ]
+
+    def last(self) -> list[Order]:
+        """Writes of the last step what the next one would write."""
+        stores = [(i, access) for i, access in self.loop.stores if i in self._next]
+        return [order for i, access in stores for order in (Order("take", i), Order("write", i, access))]
+
+    def end(self) -> list[Order]:
+        """Writes what the last step has carried; 0 where nothing is."""
+        ends = [(i if i in self.loop.carried else ZERO, access) for i, access in self.loop.end]
+        takes = [Order("take", i) for i in dict.fromkeys(i for i, _ in ends if i != ZERO)]
+        return [*takes, *(Order("write", i, access) for i, access in ends)]
 
     def _written_next(self) -> dict[int, int]:
+        """State that a region completes at the end of a step: the old state of the next one, which writes it."""
         places, steps = self.frame.places, self.steps[self.steps.index(self._longest) :] if self._longest else []
         waiting = {i for piece in steps for i in piece.numbers} & {*self.merged.values()}
-        carried = self.step.carried.items()
+        carried = self.loop.carried.items()
         return {new: old for old, new in carried if new in waiting and places[old] == places[new]}
 
     def _writes(self) -> dict[int, list[tuple[int, Access]]]:
-        """Constants, and state of the step before, are spread over the longest piece: memory is never idle."""
+        """By the expression behind which it is done, what is written, and where.
+
+        Constants, and state of the step before, are spread over the longest piece: memory is never idle.
+        """
         behind: dict[int, list[tuple[int, Access]]] = defaultdict(list)
         spread: list[tuple[int, Access]] = []
-        for number, access in self.step.stores:
-            if number in self.next:
-                spread.append((self.next[number], access._replace(step="before")))
+        for number, access in self.loop.stores:
+            if number in self._next:
+                spread.append((self._next[number], access._replace(before=True)))
             elif number in self.book.values and self._longest:
                 spread.append((number, access))
             elif number not in self.merged.values():
