@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -37,21 +37,14 @@ _COUNTED = 256
 T = TypeVar("T")
 
 
-class _Known(Generic[T]):
-    """What has been made ready, by the form of the call; all is forgotten when there is too much."""
-
-    def __init__(self) -> None:
-        self._known: dict[Hashable, list[T]] = {}
-
-    def of(self, form: Hashable) -> Sequence[T]:
-        """What there is for a form, the latest first."""
-        return self._known.get(form, ())
+class _Known(dict[Hashable, list[T]]):
+    """What has been made ready by the form of the call, the latest first; all is forgotten when there is too much."""
 
     def add(self, form: Hashable, made: T) -> None:
         """Remembers one more."""
-        if sum(map(len, self._known.values())) >= _FORMS:
-            self._known.clear()
-        self._known[form] = [made, *self.of(form)]
+        if sum(map(len, self.values())) >= _FORMS:
+            self.clear()
+        self[form] = [made, *self.get(form, ())]
 
 
 class ReadyStep:
@@ -97,7 +90,7 @@ class ReadySteps:
         Raises:
             ValueError: the time step or the noise has a bad value.
         """
-        for step in self._known.of(_kind(state, data)):
+        for step in self._known.get(_kind(state, data), ()):
             tensors = step.tensors(state, data, values)
             if tensors is not None:
                 if instants is not None:
@@ -222,7 +215,7 @@ class AllReadyTracks:
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
-        known = self._known.of(form)
+        known = self._known.get(form, ())
         z, dt, *rest = measurements
         if not known or not isinstance(dt, (Tensor, float, int)):
             return None

@@ -10,13 +10,10 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.compiler.boundary import Boundary
 from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
-from torchfra.compiler.step import Step
 from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
-from torchfra.linalg.triangular import tria
-from torchfra.types import Cause, Estimate, Gaussian
+from torchfra.types import Gaussian
 
 
 def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
@@ -33,20 +30,6 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
     if like is None or type(like) is type(state):
         return state
     return type(like)(state, *(Entries.inputs(book, tuple(targets), dtype) for _ in like[1:]))
-
-
-def boundary(step: Step) -> Boundary:
-    """From a prior with any root to the first state, and from what has been kept of each step to an estimate."""
-
-    def start(f: Any, mean: Tensor, root: Tensor) -> Any:
-        return f.begin(Gaussian(mean, tria(root)))
-
-    def finish(f: Any, state: Any, kept: Any) -> Estimate:
-        estimate: Estimate = f.estimate_of(state, kept)
-        return estimate
-
-    f: Any = step.module
-    return Boundary(step, start, finish, f.motion.size, (-1, int(Cause.NONE)))
 
 
 @dataclass(frozen=True)
