@@ -203,25 +203,19 @@ class Native:
                 code.store("i64", code.new(f"select i1 {begun}, i64 {old}, i64 {time}"), steps[1])
                 code.store("i64", time, steps[0])
             for names, region in calls:
-                if region is None or not self.plan.many:
-                    with code.loop(packs) as p:
-                        arguments = of(p)
-                        if self.plan.packs > 1:
-                            chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
-                            arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
-                        for name in names:
-                            call(name, _ALWAYS, arguments)
-                        if region is not None:
-                            code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']})")
-                else:
-                    # What a region takes is gathered behind what is computed for all, while that is in the first cache.
-                    with code.loop(packs) as p:
-                        arguments = of(p)
+                with code.loop(packs) as p:
+                    arguments = of(p)
+                    if self.plan.packs > 1:
                         chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
                         arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
-                        for name in names:
-                            call(name, _ALWAYS, arguments)
-                        code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']}, ptr {aside}, {memory})")
+                    for name in names:
+                        call(name, _ALWAYS, arguments)
+                    if region is not None:
+                        # What a region takes is gathered behind what is computed for all, while that is in the first
+                        # cache.
+                        together = f", ptr {aside}, {memory}" if self.plan.many else ""
+                        code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']}{together})")
+                if region is not None and self.plan.many:
                     code.do(f"call void @{self._name}flush{region}({memory})")
         some = code.new("icmp sgt i64 %steps, 0")
         with code.loop(packs) as p:
@@ -250,7 +244,7 @@ class _Body:
                 self.compute(number)
             elif what == "take":
                 value = code.load(code.numbers, self._place(number), code.lanes.size)
-                self.known[number] = self._truth_of(value) if self._book.is_bool(number) else value
+                self.known[number] = code.truth(value) if self._book.is_bool(number) else value
             elif access is None:
                 value = self._kept(number)
                 to = code.at("%s", code.numbers, place) if what == "move" else self._place(number)
@@ -275,47 +269,44 @@ class _Body:
 
     def compute(self, number: int) -> None:
         """An expression that is no constant and no input."""
+        self.known[number] = self._computed(number, *self._book.nodes[number])
+
+    def _computed(self, number: int, op: str, args: tuple[int, ...]) -> str:
         book, code = self._book, self.code
-        op, args = book.nodes[number]
         if op == "call":
-            self._call(number, args)
-        elif op in _OPERATORS:
-            a, b = map(self.value, args)
-            self.known[number] = code.new(f"{_OPERATORS[op]} contract {code.numbers} {a}, {b}")
-        elif op == "neg":
-            self.known[number] = code.new(f"fneg {code.numbers} {self.value(args[0])}")
-        elif op == "same":
-            self.known[number] = self.value(args[0])
-        elif op == "eq" and any(book.is_bool(i) for i in args):
-            a, b = (self.truth(i) for i in args)
-            differ = code.new(f"xor {code.truths} {a}, {b}")
-            self.known[number] = code.new(f"xor {code.truths} {differ}, {code.every('i1', 'true')}")
-        elif op in _COMPARED:
-            a, b = (self.value(i) for i in args)
-            self.known[number] = code.new(f"fcmp {_COMPARED[op]} {code.numbers} {a}, {b}")
-        elif op in ("and", "or"):
-            a, b = (self.truth(i) for i in args)
-            self.known[number] = code.new(f"{op} {code.truths} {a}, {b}")
-        elif op == "not":
-            self.known[number] = code.new(f"xor {code.truths} {self.truth(args[0])}, {code.every('i1', 'true')}")
-        elif op == "select":
+            return self._call(number, args)
+        if op == "result":
+            return code.load(
+                code.numbers, code.at(self.known[args[0]], code.numbers, book.places[number]), code.lanes.size
+            )
+        if op == "select":
             kind, type = (self.truth, code.truths) if book.is_bool(number) else (self.value, code.numbers)
             yes, no = (kind(i) for i in args[1:])
-            self.known[number] = code.new(f"select {code.truths} {self.truth(args[0])}, {type} {yes}, {type} {no}")
-        elif op == "result":
-            where = code.at(self.known[args[0]], code.numbers, book.places[number])
-            self.known[number] = code.load(code.numbers, where, code.lanes.size)
-        else:
-            self.known[number] = self._of.applied(code, op, [*map(self.value, args)])
+            return code.new(f"select {code.truths} {self.truth(args[0])}, {type} {yes}, {type} {no}")
+        if op in ("and", "or", "not") or (op == "eq" and any(book.is_bool(i) for i in args)):
+            truths = [*map(self.truth, args)]
+            if op in ("and", "or"):
+                return code.new(f"{op} {code.truths} {truths[0]}, {truths[1]}")
+            differ = truths[0] if op == "not" else code.new(f"xor {code.truths} {truths[0]}, {truths[1]}")
+            return code.new(f"xor {code.truths} {differ}, {code.every('i1', 'true')}")
+        values = [*map(self.value, args)]
+        if op in _OPERATORS:
+            return code.new(f"{_OPERATORS[op]} contract {code.numbers} {values[0]}, {values[1]}")
+        if op in _COMPARED:
+            return code.new(f"fcmp {_COMPARED[op]} {code.numbers} {values[0]}, {values[1]}")
+        if op == "neg":
+            return code.new(f"fneg {code.numbers} {values[0]}")
+        return values[0] if op == "same" else self._of.applied(code, op, values)
 
-    def _call(self, number: int, args: Sequence[int]) -> None:
-        """A call of a routine; what is known of it then is where its results are."""
+    def _call(self, number: int, args: Sequence[int]) -> str:
+        """Where the results of a call of a routine are."""
         code, routine = self.code, self._book.calls[number]
         arguments = code.place(code.numbers, max(len(args), 1))
         for k, arg in enumerate(args):
             code.store(code.numbers, self.value(arg), code.at(arguments, code.numbers, k), code.lanes.size)
-        self.known[number] = code.place(code.numbers, max(len(routine.outputs), 1))
-        code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {self.known[number]})")
+        results = code.place(code.numbers, max(len(routine.outputs), 1))
+        code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {results})")
+        return results
 
     def _kept(self, number: int) -> str:
         """A value as it lies in its place: of a truth value all bits where it holds."""
@@ -324,12 +315,6 @@ class _Body:
         code = self.code
         integer = code.new(f"sext {code.truths} {self.truth(number)} to {code.integers}")
         return code.new(f"bitcast {code.integers} {integer} to {code.numbers}")
-
-    def _truth_of(self, value: str) -> str:
-        code = self.code
-        integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
-        zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-        return code.new(f"icmp ne {code.integers} {integer}, {zero}")
 
     def _place(self, number: int) -> str:
         """The place of a value; regions have all places side by side."""
