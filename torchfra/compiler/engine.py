@@ -69,7 +69,7 @@ class Compiled:
             and z.dtype in SCALARS
             and not is_traced()
             and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
-            and torch._C._functorch.peek_interpreter_stack() is None
+            and not one_operation.in_transform()
             and not (torch.is_grad_enabled() and has_tangents())
         )
 
@@ -144,9 +144,9 @@ class Compiled:
     def _task(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Task, Data]:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
-        keep, timed = traced.Keep(past, _whole(f, measurements)), (True, measurements.varying_dt, True, True, True)
+        advance = traced.Advance(traced.keep_past if past else traced.keep, _whole(f, measurements))
         with BUILDING:
-            return now, now.task(keep, state, data, timed), data
+            return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
 
     def backward(
         self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
@@ -201,7 +201,7 @@ class Compiled:
             return self.otherwise.once(f, function, state, measurements)
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         with BUILDING:
-            task = now.task(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
+            task = now.task(traced.Advance(function, _whole(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
@@ -231,10 +231,12 @@ class Compiled:
         task = now.steps.get(form)
         if task is None:
             f._frame(state, measurements)
+            complete, watched = kind
+            advance = traced.Advance(traced.watch if watched else traced.observe, complete)
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                task = now.steps[form] = now.task(traced.Observe(*kind), state, data, (False,) * 5)
+                task = now.steps[form] = now.task(advance, state, data, (False,) * 5)
         else:
             check_changing(data, f.instants)
         now.get_ready(task, state, data, kind)

@@ -187,7 +187,7 @@ def _check(f: Any, name: str, u: int, inputs: Collection[str], dtype: torch.dtyp
 
 
 def _advance(f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Output]:
-    state, innovation = traced.Observe()(f, state, data)
+    state, innovation = traced.Advance(traced.observe)(f, state, data)
     return state, Output(*state.belief, *innovation)
 
 

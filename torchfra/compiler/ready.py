@@ -187,7 +187,7 @@ class AllReadyTracks:
     """All that have been made ready."""
 
     def __init__(self) -> None:
-        self._known = _Known[ReadyTracks | WholeTracks]()
+        self.known = _Known[ReadyTracks | WholeTracks]()
         self._calls: Counter[Hashable] = Counter()
 
     def due(self, form: Hashable, steps: int, learns: bool) -> bool:
@@ -215,7 +215,7 @@ class AllReadyTracks:
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
-        known = self._known.get(form, ())
+        known = self.known.get(form, ())
         z, dt, *rest = measurements
         if not known or not isinstance(dt, (Tensor, float, int)):
             return None
@@ -227,10 +227,6 @@ class AllReadyTracks:
                     check_values(measurements, f.instants)
                 return tracks(f.begin, tensors)
         return None
-
-    def add(self, form: Hashable, tracks: ReadyTracks | WholeTracks) -> None:
-        """Remembers tracks."""
-        self._known.add(form, tracks)
 
 
 def is_short(steps: int) -> bool:

@@ -33,49 +33,35 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
 
 
 @dataclass(frozen=True)
-class Keep:
-    """One step of ``forward``: ``past`` with what the backward pass needs, ``complete`` where scans are."""
-
-    past: bool = False
-    complete: bool = False
-
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-        """The next state, and what is kept."""
-        return f.keep(state, _frame(f, data, self.complete), past=self.past)
-
-
-@dataclass(frozen=True)
-class Observe:
-    """One step of ``step``, of scans that are ``complete`` or not; ``watched``: with the alarm and the belief."""
-
-    complete: bool = False
-    watched: bool = False
-
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-        """The next state, and the innovation."""
-        frame = _frame(f, data, self.complete)
-        if not self.watched:
-            stepped: tuple[Any, Any] = f.observe(state, frame)
-            return stepped
-        state, (innovation, alarm) = f.watched(state, frame)
-        return state, (innovation, alarm, state.belief)
-
-
-@dataclass(frozen=True)
-class Once:
+class Advance:
     """One step by a function of the filter, a state and a frame, of scans that are ``complete`` or not."""
 
-    function: Callable[[Any, Any, Frame], Any]
+    function: Callable[[Any, Any, Frame], tuple[Any, Any]]
     complete: bool = False
 
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-        """What the function gives."""
-        return self.function(f, state, _frame(f, data, self.complete))
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+        """The next state, and what else the function gives; of one track, or scene."""
+        measurements = Measurements(**data).as_track(scans=f.scans)
+        (frame,), _ = f._frames(CompleteScans(*measurements) if self.complete else measurements, int(f.scans))
+        return self.function(f, state, frame)
 
 
-def _frame(f: Any, data: dict[str, Tensor], complete: bool) -> Frame:
-    """The frame of one step of one track, or scene."""
-    measurements = Measurements(**data).as_track(scans=f.scans)
-    (frame,), _ = f._frames(CompleteScans(*measurements) if complete else measurements, int(f.scans))
-    made: Frame = frame
-    return made
+def keep(f: Any, state: Any, frame: Frame) -> Any:
+    """A step of ``forward``: the next state, and what is kept of the step."""
+    return f.keep(state, frame)
+
+
+def keep_past(f: Any, state: Any, frame: Frame) -> Any:
+    """The same with what the backward pass needs."""
+    return f.keep(state, frame, past=True)
+
+
+def observe(f: Any, state: Any, frame: Frame) -> Any:
+    """A step of ``step``: the next state, and the innovation."""
+    return f.observe(state, frame)
+
+
+def watch(f: Any, state: Any, frame: Frame) -> Any:
+    """The same with the alarm and the belief."""
+    state, (innovation, alarm) = f.watched(state, frame)
+    return state, (innovation, alarm, state.belief)

@@ -68,7 +68,7 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Task] = {}
-        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)  # as ``traced.Observe`` is made of
+        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)  # of complete scans, watched
         self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))
@@ -191,10 +191,10 @@ class Version:
             return
         kernel = None if past else kernels.tracks(run, task.batch, tensors, full[len(leaves) :])
         if kernel is not None:
-            self.tracks.add(form, WholeTracks(kernel, tensors))
+            self.tracks.known.add(form, WholeTracks(kernel, tensors))
         elif not (learns or task.counts):
             made = kernels.step.state, kernels.step.record
-            self.tracks.add(form, ReadyTracks(run, task.batch, tensors, state, made))
+            self.tracks.known.add(form, ReadyTracks(run, task.batch, tensors, state, made))
 
     @staticmethod
     def _changes(tensors: Sequence[Tensor], learns: bool = False) -> bool:
