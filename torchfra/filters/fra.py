@@ -215,6 +215,7 @@ class FRA(Soft, Filter[FRAState]):
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
+        # Interacting models alone, which give a ``mix``, weigh a step by it.
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 

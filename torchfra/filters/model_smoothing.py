@@ -96,6 +96,7 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     frame = adapted(step.frame, mixed.mean)  # as the filter has adapted it
     predicted, _ = inner.carry(mixed, frame, step.next.factor).belief()
     difference = inner.motion.difference
+    # What later measurements add to a prediction, they add to every model before that leads to it.
     later = future(predicted, after.belief, difference)
     each, fit = later.update(inner.carry(before, frame, step.next.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))

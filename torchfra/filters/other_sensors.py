@@ -57,7 +57,7 @@ class SensorViews:
             parts = f.parts_for(sensor)
             view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
             view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
-            if len(self._views) == _VIEWS:
+            if len(self._views) == _VIEWS:  # the one that was used least recently goes
                 self._views.pop(next(iter(self._views)))
         self._views[id(sensor)] = view
         share(f, view)
