@@ -13,7 +13,6 @@ from torch import Tensor
 from torchfra.compiler.engine import Compiled
 from torchfra.compiler.program import Making
 from torchfra.compiler.run import has_gradient
-from torchfra.filters.engine import Engine
 from torchfra.tree import flatten, map_tensors
 
 
@@ -26,7 +25,7 @@ class InBackground:
         otherwise: the engine that answers meanwhile, and runs what kernels do not take.
     """
 
-    def __init__(self, otherwise: Engine) -> None:
+    def __init__(self, otherwise: Any) -> None:
         self.otherwise, self._compiled = otherwise, Compiled(otherwise)
         self.call, self.calls = self._compiled.call, self._compiled.calls
         self._made: dict[Hashable, Future[Any]] = {}

@@ -19,7 +19,6 @@ from torchfra.compiler.ready import Data, check_changing, form_of, is_ordinary, 
 from torchfra.compiler.run import has_gradient
 from torchfra.compiler.source import SCALARS
 from torchfra.compiler.version import Task, Version
-from torchfra.filters.engine import Engine, Function
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
@@ -40,7 +39,7 @@ class Compiled:
     (A list or dictionary that changes inside is not noticed.)
     """
 
-    def __init__(self, otherwise: Engine) -> None:
+    def __init__(self, otherwise: Any) -> None:
         """``otherwise`` is the engine that runs what kernels do not take."""
         self.otherwise, self._versions, self.calls = otherwise, list[Version](), one_operation.Calls()
 
@@ -85,7 +84,10 @@ class Compiled:
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
-            return self.otherwise.forward(f, measurements, prior, checkpoint, truncate, past)
+            found: tuple[Estimate, Any, Any] = self.otherwise.forward(
+                f, measurements, prior, checkpoint, truncate, past
+            )
+            return found
         cut = checkpoint or truncate
         done = self._ready(f, measurements, prior, past, cut)
         if done is None:
@@ -128,7 +130,8 @@ class Compiled:
     ) -> tuple[Any, Any]:  # fmt: skip
         """The state after whole tracks that have been checked, and what ``f.keep`` keeps of each step."""
         if not self.takes(measurements.z):
-            return self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
+            scanned: tuple[Any, Any] = self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
+            return scanned
         now, task, data = self._task(f, state, measurements, past)
         first = task.kernels.is_new and task.device.type == "cpu" and not f.scans
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
@@ -195,10 +198,13 @@ class Compiled:
         with suppress(Exception):
             task.kernels.around(learns=False)
 
-    def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
+    def once(
+        self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements
+    ) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
         if not self.takes(measurements.z):
-            return self.otherwise.once(f, function, state, measurements)
+            done: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
+            return done
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         with BUILDING:
             task = now.task(traced.Advance(function, _whole(f, measurements)), state, data, (False,) * 5)
@@ -210,7 +216,8 @@ class Compiled:
         Shapes are checked unless a call of the same shapes has passed before.
         """
         if not self.takes(measurements.z):
-            return self.otherwise.step(f, state, measurements, watched)
+            stepped: tuple[Any, Any] = self.otherwise.step(f, state, measurements, watched)
+            return stepped
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, float, int)):
             f._frame(state, measurements)
