@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any, Protocol
 
 import torch
@@ -10,6 +11,7 @@ import torch
 from torchfra import tree
 from torchfra.filters.records import Kept, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
+from torchfra.hyper import same_values
 from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
@@ -106,7 +108,8 @@ class Interpreted:
     ) -> tuple[Any, Kept]:  # fmt: skip
         """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
-        state, records = scan(f.advance, state, frames, checkpoint, truncate)
+        with same_values() if checkpoint is None else nullcontext():
+            state, records = scan(f.advance, state, frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         stacked = tree.stack(needed, rank)
         nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))
@@ -128,7 +131,8 @@ class Interpreted:
         """The backward pass."""
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
-        return backward_pass(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
+        with same_values() if checkpoint is None else nullcontext():
+            return backward_pass(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
         """This engine itself, as it holds nothing of a filter."""

@@ -15,7 +15,7 @@ from torchfra.filters.gpb.regimes import in_front
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import mean_durations
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
-from torchfra.hyper import Hyper, Value, Values, one_given
+from torchfra.hyper import Hyper, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
@@ -240,13 +240,8 @@ class Outliers(nn.Module):
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
-        rank, eye = mean.dim() - 1, torch.eye(reads, dtype=root.dtype, device=root.device)
-        sizes, log_shares = in_front(self.outlier_sizes(mean), rank), in_front(self.outlier_shares(mean).log(), rank)
-        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])  # of no outlier, and of outliers
-        offsets = None
-        if self.outlier_offsets is not None:
-            offsets = in_front(self.outlier_offsets(mean), rank)
-            offsets = torch.cat([torch.zeros_like(offsets[:1]), offsets])
+        eye = torch.eye(reads, dtype=root.dtype, device=root.device)
+        sizes, log_shares, offsets = self._sizes(mean)
         belief, log_density, outliers = (
             Gaussian(torch.zeros_like(mean), eye.expand_as(root)),
             torch.zeros_like(mean[..., 0]),
@@ -291,6 +286,20 @@ class Outliers(nn.Module):
             outliers.append(torch.ones_like(log_some) if only else roots[1:].square().sum(0))
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
+
+    @once
+    def _sizes(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Sizes of no outlier and of outliers ``(1 + C, ...)``, logs of shares ``(C, ...)``, offsets ``(1 + C, ...)``.
+
+        For ``like (..., n)`` with the axes of hypotheses in front.
+        """
+        rank = like.dim() - 1
+        sizes, log_shares = in_front(self.outlier_sizes(like), rank), in_front(self.outlier_shares(like).log(), rank)
+        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])
+        if self.outlier_offsets is None:
+            return sizes, log_shares, None
+        offsets = in_front(self.outlier_offsets(like), rank)
+        return sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets])
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last at least the mean square of a residual ``(..., m)`` if adaptive."""
