@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol
 
 import torch
@@ -108,7 +108,7 @@ class Interpreted:
     ) -> tuple[Any, Kept]:  # fmt: skip
         """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
-        with same_values() if checkpoint is None else nullcontext():
+        with _constants(checkpoint):
             state, records = scan(f.advance, state, frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         stacked = tree.stack(needed, rank)
@@ -131,7 +131,7 @@ class Interpreted:
         """The backward pass."""
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
-        with same_values() if checkpoint is None else nullcontext():
+        with _constants(checkpoint):
             return backward_pass(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
@@ -140,6 +140,11 @@ class Interpreted:
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         return "INTERPRETED"  # the copy of a filter has this very engine
+
+
+def _constants(checkpoint: int | None) -> AbstractContextManager[None]:
+    """``same_values``, where no step runs again for its gradient; ``torch.compile`` finds equal expressions itself."""
+    return same_values() if checkpoint is None and not torch.compiler.is_compiling() else nullcontext()
 
 
 INTERPRETED = Interpreted()
