@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -92,7 +91,7 @@ class Hypotheses(NamedTuple):
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
     """The entries of ``x`` along an axis that have these numbers."""
     parts = []
-    for first, count, copies in _runs(tuple(which)):
+    for first, count, copies in _runs(which):
         part = x.narrow(axis, first, count)
         if copies > 1:
             sizes = [-1] * x.dim()
@@ -102,8 +101,7 @@ def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
     return parts[0] if len(parts) == 1 else torch.cat(parts, axis)
 
 
-@lru_cache
-def _runs(which: tuple[int, ...]) -> list[tuple[int, int, int]]:
+def _runs(which: Sequence[int]) -> list[tuple[int, int, int]]:
     """Numbers as runs of successive ones, and of copies of one: the first, how many, and how many copies."""
     runs: list[tuple[int, int, int]] = []
     for k in which:
