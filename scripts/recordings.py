@@ -125,7 +125,7 @@ def compare(options: argparse.Namespace) -> None:
         if name == NETWORK:
             of = mixture(track, [follow(one, track) for one in nclt.MIXED])
         else:
-            of = follow(name, track, None if name in kind.OWN_PRESETS else kind.BIAS)
+            of = follow(name, track, None if name in kind.IN_STATE else kind.BIAS)
         found[track.name][name] = judged(of, track, kind.METRIC)
     write(options, tracks, found)
 

@@ -2,9 +2,9 @@
 
 import torch
 
-from torchfra.compiler.choices import with_choices_last
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program
+from torchfra.compiler.rewrites import with_choices_last
 from torchfra.compiler.source import Port, Scan
 
 

@@ -5,8 +5,10 @@ import oracles
 import pytest
 import torch
 
-from torchfra.cleaning.finding import Part, estimated, fitted, levels_up_to
-from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel
+from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel
+from torchfra.cleaning.finding import estimated, fitted
+from torchfra.cleaning.parts import Part
+from torchfra.cleaning.process_noise import levels_up_to
 from torchfra.cleaning.two_filters import filtered, two_filters
 
 SURE = OutlierModel(begins=1e-300, lasts=1e-300)

@@ -16,7 +16,9 @@ from torchfra import presets, scenarios, tree
 from torchfra.compiler import jit, program
 from torchfra.compiler.program import BUILDING, Making
 from torchfra.compiler.step import Step
-from torchfra.types import CompileError
+from torchfra.motion import RandomWalk
+from torchfra.sensors import Position
+from torchfra.types import CompileError, Gaussian
 
 
 @pytest.fixture
@@ -80,6 +82,17 @@ def test_the_backward_pass_is_made_while_the_filter_compiles(dtype, scenario, mo
     tolerance = 1e-8 if dtype == torch.float64 else 0.1  # models amplify rounding
     close(f.smooth(z, prior, u=u), plain.smooth(z, prior, u=u), tolerance)
     assert len({*loaded}) == len(loaded) == 2
+
+
+@torch.no_grad()
+def test_the_backward_pass_of_one_track_whose_state_has_a_number_is_made_too(monkeypatch):
+    raised, options = [], {"outlier_durations": (10.0, 10.0), "manoeuvres": "none"}
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+    plain = presets.gpb(RandomWalk(1.0, 1), Position(1.0, dims=1), **options)  # its state counts seconds
+    f = copy.deepcopy(plain).compile()
+    z, prior = torch.zeros(3, 1).double(), Gaussian(torch.zeros(1).double(), torch.eye(1).double())
+    close(f.smooth(z, prior), plain.smooth(z, prior))
+    assert not raised
 
 
 @torch.no_grad()

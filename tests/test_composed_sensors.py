@@ -286,7 +286,7 @@ def test_a_radar_stands_where_it_is_told_whatever_the_inputs_are_of():
         torch.testing.assert_close(radar(TRUTH, u), expected)
     torch.testing.assert_close(expected[:, 0], (TRUTH[:, :2] - tensor(20, 0)).norm(dim=-1))
     torch.testing.assert_close(radar.locate(expected), TRUTH[:, :2])
-    assert not radar.state_dict().keys() & {"stands"}
+    assert not radar.state_dict().keys() & {"position"}
 
 
 # ---------------------------------------------------------------- what components are

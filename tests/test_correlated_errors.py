@@ -158,13 +158,13 @@ BAD = [
     (lambda: Correlated(Position(1.0), 3.0, 0.0), r"time: expected a value above 0, received 0"),
     (lambda: Correlated(Position(1.0), 3.0, -5.0), r"time: expected a value above 0, received -5"),
     (lambda: Correlated(Position(1.0), torch.ones(3), 5.0), r"std: expected a number or \(2,\), received \(3,\)"),
-    (lambda: Correlated(MOTION, 3.0, 60.0), r"sensor: expected a sensor without errors that last, received Const"),
-    (lambda: Correlated(Correlated(Position(1.0), 3.0, 60.0), 3.0, 60.0), r"sensor: expected a sensor without errors"),
+    (lambda: Correlated(MOTION, 3.0, 60.0), r"sensor: expected a sensor without time-correlated errors, rec"),
+    (lambda: Correlated(Correlated(Position(1.0), 3.0, 60.0), 3.0, 60.0), r"sensor: expected a sensor without"),
     (lambda: torchfra.filters.SRCKF(MOTION, Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected one without"),
     (lambda: presets.alphabeta(MOTION, Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected"),
     (lambda: presets.srckf(MOTION, Biased(Correlated(Position(1.0), 3.0, 60.0), 2)), r"sensor: expected one without"),
     (lambda: presets.srckf(MOTION, Correlated(Position(1.0), 3.0, 60.0)).with_sensor(
-        Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected one without errors that last"),
+        Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected one without time-correlated errors"),
 ]  # fmt: skip
 
 
@@ -176,5 +176,5 @@ def test_what_it_cannot_be_is_refused_by_name(make, message):
 
 def test_filters_of_several_targets_refuse_errors_that_last():
     scenario = clutter_crossing()
-    with pytest.raises(ValueError, match="sensor: expected one without errors that last"):
+    with pytest.raises(ValueError, match="sensor: expected one without time-correlated errors"):
         presets.jpda(scenario.motion, Correlated(scenario.sensor, 3.0, 60.0), clutter=scenario.clutter, detection=0.9)

@@ -253,3 +253,9 @@ def test_a_lone_checkpoint_of_the_one_before_is_not_overwritten_and_is_used(tmp_
     assert capsys.readouterr().err == f"train: {tmp_path}/checkpoint-previous.pt is used\n"
     assert (tmp_path / "checkpoint-previous.pt").read_bytes() == before
     assert json.loads((tmp_path / "results.json").read_text())["iterations"] == 2
+
+
+def test_json_takes_integers_of_numpy_as_numbers(tmp_path):
+    held = {"runs": np.int64(3), "compiled": True, "error": float("nan")}
+    path = atomic_write.write_json(tmp_path / "settings.json", held)
+    assert json.loads(path.read_text()) == {"runs": 3, "compiled": True, "error": None}

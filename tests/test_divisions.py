@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from torchfra.compiler.divisions import with_quotients
 from torchfra.compiler.expressions import Expressions
+from torchfra.compiler.rewrites import with_quotients
 from torchfra.compiler.run import Kernels
 from torchfra.compiler.step import Input, Step
 

@@ -25,8 +25,8 @@ def test_every_filter_of_a_scenario_is_traced(scenario, names):
 
 def expressions(f, prior, z, u=None):
     """How many a step is."""
-    _, plan, _ = f.engine._plan(f, f.init(prior), Measurements(z, 1.0, u), False)
-    return len(plan.kernels.step.forwards().live())
+    _, task, _ = f.engine._task(f, f.init(prior), Measurements(z, 1.0, u), False)
+    return len(task.kernels.step.forwards().live())
 
 
 def test_a_step_of_gpb_grows_with_the_ranges_and_not_with_their_square():

@@ -191,6 +191,15 @@ def test_a_scenario_is_simulated_and_judged_in_the_coordinates_of_its_truth():
     assert "position RMSE" in found.held_out
 
 
+def test_counts_and_seeds_may_be_integers_of_numpy():
+    scenario = scenarios.bearings_outliers("none", initial="truth")
+    f = presets.srckf(scenario.motion, scenario.sensor)
+    plain, other = (
+        torchfra.fit(f, scenario, learn=("std",), runs=count(12), seed=count(3), **QUICK) for count in (int, np.int64)
+    )
+    assert other.learned == plain.learned
+
+
 def test_without_a_prior_tracks_begin_at_their_first_whole_measurement():
     z = walks(2, 6, 8)[1]
     z[0, :2] = torch.nan

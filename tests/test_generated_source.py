@@ -11,7 +11,7 @@ import torch
 
 import torchfra
 from torchfra import presets
-from torchfra.compiler import names, origin
+from torchfra.compiler import cpp, origin
 from torchfra.compiler.export import export
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.step import Input, Step
@@ -41,8 +41,8 @@ def source():
 def test_inputs_state_and_outputs_have_the_names_of_their_fields(source):
     step = source.partition("namespace advance")[2]
     for name in ("z_0", "z_1", "dt", "belief_mean_3", "belief_scale_tril_0", "next_belief_mean_3", "log_likelihood"):
-        assert re.search(rf"const V {name} = ", step), name
-    declared = re.findall(r"const [VM] (\w+) = [^;]*;", step)
+        assert re.search(rf"const Scalar {name} = ", step), name
+    declared = re.findall(r"const (?:Scalar|bool) (\w+) = [^;]*;", step)
     assert len(declared) > 100
     assert not re.search(r"_r\d+\(", step)  # no routines: it is not large
 
@@ -90,15 +90,15 @@ def test_a_gradient_names_the_lines_it_is_the_gradient_of():
 @pytest.mark.parametrize("path", ["at", "double", "v17", "in0", "std", "errno", "sin_", "a__b", "_a", "Δ", "log1p_"])
 def test_a_name_that_c_reads_otherwise_is_not_given(path):
     book = Expressions()
-    names.give(book, path, [book.input()], single=True)
+    cpp.give(book, path, [book.input()], single=True)
     assert book.names == {}
 
 
 def test_no_two_expressions_have_one_name_and_none_has_two():
     book = Expressions()
     x, y, z = book.input(), book.input(), book.input()
-    names.give(book, "a", [x, y, x, 0], single=False)
-    names.give(book, "a_1", [z], single=True)
-    names.give(book, "b.c", [x], single=True)
-    names.give(book, "b.c", [z], single=True)
+    cpp.give(book, "a", [x, y, x, 0], single=False)
+    cpp.give(book, "a_1", [z], single=True)
+    cpp.give(book, "b.c", [x], single=True)
+    cpp.give(book, "b.c", [z], single=True)
     assert book.names == {x: "a_0", y: "a_1", z: "b_c"}

@@ -6,7 +6,7 @@ import torch
 from torch.testing import assert_close
 
 import torchfra
-from torchfra.cleaning.ladder import Fixes, Levels, OutlierModel, as_gpb
+from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, as_gpb
 from torchfra.cleaning.two_filters import filtered
 from torchfra.filters import GPB
 from torchfra.linalg.triangular import tria

@@ -12,7 +12,7 @@ import torchfra
 LIBRARY = Path(torchfra.__file__).parent
 PRIVATE = {
     "torch._C._functorch.is_functorch_wrapped_tensor": "linalg/tracing.py knows by it whether a transform is at work",
-    "torch._C._functorch.peek_interpreter_stack": "compiler/engine.py does not run kernels inside a transform",
+    "torch._C._functorch.peek_interpreter_stack": "compiler/one_operation.py: no kernel runs inside a transform",
     "torch._C._disabled_torch_function_impl": "compiler/entries.py sees operations, not functions",
     "torch._decomp.decomposition_table": "compiler/operations.py takes apart operations that it does not know",
     "torch._ops.OpOverload": "compiler/operations.py finds the operations that write in place",
@@ -27,8 +27,8 @@ PRIVATE = {
 }
 """Names without which something does not work, and what."""
 GUARDED = {
-    "torch._C._dynamo.guards": "compiler/guards.py has a slower check of its own, pages.py empty_strided",
-    "torch._C._autograd._top_saved_tensors_default_hooks": "compiler/guards.py: calls with a gradient do not get ready",
+    "torch._C._dynamo.guards": "compiler/forms.py has a slower check of its own, pages.py empty_strided",
+    "torch._C._autograd._top_saved_tensors_default_hooks": "compiler/forms.py: calls with a gradient do not get ready",
     "torch._C._current_autograd_node": "compiler/origin.py then names no line in comments of gradients",
     "torch.autograd._get_sequence_nr": "likewise",
     "torch._dynamo": "association/events.py only marks a function for torch.compile",
@@ -75,11 +75,11 @@ def test_private_names_are_found_however_they_are_written():
 def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypatch):
     import importlib
 
-    from torchfra.compiler import single_steps as ready_step
+    from torchfra.compiler import forms
 
     x = torch.zeros(2, 3)
     monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
-    fits = ready_step.guard([x])
+    fits = forms.guard([x])
     assert fits(torch.ones(2, 3))
     assert not fits(torch.ones(3, 2))
     assert not fits(torch.ones(2, 3).double())

@@ -13,7 +13,7 @@ from test_compile import close
 from test_regions import make_small, program
 
 from torchfra import presets, scenarios
-from torchfra.compiler import elementary_functions, jit, llvm, processor
+from torchfra.compiler import elementary_functions, jit, llvm
 
 WIDE = ["avx512", "avx2", ""]
 
@@ -21,12 +21,12 @@ WIDE = ["avx512", "avx2", ""]
 @pytest.fixture
 def on(monkeypatch):
     """As on a processor with such registers."""
-    has = processor.registers()
+    has = llvm.registers()
 
     def limited(kind):
         if WIDE.index(kind) < WIDE.index(has):
             pytest.skip(f"this processor has no {kind}")
-        monkeypatch.setattr(processor, "registers", lambda: kind)
+        monkeypatch.setattr(llvm, "registers", lambda: kind)
 
     return limited
 

@@ -9,22 +9,21 @@ from short_tracks import alone
 from torch.autograd.graph import saved_tensors_hooks
 from torch.utils.checkpoint import checkpoint
 
-from torchfra.compiler import guards, run
-from torchfra.compiler import whole_tracks as tracks_module
+from torchfra.compiler import forms, ready, run
 from torchfra.filters import SRCKF
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(guards.hooked(), reason="this torch does not tell of hooks, so that nothing gets ready"),
+    pytest.mark.skipif(forms.hooked(), reason="this torch does not tell of hooks, so that nothing gets ready"),
 ]
 
 
 @pytest.fixture
 def soon(monkeypatch):
     """The second call with a gradient is ready."""
-    monkeypatch.setattr(tracks_module, "_LEARNING", 1)
+    monkeypatch.setattr(ready, "_LEARNING", 1)
 
 
 def means(e):

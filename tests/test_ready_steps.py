@@ -5,9 +5,9 @@ import copy
 import pytest
 import torch
 
-from torchfra.compiler import guards
+from torchfra.compiler import forms
 from torchfra.compiler.engine import Compiled
-from torchfra.compiler.trees import flattener, unflattener
+from torchfra.compiler.forms import flattener, unflattener
 from torchfra.filters.engine import INTERPRETED
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
@@ -175,9 +175,9 @@ def test_fast_trees_are_the_trees():
 @pytest.mark.parametrize("private", [True, False], ids=["by torch", "by ourselves"])
 def test_tensors_of_another_form_are_told_apart_with_and_without_torchs_own_check(private, monkeypatch):
     if not private:
-        monkeypatch.setattr(guards.importlib, "import_module", lambda name: object())
+        monkeypatch.setattr(forms.importlib, "import_module", lambda name: object())
     x = torch.zeros(2, 3)
-    fits = guards.guard([x, x[0]])
+    fits = forms.guard([x, x[0]])
     assert fits(torch.ones(2, 3), torch.ones(3))
     wrong = [torch.zeros(3, 2), torch.zeros(3, 2).mT, x.double(), torch.zeros(2, 3, requires_grad=True)]
     for other in (*wrong, torch.zeros(2, 3)._neg_view(), torch.nn.Parameter(x)):

@@ -234,7 +234,7 @@ def test_many_tracks_are_ready_once_they_have_come_often(make, tracks, prepared,
 def test_a_form_that_is_remembered_holds_no_memory_of_results(make, tracks):
     fast, given = make("srckf").compile(), alone(tracks)
     fast(**given)
-    (known,) = fast.engine._versions[0].tracks._known.values()
+    (known,) = fast.engine._versions[0].tracks.known.values()
     assert all(x.is_meta for x in known[0]._kernel._ready.like)
 
 

@@ -420,6 +420,19 @@ def test_ranges_that_are_no_folder_are_refused_by_name(tmp_path):
 # ---------------------------------------------------------------- the command
 
 
+@pytest.mark.parametrize(("kind", "recording", "name", "bias"), [
+    (nclt, day, "gpb", nclt.BIAS), (nclt, day, "imm", None), (smartloc, drive, "gpb_odometry", smartloc.BIAS),
+], ids=["positions", "errors in the state", "satellites"])  # fmt: skip
+def test_all_presets_but_those_with_errors_in_their_state_consider_a_bias(kind, recording, name, bias, tmp_path):
+    path, out = recording(tmp_path, steps=5), tmp_path / "r.json"
+    which = kind.__name__.rpartition(".")[2]
+    assert recordings.main([which, str(path), "--filters", name, "--no-compile", "--json", str(out)]) == 0
+    track = kind.read(path)
+    expected = judged(followed(*kind.make(name, track), track, kind.UNNOTICED, bias), track, kind.METRIC)
+    (found,) = json.loads(out.read_text())[which].values()
+    assert found[name] == pytest.approx(expected.figures)
+
+
 def test_the_table_and_the_json_have_our_figures_and_those_of_others(tmp_path, capsys):
     out = tmp_path / "r.json"
     files = [str(day(tmp_path)), str(day(tmp_path, "2013-04-05"))]

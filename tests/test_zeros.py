@@ -5,8 +5,7 @@ import torch
 from short_tracks import SMALL_GPB
 
 from torchfra import presets
-from torchfra.compiler.step import Step
-from torchfra.compiler.zeros import staying
+from torchfra.compiler.step import Step, staying
 
 FLOAT64 = torch.float64
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import torch
@@ -17,8 +17,8 @@ def as_number(value: Any) -> float:
 
 
 def is_integer(value: object, least: int) -> bool:
-    """Whether a value is a whole number, ``least`` or more."""
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+    """Whether a value is a whole number of Python or numpy, ``least`` or more."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
 def as_numbers(value: Any, name: str) -> Tensor:

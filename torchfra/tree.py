@@ -100,9 +100,12 @@ def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
 
 
 class Late(NamedTuple):
-    """The final results of a step for the step before it, such as a decision; or those of all steps."""
+    """Results that a step has of the step before it, such as a decision: they come one step late.
 
-    said: Any
+    ``one_earlier`` moves those of all steps to where they belong.
+    """
+
+    value: Any
 
 
 def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
@@ -111,13 +114,13 @@ def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
     Where there is room for one more step along ``dim``, the end is written there and nothing is copied.
     """
 
-    def moved(said: Tensor, last: Tensor) -> Tensor:
-        if said.shape[dim] == steps:
-            return torch.cat([said.narrow(dim, 1, steps - 1), last.unsqueeze(dim)], dim)
-        said.select(dim, steps).copy_(last)
-        return said.narrow(dim, 1, steps)
+    def moved(value: Tensor, last: Tensor) -> Tensor:
+        if value.shape[dim] == steps:
+            return torch.cat([value.narrow(dim, 1, steps - 1), last.unsqueeze(dim)], dim)
+        value.select(dim, steps).copy_(last)
+        return value.narrow(dim, 1, steps)
 
-    return map_tensors(moved, late.said, end)
+    return map_tensors(moved, late.value, end)
 
 
 def detach(tree: Any) -> Any:

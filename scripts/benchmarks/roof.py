@@ -138,7 +138,7 @@ def work(f: Filter) -> Work:
     """What a compiled filter that has run computes at each step, for every track: what few need is left out."""
     compiled: Compiled = f.__dict__["engine"]
     scan = next(x for x in compiled._versions[0].kernels.values() if x.step.repeated).step.forwards()
-    step = scan.step()
+    step = scan.loop()
     nodes, live = step.book.nodes, [i for i in step.live if i in step.varying and step.book.nodes[i][0] != "input"]
     needed = conditions(step.book, step.live, [*step.carried.values(), *(i for i, _ in step.stores)])
     guards = regions(step.book, live, needed)

@@ -64,8 +64,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
 average."""
-OWN_PRESETS = ("imm",)
-"""Presets that this kind has besides those that commands list."""
+OWN_PRESETS = IN_STATE = ("imm",)
+"""Presets that this kind has besides those that commands list, and those that have errors that last in their state."""
 MIXED = ("gpb", "imm")
 """Presets whose estimates a network weighs."""
 TURNS = (-0.62, -0.45)

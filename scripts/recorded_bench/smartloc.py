@@ -44,16 +44,19 @@ PUBLISHED: dict[str, Figures] = {
 }
 OWN_PRESETS = ("gpb_odometry",)
 """Presets that this kind has besides those that commands list: ``gpb`` with the car's speed and turn rate."""
+IN_STATE = ()
+"""Presets that have errors that last in their state."""
 LIGHT, TURN = 299792458.0, 7.2921151467e-5
 """Speed of light, m/s, and how fast the Earth turns, rad/s."""
 FLATTENING_SQUARED = 0.00669438
 """Square of the first eccentricity of the Earth's ellipsoid."""
 STD = 2.0
 """Standard deviation of a pseudorange in line of sight, m."""
-BIAS = None
-"""No constant bias of pseudoranges: reflections come and go."""
-UNNOTICED = (0.05, 4 * STD)
-"""Of protection levels, as of a robot on a campus."""
+BIAS = 3.0
+"""Standard deviation of what the pseudoranges of each satellite are off by, m: signals that are believed come some
+metres late.  Chosen on the first half of the drive for its NEES."""
+UNNOTICED = (0.05, 4 * BIAS)
+"""Of protection levels, as of a robot on a campus: four times the errors that last."""
 WEAKEST = 30.0
 """Carrier-to-noise density below which a pseudorange counts as missing, dBHz."""
 LATE = (7.0, 14.0, 25.0, 45.0, 75.0, 120.0)

@@ -20,13 +20,13 @@ from torchfra.tree import event_ranks
 from torchfra.types import Prediction, Whitened
 
 
-@event_ranks(moment=2, begun=2)
+@event_ranks(moment=2, measured=2)
 class Memory(NamedTuple):
     """Running second moment of the innovations, in units of the measurement noise."""
 
     moment: Tensor
     """``V (..., m, m)``."""
-    begun: Tensor
+    measured: Tensor
     """``(..., m, m)`` 1 where an entry has been measured at least once, else 0."""
 
 
@@ -115,7 +115,7 @@ class Fading(NoFading):
             share = as_numbers(share, "share").double()
             self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
         self.rcond, self.trace, self._states_given = rcond, trace, states is not None
-        states = slice(0, 2) if states is None else states
+        states = slice(0, 2) if states is None else states  # until ``of`` knows the motion
         self.states = (states,) if isinstance(states, slice) else tuple(states)
         if self._states_given:
             self._check_share()
@@ -155,14 +155,14 @@ class Fading(NoFading):
         A residual whose square overflows counts as missing: otherwise the moment and its gradients would be infinite
         from then on.
         """
-        moment, begun = memory
+        moment, before = memory
         used = in_range(residual)
         residual, measured = torch.where(used, residual, 0.0), measured * used
         square = residual.unsqueeze(-1) * residual.unsqueeze(-2)
         pair = measured.unsqueeze(-1) * measured.unsqueeze(-2)
         rho = self.forgetting(residual)[..., None, None]
-        moment = moment + pair * (square - moment) / (1 + rho * begun)  # eq. (31)
-        return Memory(moment, torch.maximum(begun, pair))
+        moment = moment + pair * (square - moment) / (1 + rho * before)  # eq. (31)
+        return Memory(moment, torch.maximum(before, pair))
 
     def forward(self, prediction: Prediction, whitened: Whitened, memory: Any, weights: Tensor) -> Tensor:
         """The fading factor ``(...)``.
@@ -192,8 +192,8 @@ class Fading(NoFading):
         if self.trace == "position":
             spread = torch.cat([spread[..., group, :] for group in self.states], -2)
         trace_j = (unit * spread).square().sum((-2, -1))  # eq. (33)
-        nothing = certain.any(-1) | ~(trace_n / trace_j).isfinite()
-        ratio = safe_divide(torch.where(nothing, 0.0, trace_n), torch.where(nothing, 0.0, trace_j), fill=1.0)
+        undefined = certain.any(-1) | ~(trace_n / trace_j).isfinite()
+        ratio = safe_divide(torch.where(undefined, 0.0, trace_n), torch.where(undefined, 0.0, trace_j), fill=1.0)
         return torch.minimum(ratio.clamp_min(1.0), self.fading_max(ratio))  # eq. (34)
 
     def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:

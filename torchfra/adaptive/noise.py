@@ -105,7 +105,8 @@ class SageHusa(NominalNoise):
     Differs: diagonal, the bounds and the warm-up are additions.
     """
 
-    element: Tensor
+    block_of: Tensor
+    """``(m,)`` number of each element's block."""
 
     def __init__(
         self,
@@ -137,12 +138,13 @@ class SageHusa(NominalNoise):
         self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event_dim=1, name="confidence")
         self.confidence_in, self.warmup, self.adapt = confidence_in, warmup, adapt
         self.lowest, self.highest = lowest, highest
-        element = {i: number for number, block in enumerate(blocks) for i in block}
-        self.register_buffer("element", torch.tensor([element[i] for i in sorted(element)]), persistent=False)
+        number_of = {i: number for number, block in enumerate(blocks) for i in block}
+        numbers = torch.tensor([number_of[i] for i in sorted(number_of)])
+        self.register_buffer("block_of", numbers, persistent=False)
 
     def begin(self, mean: Tensor) -> NoiseMemory:
         """The memory of nominal noise, for tracks of state ``mean (..., n)``."""
-        one = mean.new_ones((*mean.shape[:-1], len(self.element)))
+        one = mean.new_ones((*mean.shape[:-1], len(self.block_of)))
         return NoiseMemory(one, one, 0 * one)
 
     def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
@@ -164,7 +166,7 @@ class SageHusa(NominalNoise):
         """
         used = (weight >= 0.5).to(excess)
         total = memory.total * self.forgetting.elements(excess) + 1
-        confidence = self.confidence(excess).index_select(-1, self.element)
+        confidence = self.confidence(excess).index_select(-1, self.block_of)
         gain = confidence if self.confidence_in == "measured" else 1 - confidence
         rate = gain * weight / total
         scale = (memory.scale + rate * (excess - memory.scale)).clamp(self.lowest, self.highest)

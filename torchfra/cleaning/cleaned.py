@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchfra.cleaning.ladder import Levels, OutlierModel, as_gpb
+from torchfra.cleaning.closed_form import Levels, OutlierModel, as_gpb
 from torchfra.filters.alarms import LIKELY
 from torchfra.filters.gpb import GPB
 from torchfra.readers.columns import Array
@@ -46,7 +46,7 @@ class Used(NamedTuple):
 
 @dataclass(frozen=True)
 class Found:
-    """What a track was cleaned with; each value was told, or found from the track's likelihood."""
+    """What a track was cleaned with; each value was given, or found from the track's likelihood."""
 
     filter: str
     smooth: bool
@@ -59,9 +59,9 @@ class Found:
     nis: float
     """Mean normalised innovation squared per element of the fixes that are no outliers: 1 if both are right."""
     found: frozenset[str] = frozenset()
-    """Which of ``sigma``, ``q`` and ``bank`` were found and not told."""
+    """Which of ``sigma``, ``q`` and ``bank`` were found and not given."""
     said: tuple[str, ...] = ()
-    """Lines for a person: why this bank, sigma of the height, time stamps that were off, errors that last."""
+    """Lines for a person: why this bank, sigma of the height, time stamps that were off, time-correlated errors."""
     stated: bool = False
     """Whether the file states how good each fix is, so that sigma is a factor on that."""
     doubt: str = ""

@@ -28,9 +28,12 @@ from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
 """The filter that is used unless told otherwise."""
-_FEW, _SURER, _OPEN = 10, 0.75, 0.5
-"""Fixes below which sigma is a guess; the share of its standard deviation above which an estimate is hardly surer than
-its fix alone, so that others tell little of it; and the share of sigma below which one may be that is not ruled out."""
+_FEW = 10
+"""Fixes below which sigma is a guess."""
+_SURER = 0.75
+"""Share of the standard deviation of a fix above which its estimate is hardly surer: others tell little of it."""
+_OPEN = 0.5
+"""Share of sigma below which one that is not ruled out makes sigma unsure."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
 """What a track may do to its own work; all else is a mistake of the program and is raised."""
 
@@ -51,7 +54,7 @@ def clean_tracks(
     """Recorded tracks, cleaned.
 
     The default, ``"gpb"`` without a ``Bank`` of your own, weighs levels of process noise and outliers in closed form
-    (``cleaning.ladder``); ``Cleaned.filters`` gives the same as modules.
+    (``cleaning.closed_form``); ``Cleaned.filters`` gives the same as modules.
     Other filters run as the catalogue has them, with the sigma and q that this one has found.
 
     Args:
@@ -77,35 +80,50 @@ def clean_tracks(
         CompileError: the filter cannot be compiled, and there is no ``fallback``.
     """
     check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
-    work = partial(_cleaned, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt)
-    if filter != DEFAULT or isinstance(bank, Bank):
-        work = partial(work, compile=compile, fallback=fallback)
     if isinstance(bank, str):
         check_speeds(recordings, bank)
-    given, recordings = recordings, [_as_measured(recording) for recording in recordings]
-    mended, cut = {}, []
-    for i, recording in enumerate(recordings):
-        if repair and smooth and not np.isinf(recording.position).any():
-            kind, _ = _kind(recording, bank)
-            if stamps_are_cut(recording):
-                cut.append(i)
-            if stamps_are_off(recording, kind):
-                mended[i] = in_place(recording, kind)
-    placed = [mended[i][0] if i in mended else recording for i, recording in enumerate(recordings)]
-    coarse = [step_of_heights(recording) for recording in recordings]
+    measured = [_as_measured(recording) for recording in recordings]
+    moved: dict[int, tuple[Recording, Array]] = {}
+    cut: list[int] = []
+    if repair and smooth:
+        moved, cut = _stamps(measured, bank)
+    placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
+    work = partial(
+        _clean_batch, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt, compile=compile,
+        fallback=fallback,
+    )  # fmt: skip
+    coarse = [step_of_heights(recording) for recording in measured]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
-        part, steps, late = zip(*[(placed[i], coarse[i], i in mended) for i in group], strict=True)
+        batch = [placed[i] for i in group]
         try:
-            done |= zip(group, work(part, coarse=steps, moved=late), strict=True)
+            done |= zip(
+                group, work(batch, coarse=[coarse[i] for i in group], moved=[i in moved for i in group]), strict=True
+            )
         except FAILURES:  # of one of them; the others shall not pay for it
-            alone = {i: partial(work, coarse=[coarse[i]], moved=[i in mended]) for i in group}
-            done |= {i: _alone(placed[i], alone[i], filter, smooth) for i in group}
-    for i, (_, variance) in mended.items():
-        done[i] = as_recorded(done[i], recordings[i], variance)
+            for i in group:
+                done[i] = _alone(placed[i], partial(work, coarse=[coarse[i]], moved=[i in moved]), filter, smooth)
+    for i, (_, variance) in moved.items():
+        done[i] = as_recorded(done[i], measured[i], variance)
     for i in cut:
         done[i] = earlier(done[i])
-    return [replace(done[i], recording=recording) for i, recording in enumerate(given)]
+    return [replace(done[i], recording=recording) for i, recording in enumerate(recordings)]
+
+
+def _stamps(
+    recordings: Sequence[Recording], bank: str | Bank | None
+) -> tuple[dict[int, tuple[Recording, Array]], list[int]]:
+    """Recordings whose time stamps are off, by their number, as ``in_place`` has them; and numbers of cut ones."""
+    moved, cut = {}, []
+    for i, recording in enumerate(recordings):
+        if np.isinf(recording.position).any():
+            continue  # it fails later, with its reason
+        kind, _ = _kind(recording, bank)
+        if stamps_are_cut(recording):
+            cut.append(i)
+        if stamps_are_off(recording, kind):
+            moved[i] = in_place(recording, kind)
+    return moved, cut
 
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
@@ -145,39 +163,48 @@ def check_settings(
     make(filter, 2, one, one, one)
 
 
-def _cleaned(
+def _clean_batch(
     recordings: Sequence[Recording], *, coarse: Sequence[float], moved: Sequence[bool], name: str,
-    bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool = False,
-    fallback: Fallback | None = None,
+    bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
-    """Recordings of the same dimensions as one batch; of fixes that were moved errors are known."""
+    """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
+
+    Of each, ``coarse`` is how many metres lie between the heights that it can tell, and ``moved`` whether fixes were
+    moved in time: then how large their errors are is known.
+    """
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
     tracks = [steps_of(recording, dt) for recording in recordings]
     kinds = [_kind(recording, bank) for recording in recordings]
     own = bank if isinstance(bank, Bank) else None
     default = name == DEFAULT and own is None
-    told = settings if default else settings._replace(smooth=False)
-    found = answers(tracks, [kind for kind, _ in kinds], told, coarse)
+    # Other filters take sigma and q from this one, but no estimates.
+    found = answers(
+        tracks, [kind for kind, _ in kinds], settings if default else settings._replace(smooth=False), coarse
+    )
     every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
-    unknown = [i for i, known in enumerate(moved) if not known]
-    asked = zip(*[(tracks[i], kinds[i][0], found[i]) for i in unknown], strict=True) if unknown else ((), (), ())
-    errors = dict(zip(unknown, lasting_errors(*asked), strict=True))
     if default:
-        results = []
-        for recording, steps, answer, of in zip(recordings, tracks, found, every, strict=True):
-            regimes = np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1)
-            result = _result(recording, steps, *answer[:5], of, REGIMES, regimes)
-            results.append(replace(result, used=answer.used))
+        results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
     else:
         results = _by_filter(recordings, tracks, every, own, compile, fallback)
-    return [widened(one, errors.get(i)) for i, one in enumerate(results)]
+    unknown = [i for i, known in enumerate(moved) if not known]
+    errors = lasting_errors([tracks[i] for i in unknown], [kinds[i][0] for i in unknown], [found[i] for i in unknown])
+    for i, lasting in zip(unknown, errors, strict=True):
+        results[i] = widened(results[i], lasting)
+    return results
+
+
+def _of_answer(recording: Recording, steps: Steps, answer: Answer, found: Found) -> Cleaned:
+    """What the default filter says of a track."""
+    regimes = np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1)
+    return replace(_result(recording, steps, *answer[:5], found, REGIMES, regimes), used=answer.used)
 
 
 def _result(
     recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
+    """A track with its estimates, flags, segments, and how well the noise fits."""
     fix = (steps.row >= 0) & ~np.isnan(steps.raw[:, :2]).any(1)  # an altitude may be missing
     origin, d = recording.origin, steps.raw.shape[1]
     height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
@@ -187,7 +214,7 @@ def _result(
     mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     found = replace(found, nis=mean_nis, stated=recording.sigma is not None)
     if "sigma" in found.found:
-        found = replace(found, doubt=found.doubt or _doubt(steps, covariance, found.sigma))
+        found = replace(found, doubt=found.doubt or _why_unsure(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
     result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
     if result.failed.all():
@@ -195,7 +222,7 @@ def _result(
     return result
 
 
-def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
+def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
     """Why the fixes hardly tell sigma; "" if they do: then each estimate is surer than its own fix alone."""
     seen, at = steps.at(steps.measured), covariance[steps.measured]
     if len(seen.time) < _FEW:
@@ -203,10 +230,11 @@ def _doubt(steps: Steps, covariance: Array, sigma: float) -> str:
     surer = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * seen.std[:, 0])
     if np.median(surer) < _SURER:
         return ""
-    return _hardly_told(seen)
+    return _unsure(seen)
 
 
-def _hardly_told(steps: Steps) -> str:
+def _unsure(steps: Steps) -> str:
+    """The words for a track in which noise and motion look alike."""
     return f"Fixes {duration(period_of(steps))} apart hardly tell noise from motion: sigma is unsure"
 
 
@@ -215,13 +243,13 @@ def _found(
 ) -> Found:  # fmt: skip
     """What a track is cleaned with, and a line for each choice."""
     bank, why = ("own", "as given") if own is not None else kind
-    told = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as given" else bank}
+    given = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as given" else bank}
     said = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
         said = (*said, f"Sigma of the height: {metres(answer.height)}")
     open_ = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
-    doubt = _hardly_told(steps) if open_ else ""
-    found = frozenset(key for key, value in told.items() if value is None)
+    doubt = _unsure(steps) if open_ else ""
+    found = frozenset(key for key, value in given.items() if value is None)
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said, doubt=doubt)
 
 

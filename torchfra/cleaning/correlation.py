@@ -21,7 +21,7 @@ from torchfra.readers.columns import Array
 from torchfra.tables import duration, metres
 
 _LEAST, _LONGEST = 30, 10.0
-"""Fewest fixes, and most seconds between most of them, with which errors that last are looked for."""
+"""Fewest fixes, and most seconds between most of them, with which time-correlated errors are looked for."""
 _SECONDS = {10.0: 1.0, 20.0: 2.0, 40.0: 4.0}
 """For how long errors last, and how likely each is."""
 _SIZES = {0.5: 1.0, 0.7: 1.0, 1.0: 1.0, 1.5: 0.5, 2.5: 0.2, 4.0: 0.1, 6.0: 0.05}
@@ -39,7 +39,7 @@ _TOGETHER = 16
 _SEEN = 1.1
 """Factor on standard deviations from which on there is a word to say."""
 _SEEN_AS = 0.9
-"""Probability from which on errors that last are seen, and not assumed."""
+"""Probability from which on time-correlated errors are seen, and not assumed."""
 _ANYWHERE, _ANY_SPEED = 1e10, 1e5
 """Variances of position and velocity before the first fix, in units of a fix and seconds."""
 
@@ -65,7 +65,7 @@ class _Hypotheses(NamedTuple):
     white: Tensor
     calm: Tensor
     log_prior: Tensor
-    """Of all with errors that last, and of all without: each sum to 1."""
+    """Of all with time-correlated errors, and of all without: each sum to 1."""
 
 
 def _hypotheses() -> _Hypotheses:
@@ -187,7 +187,7 @@ def log_likelihood(z: Tensor, gap: Tensor, variance: Tensor, q: Tensor, lasting:
 
 
 def widened(one: Cleaned, errors: Lasting | None) -> Cleaned:
-    """The result with covariances that know of errors that last, as far as they are likely.
+    """The result with covariances that know of time-correlated errors, as far as they are likely.
 
     An estimate that is as sure as the mean of m fixes of independent errors has the error, besides, of the mean of m
     values of the process.
@@ -207,7 +207,7 @@ def widened(one: Cleaned, errors: Lasting | None) -> Cleaned:
 
 
 def _said(errors: Lasting) -> tuple[str]:
-    """How large errors that last are, and whether they are seen or assumed."""
+    """How large time-correlated errors are, and whether they are seen or assumed."""
     likely = float(errors.probability.sum())
     share = errors.probability / likely
     std, seconds = (

@@ -1,4 +1,4 @@
-"""Cleans tracks by the levels of ``cleaning.ladder``: batches of rows in, one result for each track out."""
+"""Cleans tracks by the levels of ``cleaning.closed_form``: batches of rows in, one result for each track out."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Used
-from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
+from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels
+from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
-from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels
+from torchfra.cleaning.parts import SHORT, Part
+from torchfra.cleaning.process_noise import levels_up_to
+from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 
@@ -110,9 +113,9 @@ def _parts(
         if parts:  # the error of a rounded height is even within half a step to either side
             rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
             least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
-        told = None if settings.sigma is None else torch.full_like(most, settings.sigma)
+        given = None if settings.sigma is None else torch.full_like(most, settings.sigma)
         model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
-        sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if told is None else told
+        sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if given is None else given
         sigma = sigma.maximum(least)
         parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), model))
     return rows, parts

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.ladder import (
+from torchfra.cleaning.closed_form import (
     DEFAULT,
     Belief,
     Fixes,
@@ -17,7 +17,7 @@ from torchfra.cleaning.ladder import (
     corrected,
     filter_forward,
     merged,
-    predicted,
+    predictions_of,
     steps,
     switched,
 )
@@ -70,7 +70,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
 def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """What the fixes up to each step say of it."""
     every = list(steps(fixes, levels, model))
-    predictions = predicted(every)
+    predictions = predictions_of(every)
     known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(step.known for step in every), strict=True)))
     log_weights = torch.stack([step.log_weights for step in every])  # (T, 2, J, B)
     whole, _ = merged(log_weights.flatten(1, 2), known, 1)
@@ -137,10 +137,10 @@ def _lost(
     seen = (~fixes.missing).long()
     before = seen.cumsum(0) - seen
     fewer = before.minimum(seen.sum(0) - seen - before)
-    told = fewer >= _BEGUN
-    first, last = told.long().argmax(0), len(told) - 1 - told.flip(0).long().argmax(0)
-    nearest = torch.arange(len(told)).unsqueeze(1).clamp(first, last)
-    contrary = ((log_weights.logsumexp(1) < log_lost) & told).gather(0, nearest)
+    sure = fewer >= _BEGUN
+    first, last = sure.long().argmax(0), len(sure) - 1 - sure.flip(0).long().argmax(0)
+    nearest = torch.arange(len(sure)).unsqueeze(1).clamp(first, last)
+    contrary = ((log_weights.logsumexp(1) < log_lost) & sure).gather(0, nearest)
     lost = _joined(contrary, seen)
     believed = _believed(predictions.log_likelihood - later.log_likelihood, lost, rare)
     return lost & ~believed, lost & believed

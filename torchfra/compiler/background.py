@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from concurrent.futures import Future
+from functools import partialmethod
 from typing import Any
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor
 from torchfra.compiler.engine import Compiled
 from torchfra.compiler.program import Making
 from torchfra.compiler.run import has_gradient
+from torchfra.tree import flatten, map_tensors
 
 
 class InBackground:
@@ -35,43 +37,27 @@ class InBackground:
         """An engine of the same kind for another filter: kernels are of one."""
         return InBackground(self.otherwise)
 
-    def step(self, f: Any, *arguments: Any) -> Any:
-        """See ``filters.engine.Engine``."""
-        return self._call("step", f, arguments)
-
-    def once(self, f: Any, *arguments: Any) -> Any:
-        """See ``filters.engine.Engine``."""
-        return self._call("once", f, arguments)
-
-    def scan(self, f: Any, *arguments: Any) -> Any:
-        """See ``filters.engine.Engine``."""
-        return self._call("scan", f, arguments)
-
-    def forward(self, f: Any, *arguments: Any) -> Any:
-        """See ``filters.engine.Engine``."""
-        return self._call("forward", f, arguments)
-
-    def backward(self, f: Any, *arguments: Any) -> Any:
-        """See ``filters.engine.Engine``."""
-        return self._call("backward", f, arguments)
-
-    def _call(self, name: str, f: Any, arguments: tuple[Any, ...]) -> Any:
-        """What the method of this name gives.
+    def _run(self, name: str, f: Any, *arguments: Any) -> Any:
+        """The result of the method of this name; see ``filters.engine.Engine``.
 
         Raises:
             CompileError, NotImplementedError: kernels for an earlier call like this one could not be made.
         """
-        tensors = [*f.parameters(), *_tensors(arguments)]
+        tensors = [*f.parameters(), *flatten(arguments)]
         if has_gradient(tensors) or not all(Compiled.takes(x) for x in tensors if x.is_floating_point()):
             return getattr(self._compiled, name)(f, *arguments)
         form = name, torch.is_grad_enabled(), torch.is_inference_mode_enabled(), _form(arguments)
         made = self._made.get(form)
         if made is None:
-            made = self._made[form] = self._start(name, f, _copied(arguments))
+            made = self._made[form] = self._start(name, f, map_tensors(Tensor.clone, arguments))
         if not made.done():
             return getattr(self.otherwise, name)(f, *arguments)
         made.result()
         return getattr(self._compiled, name)(f, *arguments)
+
+    step, once = partialmethod(_run, "step"), partialmethod(_run, "once")
+    over_steps = partialmethod(_run, "over_steps")
+    forward, backward = partialmethod(_run, "forward"), partialmethod(_run, "backward")
 
     def _start(self, name: str, f: Any, arguments: tuple[Any, ...]) -> Future[Any]:
         """Makes a call in a thread."""
@@ -91,27 +77,11 @@ class InBackground:
         return made
 
 
-def _tensors(x: Any) -> list[Tensor]:
-    if isinstance(x, Tensor):
-        return [x]
-    return [leaf for part in x for leaf in _tensors(part)] if isinstance(x, tuple | list) else []
-
-
-def _copied(x: Any) -> Any:
-    """The same with tensors that nobody else changes."""
-    if isinstance(x, Tensor):
-        return x.clone()
-    if isinstance(x, tuple | list):
-        parts = map(_copied, x)
-        return type(x)(*parts) if hasattr(x, "_fields") else type(x)(parts)
-    return x
-
-
 def _form(x: Any) -> Hashable:
     """What kernels depend on; of numbers and tensors not the values."""
     if isinstance(x, Tensor):
         return x.dtype, x.device, x.dim(), x.dim() == 0 or x.shape[:-1].numel() == 1
-    if isinstance(x, tuple | list):
+    if isinstance(x, tuple):
         return type(x), tuple(map(_form, x))
     if x is None or isinstance(x, bool) or callable(x):
         itself: Hashable = x

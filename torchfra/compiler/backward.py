@@ -72,8 +72,8 @@ def windows(
         def unfolded(x: Tensor, time: int, first: int = first, size: int = size) -> Tensor:
             return x.narrow(time, first, size + lag).unfold(time, lag + 1, 1).movedim(-1, time + 1)
 
-        def ending(x: Tensor, fresh: Tensor, first: int = first, size: int = size) -> Tensor:
-            end = torch.cat([fresh.narrow(rank, 0, fresh.shape[rank] - 1), x.narrow(rank, -1, 1)], rank)
+        def ending(x: Tensor, provisional: Tensor, first: int = first, size: int = size) -> Tensor:
+            end = torch.cat([provisional.narrow(rank, 0, provisional.shape[rank] - 1), x.narrow(rank, -1, 1)], rank)
             last = end.narrow(rank, first + lag, size).unsqueeze(rank + 1)
             return torch.cat([unfolded(x, rank).narrow(rank + 1, 0, lag), last], rank + 1)
 
@@ -81,7 +81,10 @@ def windows(
         if isinstance(dt, Tensor) and dt.dim():
             dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
         u = None if u is None else unfolded(u, u.dim() - 2)
-        ends = (None if x is None else tree.map_tensors(ending, f.decided(x), f.fresh(x)) for x in (past, carried))
+        ends = (
+            None if x is None else tree.map_tensors(ending, f.last_past(x), f.provisional_past(x))
+            for x in (past, carried)
+        )
         yield next(ends), next(ends), measurements._replace(dt=dt, u=u)
 
 
@@ -105,8 +108,8 @@ def backward_inputs(f: Any, past: Any, carried: Any, measurements: Measurements,
         measurements: of the forward pass.
         rank: dimensions of the batch.
     """
-    past = f.decided(past)
-    carried = None if carried is None else f.decided(carried)
+    past = f.last_past(past)
+    carried = None if carried is None else f.last_past(carried)
     following = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_of_next(past))
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = torch.as_tensor(measurements.dt if varying else measurements.common_dt).to(like)

@@ -1,9 +1,11 @@
-"""Around the steps of whole tracks: the first state, from a prior, and what the last step leaves open."""
+"""Around the steps of whole tracks: the first state, from a prior, and what the last step leaves open.
+
+Behind it the gradients of both.
+"""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -12,13 +14,13 @@ from torch import Tensor
 
 from torchfra.compiler.entries import Entries, as_entries, entry_ids
 from torchfra.compiler.expressions import Expressions
-from torchfra.compiler.processor import lanes_of
-from torchfra.compiler.refusals import refusals_of
+from torchfra.compiler.origin import refusals_of
 from torchfra.compiler.source import Port, Scan
-from torchfra.compiler.step import Step, carried
-from torchfra.compiler.track_native import Checked, Places, track_module
+from torchfra.compiler.step import Step, carried, ports, pullback
 from torchfra.linalg.tracing import elementary
+from torchfra.linalg.triangular import tria
 from torchfra.tree import flatten, map_tensors, unflatten
+from torchfra.types import Gaussian
 
 PRIOR = ("mean of the prior", "root of the prior")
 LAST = "state after the last step"
@@ -39,41 +41,33 @@ class Traced(NamedTuple):
     """What becomes of them."""
 
 
-_CHECKED = 3, 0, 1
-"""Numbers of the tensors that say whether all is finite: the scores of all steps, others of the last."""
-
-
 class Boundary:
     """What comes before the first step of a track and after its last, traced once like the step between them.
 
+    Before it is the state of a prior with any root; after it an estimate, from what has been kept of each step.
+
     Args:
         step: one of many.
-        begin: the state before the first, from the module and the mean and any root of a prior.
-        finish: what becomes of the records of all steps, from the module, the state after the last and the records.
-        size: of a state.
-        each: whole numbers that every track has besides.
 
     Raises:
-        NotImplementedError: an operation that kernels do not have; or ``finish`` does more than to end what is late.
+        NotImplementedError: an operation that kernels do not have; or the estimate is more than the records, of which
+            some end what comes late.
     """
 
-    def __init__(
-        self, step: Step, begin: Callable[..., Any], finish: Callable[[Any, Any, Any], Any], size: int,
-        each: Sequence[int] = (),
-    ) -> None:  # fmt: skip
-        self.step, self._functions, self._size, self.each = step, (begin, finish), size, each
+    def __init__(self, step: Step) -> None:
+        self.step = step
         at = self.traced()
         begun, self.made = [entry_ids(x) for x in at.begun], at.made
-        self._book, self.values = at.book, [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
+        self.book, self.values = at.book, [k for k, kind in enumerate(step.inputs.values(), len(begun)) if kind.value]
         self.sizes, self.same = list(map(len, begun)), list(map(begun.index, begun))
-        self._begun = [ids if k == same else [] for k, (ids, same) in enumerate(zip(begun, self.same, strict=True))]
+        self.begun = [ids if k == same else [] for k, (ids, same) in enumerate(zip(begun, self.same, strict=True))]
         steps = [entry_ids(as_entries(at.book, x)) for x in flatten(at.steps)]
         self._matched(steps, 2 * len(self.sizes) + len(at.inputs))
         values = [entry_ids(x) if step.inputs[name].value else [] for name, x in at.inputs.items()]
         nothing: list[list[int]] = [[]]
         states = [entry_ids(x) for x in at.after]
-        self._reads = [*nothing * len(states), *values, *states, *nothing * len(steps)]
-        self._prior = list(map(entry_ids, at.prior))
+        self.reads = [*nothing * len(states), *values, *states, *nothing * len(steps)]
+        self.prior = list(map(entry_ids, at.prior))
 
     def traced(self, *differentiable: str) -> Traced:
         """Both parts on entries of a new book, which have derivatives in what is named.
@@ -81,8 +75,9 @@ class Boundary:
         That is inputs by name, those of the ``PRIOR``, and ``LAST``, the state after the last step.
         """
         book, step = Expressions(), self.step
-        inputs, (begin, finish) = step.unknown(book), self._functions
-        prior = [Entries.inputs(book, (self._size,) * event, step.dtype) for event in (1, 2)]
+        inputs = step.unknown(book)
+        module: Any = step.copy_with(inputs)
+        prior = [Entries.inputs(book, (module.motion.size,) * event, step.dtype) for event in (1, 2)]
         after = carried(book, step.zero, step.dtype)
         for name, tensors in [
             *((n, [x]) for n, x in inputs.items()),
@@ -92,11 +87,10 @@ class Boundary:
         ]:
             for x in tensors if name in differentiable else ():
                 x.requires_grad_()
-        module = step.copy_with(inputs)
         steps = map_tensors(partial(self._two_steps, book), step.record)
         with refusals_of(type(module).__name__), elementary(), torch.set_grad_enabled(bool(differentiable)):
-            begun = [as_entries(book, x) for x in flatten(begin(module, *prior))]
-            made = finish(module, unflatten(step.state, iter(after)), steps)
+            begun = [as_entries(book, x) for x in flatten(module.begin(Gaussian(prior[0], tria(prior[1]))))]
+            made = module.estimate_of(unflatten(step.state, iter(after)), steps)
         return Traced(book, inputs, prior, begun, after, steps, made)
 
     def _two_steps(self, book: Expressions, like: Tensor) -> Tensor:
@@ -118,48 +112,13 @@ class Boundary:
         self.places: list[int] = []
         self.late: dict[int, tuple[list[int], bool]] = {}
         for x in flatten(self.made):
-            now, then = _halves(entry_ids(as_entries(self._book, x)))
+            now, then = _halves(entry_ids(as_entries(self.book, x)))
             place = next((k for k, half in enumerate(halves) if now and now in half), None)
             if place is None or (now == halves[place][0]) != (then == halves[place][1]):
-                raise NotImplementedError("compile: finish does more than to end what comes late")
+                raise NotImplementedError("compile: the estimate does more than to end what comes late")
             if now == halves[place][1]:
                 self.late[first + place] = then, x.dtype == torch.bool
             self.places.append(place)
-
-    def source(self, remembered: int = 0) -> str:
-        """The module, whose function is ``filter_tracks``.
-
-        Args:
-            remembered: how many more tensors the steps write behind their records.
-        """
-        step, states = self.step, len(self.sizes)
-        nothing: list[list[int]] = [[]]
-        double = [*[False] * states, *(x.double for x in step.inputs.values())]
-        reads = [
-            _port(ids, double=any(double[k : k + 1]))
-            for k, ids in enumerate([*self._reads, *nothing * remembered, *self._prior])
-        ]
-        after = states + len(step.inputs)
-        first = after + states
-        last = [_port(ids, truth=truth) for ids, truth in self.late.values()]
-        begin = Scan(self._book, [], [], reads, list(map(_port, self._begun)), dtype=step.dtype)
-        finish = Scan(self._book, [], [], reads, [*[_port([])] * len(reads), *last], dtype=step.dtype)
-        made, prior, end = flatten(self.made), len(reads) - 2, len(reads) + len(last)
-        ends = (prior, len(reads)), (states, after), (first, prior), (end, end + len(self.each))
-        arguments = itertools.chain(*(range(*pair) for pair in ends))
-        lanes = lanes_of(step.dtype)
-        places = Places(
-            [*range(states), *range(after, first)],
-            list(arguments),
-            [(port, 1 if late.truth else step.dtype.itemsize) for port, late in zip(self.late, last, strict=True)],
-            [
-                Checked(port, port in self.late, made[k].numel() // 2, always=k == _CHECKED[0])
-                for k in _CHECKED
-                for port in [first + self.places[k]]
-            ],
-            self.each, after, len(reads), end + len(self.each),
-        )  # fmt: skip
-        return track_module(lanes, begin.native(lanes, "begin_"), finish.native(lanes, "finish_"), places)
 
 
 def _halves(ids: list[int]) -> tuple[list[int], list[int]]:
@@ -167,5 +126,46 @@ def _halves(ids: list[int]) -> tuple[list[int], list[int]]:
     return ids[: len(ids) // 2], ids[len(ids) // 2 :]
 
 
-def _port(ids: list[int], truth: bool = False, double: bool = False) -> Port:
-    return Port(ids, torch.Size([len(ids)]), truth=truth, double=double)
+def after_back(boundary: Boundary, needed: Sequence[str], graded: Sequence[int]) -> Scan | None:
+    """From the gradients of what ends the records ``graded`` to those of the last state and of ``needed`` inputs.
+
+    Reads the values among the inputs, the last state and the gradients.  None where that is nothing.
+    """
+    if not graded:
+        return None
+    at = boundary.traced(LAST, *needed)
+    made = dict(zip(boundary.places, flatten(at.made), strict=True))
+    last = [as_entries(at.book, made[place][1]) for place in graded]
+    grads = [Entries.inputs(at.book, x.shape, boundary.step.dtype) for x in last]
+    sources = [*at.after, *(at.inputs[name] for name in needed)]
+    if not any(x.requires_grad for x in last):
+        return None
+    with elementary():
+        pulled = pullback(at.book, last, grads, sources)
+    return _scan(boundary, at, [*at.after, *grads], pulled)
+
+
+def begin_back(boundary: Boundary, needed: Sequence[str], prior: Sequence[str]) -> Scan | None:
+    """From the gradients of the first state to those of ``prior`` (out of ``PRIOR``) and ``needed`` inputs.
+
+    Reads the values among the inputs, the prior, the gradients of the state and what is known already of those of the
+    inputs, to which it adds.  None where none of them matters to the first state.
+    """
+    at = boundary.traced(*prior, *needed)
+    if not any(x.requires_grad for x in at.begun):
+        return None
+    grads = [Entries.inputs(at.book, x.shape, boundary.step.dtype) for x in at.begun]
+    sums = [Entries.inputs(at.book, at.inputs[name].shape, boundary.step.dtype) for name in needed]
+    chosen = [x for name, x in zip(PRIOR, at.prior, strict=True) if name in prior]
+    count, sources = len(chosen), [*chosen, *(at.inputs[name] for name in needed)]
+    with elementary():
+        pulled = pullback(at.book, at.begun, grads, sources)
+    totals = [as_entries(at.book, a + b) for a, b in zip(sums, pulled[count:], strict=True)]
+    return _scan(boundary, at, [*at.prior, *grads, *sums], [*pulled[:count], *totals])
+
+
+def _scan(boundary: Boundary, at: Traced, reads: Sequence[Entries], writes: Sequence[Entries]) -> Scan:
+    """A loop of one step, which reads the values among the inputs first."""
+    inputs = boundary.step.inputs.items()
+    values = [Port(entry_ids(at.inputs[name]), x.shape, double=x.double) for name, x in inputs if x.value]
+    return Scan(at.book, [], [], [*values, *ports(reads)], ports(writes), dtype=boundary.step.dtype)

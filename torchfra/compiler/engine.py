@@ -12,15 +12,13 @@ from torch import Tensor, nn
 
 from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
-from torchfra.compiler.guards import hooked
+from torchfra.compiler.forms import hooked, late
 from torchfra.compiler.llvm import is_installed
 from torchfra.compiler.program import BUILDING, Making
+from torchfra.compiler.ready import Data, check_changing, form_of, is_ordinary, is_short, number, seconds_of
 from torchfra.compiler.run import has_gradient
-from torchfra.compiler.single_steps import Data, check_changing, is_ordinary, number
 from torchfra.compiler.source import SCALARS
-from torchfra.compiler.trees import late
-from torchfra.compiler.version import Plan, Version
-from torchfra.compiler.whole_tracks import form_of, is_short, seconds_of
+from torchfra.compiler.version import Task, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
@@ -70,7 +68,7 @@ class Compiled:
             and z.dtype in SCALARS
             and not is_traced()
             and ((z.is_cpu and is_installed()) or (z.is_cuda and torch.version.hip is None))
-            and torch._C._functorch.peek_interpreter_stack() is None
+            and not one_operation.in_transform()
             and not (torch.is_grad_enabled() and has_tangents())
         )
 
@@ -86,15 +84,15 @@ class Compiled:
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
-            found: tuple[Estimate, Any, Any] = self.otherwise.forward(
+            interpreted: tuple[Estimate, Any, Any] = self.otherwise.forward(
                 f, measurements, prior, checkpoint, truncate, past
             )
-            return found
+            return interpreted
         cut = checkpoint or truncate
         done = self._ready(f, measurements, prior, past, cut)
         if done is None:
-            begun, rank = f.begun(measurements, prior)
-            done = self.scan(f, begun, measurements, rank, checkpoint, truncate, past)
+            begun, rank = f.first_state(measurements, prior)
+            done = self.over_steps(f, begun, measurements, rank, checkpoint, truncate, past)
             self._get_ready(f, begun, measurements, prior, past, cut)
         if isinstance(done, Estimate):
             return done, None, None
@@ -102,7 +100,7 @@ class Compiled:
         return f.estimate_of(state, kept), state, kept.past
 
     def _ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None) -> Any:
-        """The estimate, or what ``scan`` gives for the state of a prior; None unless a call of this form is known.
+        """The estimate, or what ``over_steps`` gives from a prior; None unless a call of this form is known.
 
         ``cut``: steps after which gradients end or steps are computed again, if there are any.
 
@@ -123,35 +121,37 @@ class Compiled:
         inputs = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
         if f.home is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):
-            now, plan, data = self._plan(f, state, measurements, past)
-            now.get_tracks_ready(form, plan, prior, state, data, past, plain)
+            now, task, data = self._task(f, state, measurements, past)
+            now.get_tracks_ready(form, task, prior, state, data, past, plain)
 
-    def scan(
+    def over_steps(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Any]:  # fmt: skip
         """The state after whole tracks that have been checked, and what ``f.keep`` keeps of each step."""
         if not self.takes(measurements.z):
-            scanned: tuple[Any, Any] = self.otherwise.scan(f, state, measurements, rank, checkpoint, truncate, past)
-            return scanned
-        now, plan, data = self._plan(f, state, measurements, past)
-        first = plan.kernels.is_new and plan.device.type == "cpu" and not f.scans
+            interpreted: tuple[Any, Any] = self.otherwise.over_steps(
+                f, state, measurements, rank, checkpoint, truncate, past
+            )
+            return interpreted
+        now, task, data = self._task(f, state, measurements, past)
+        first = task.kernels.is_new and task.device.type == "cpu" and not f.scans
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
             if past:
-                plan.kernels.meanwhile = Making(target=self._make_backward, args=(f, plan, measurements))
+                task.kernels.meanwhile = Making(target=self._make_backward, args=(f, task, measurements))
             elif f.home is f and is_short(measurements.z.shape[:-1].numel()):
-                plan.kernels.meanwhile = Making(target=self._make_boundary, args=(plan,))
-        steps, rank = measurements.z.shape[-2 - f.scans], len(plan.batch)
-        state, kept = now.run(plan, steps, state, data, checkpoint, truncate)
+                task.kernels.meanwhile = Making(target=self._make_boundary, args=(task,))
+        steps, rank = measurements.z.shape[-2 - f.scans], len(task.batch)
+        state, kept = now.run(task, steps, state, data, checkpoint, truncate)
         # The batch is that of scenes: time comes behind the targets of each.
         return state, map_tensors(lambda x: x.movedim(rank, rank + 1), kept) if f.scans else kept
 
-    def _plan(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Plan, Data]:
+    def _task(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Task, Data]:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
-        keep, timed = traced.Keep(past, _whole(f, measurements)), (True, measurements.varying_dt, True, True, True)
+        advance = traced.Advance(traced.keep_past if past else traced.keep, _whole(f, measurements))
         with BUILDING:
-            return now, now.plan(keep, state, data, timed), data
+            return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
 
     def backward(
         self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
@@ -169,48 +169,48 @@ class Compiled:
         return of_windows(parts, rank, lag)
 
     def _back(self, f: Any, back: BackwardInputs) -> Any:
-        now, plan, data = self._plan_back(f, back)
-        return now.run(plan, back.steps, back.state, data, back=back)[1]
+        now, task, data = self._task_back(f, back)
+        return now.run(task, back.steps, back.state, data, back=back)[1]
 
-    def _plan_back(self, f: Any, back: BackwardInputs) -> tuple[Version, Plan, list[Tensor]]:
-        """The same as ``_plan`` of a backward pass."""
+    def _task_back(self, f: Any, back: BackwardInputs) -> tuple[Version, Task, list[Tensor]]:
+        """The same as ``_task`` of a backward pass."""
         now, data, timed = self._now(f), list(back.data.values()), list(back.timed.values())
         with BUILDING:
-            return now, now.plan(back.advance, back.state, data, timed, back), data
+            return now, now.task(back.advance, back.state, data, timed, back), data
 
-    def _make_backward(self, f: Any, plan: Plan, measurements: Measurements) -> None:
+    def _make_backward(self, f: Any, task: Task, measurements: Measurements) -> None:
         """Makes the kernel of the backward pass, from zeros for what the filter will keep of two steps of a track.
 
         It is traced while LLVM compiles the filter.  An error comes again in the call that needs the kernel.
         """
-        step, rank = plan.kernels.step, len(plan.batch)
+        step, rank = task.kernels.step, len(task.batch)
         leaves = zip(flatten(step.record), late(step.record), strict=True)
         record = [torch.zeros(*(1,) * rank, 2 + more, *x.shape, dtype=x.dtype) for x, more in leaves]
-        state = map_tensors(lambda x: torch.zeros(*(1,) * rank, *x.shape, dtype=step.dtype), step.state)
+        state = map_tensors(lambda x: torch.zeros((*(1,) * rank, *x.shape), dtype=step.dtype), step.state)
         with suppress(Exception), torch.no_grad():
             kept = unflatten(step.record, iter(record))
             estimate = f.estimate_of(state, kept)
             past = f.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, kept.past)
-            back = self._plan_back(f, backward_inputs(f, past, None, measurements, rank))[1]
-            back.kernels.forwards(torch.Size([2]), plan.device)
+            back = self._task_back(f, backward_inputs(f, past, None, measurements, rank))[1]
+            back.kernels.forwards(torch.Size([2]), task.device)
 
     @staticmethod
-    def _make_boundary(plan: Plan) -> None:
+    def _make_boundary(task: Task) -> None:
         """Makes what ``_get_ready`` will need, while LLVM compiles the steps.  An error comes again there."""
         with suppress(Exception):
-            plan.kernels.around(traced.boundary, learns=False)
+            task.kernels.around(learns=False)
 
     def once(
-        self, f: Any, function: Callable[[Any, Any, Frame], Any], state: Any, measurements: Measurements
+        self, f: Any, function: Callable[..., tuple[Any, Any]], state: Any, measurements: Measurements
     ) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
         if not self.takes(measurements.z):
-            done: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
-            return done
+            interpreted: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
+            return interpreted
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         with BUILDING:
-            plan = now.plan(traced.Once(function, _whole(f, measurements)), state, data, (False,) * 5)
-        return now.run(plan, 1, state, data)
+            task = now.task(traced.Advance(function, _whole(f, measurements)), state, data, (False,) * 5)
+        return now.run(task, 1, state, data)
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
         """The state after one measurement, and its innovation; ``watched``: with the alarm and a copy of the belief.
@@ -218,16 +218,16 @@ class Compiled:
         Shapes are checked unless a call of the same shapes has passed before.
         """
         if not self.takes(measurements.z):
-            stepped: tuple[Any, Any] = self.otherwise.step(f, state, measurements, watched)
-            return stepped
+            interpreted: tuple[Any, Any] = self.otherwise.step(f, state, measurements, watched)
+            return interpreted
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, float, int)):
             f._frame(state, measurements)
         now = self._now(f)
-        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.instants), u, std, noise)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
         kind = _whole(f, measurements), watched
-        done = now.ready[kind](state, data, now.read(), None if checked else f.instants)
+        done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
     @staticmethod
@@ -237,17 +237,19 @@ class Compiled:
         """The same where no step is ready, which then becomes ready if it can."""
         tensors = (*data, *flatten(state), *now.read())
         form = (type(state), kind, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
-        plan = now.steps.get(form)
-        if plan is None:
+        task = now.steps.get(form)
+        if task is None:
             f._frame(state, measurements)
+            complete, watched = kind
+            advance = traced.Advance(traced.watch if watched else traced.observe, complete)
             with BUILDING:
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
-                plan = now.steps[form] = now.plan(traced.Observe(*kind), state, data, (False,) * 5)
+                task = now.steps[form] = now.task(advance, state, data, (False,) * 5)
         else:
-            check_changing(data, f.instants)
-        now.get_ready(plan, state, data, kind)
-        return now.run(plan, 1, state, data)
+            check_changing(data, f.zero_dt)
+        now.get_ready(task, state, data, kind)
+        return now.run(task, 1, state, data)
 
 
 def _whole(f: Any, measurements: Measurements) -> bool:
@@ -255,9 +257,9 @@ def _whole(f: Any, measurements: Measurements) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _seconds(dt: float, dtype: torch.dtype, instants: bool) -> Tensor:
+def _seconds(dt: float, dtype: torch.dtype, zero_dt: bool) -> Tensor:
     """A time step that has been checked."""
     seconds = number(dt, dtype)
     if not is_ordinary(seconds, dtype):
-        check_seconds(dt, dtype, instants)
+        check_seconds(dt, dtype, zero_dt)
     return seconds

@@ -29,7 +29,7 @@ def gathered(
     """
     if lanes.width == 1:
         code = Code(lanes, f"define internal void @{name.format('guarded')}(ptr %s)")
-        with code.where(_truth(code, code.load(code.numbers, code.at("%s", code.numbers, place)), value)):
+        with code.where(code.truth(code.load(code.numbers, code.at("%s", code.numbers, place)), value)):
             code.do(f"call void @{name.format('region')}(ptr %s)")
         code.do("ret void")
         return [code.text()], code.declared
@@ -47,12 +47,6 @@ def gathered(
 def _table(name: str, places: Sequence[int]) -> str:
     numbers = ", ".join(f"i16 {k}" for k in places or [0])
     return f"@{name} = internal constant [{len(places or [0])} x i16] [{numbers}]\n"
-
-
-def _truth(code: Code, number: str, value: bool) -> str:
-    integer = code.new(f"bitcast {code.numbers} {number} to {code.integers}")
-    zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-    return code.new(f"icmp {'ne' if value else 'eq'} {code.integers} {integer}, {zero}")
 
 
 def _state(code: Code) -> tuple[str, str]:
@@ -137,7 +131,7 @@ def _guarded(
     moved = _moved(code, "f")
     count_at, sources_at = _state(code)
     buffer = code.place(code.integers)
-    waits = _truth(code, code.load(code.numbers, code.at("%s", code.numbers, place), lanes.size), value)
+    waits = code.truth(code.load(code.numbers, code.at("%s", code.numbers, place), lanes.size), value)
     first = code.which(waits)
     before = code.block
     code.do("br label %again")

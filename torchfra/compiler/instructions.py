@@ -180,6 +180,16 @@ class Code:
             return "0"
         return f"<{', '.join(f'i{self.lanes.bits} {k}' for k in range(self.lanes.width))}>"
 
+    def truth(self, number: str, value: bool = True) -> str:
+        """Truth values: whether a number in a place, of which all bits or none are set, stands for this value."""
+        integer, zero = self.new(f"bitcast {self.numbers} {number} to {self.integers}"), self.zero
+        return self.new(f"icmp {'ne' if value else 'eq'} {self.integers} {integer}, {zero}")
+
+    @property
+    def zero(self) -> str:
+        """The whole number 0 in each lane."""
+        return "0" if self.lanes.width == 1 else "zeroinitializer"
+
     def any(self, truth: str) -> str:
         """Whether it holds in a lane."""
         if self.lanes.width == 1:
@@ -314,9 +324,7 @@ class Integer:
 
     def negative(self) -> Truth:
         """Truth values: whether it is below 0."""
-        code = self.code
-        zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-        return Truth(code, code.new(f"icmp slt {code.integers} {self.name}, {zero}"))
+        return Truth(self.code, self.code.new(f"icmp slt {self.code.integers} {self.name}, {self.code.zero}"))
 
     def number(self) -> Number:
         """The number whose bits these are."""

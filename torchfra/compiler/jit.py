@@ -15,8 +15,7 @@ import torch
 
 from torchfra.compiler import cache
 from torchfra.compiler.elementary_functions import address
-from torchfra.compiler.llvm import binding
-from torchfra.compiler.processor import features
+from torchfra.compiler.llvm import binding, features
 from torchfra.compiler.sharing import PART
 from torchfra.types import CompileError as CompileError
 

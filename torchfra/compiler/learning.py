@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchfra.compiler.boundary import PRIOR, Boundary
-from torchfra.compiler.boundary_gradient import after_back
-from torchfra.compiler.guards import guard, savable
+from torchfra.compiler.boundary import PRIOR, Boundary, after_back
+from torchfra.compiler.forms import guard, savable
 from torchfra.compiler.program import Program, Ready, batch_first, strided
 from torchfra.compiler.source import Port
 from torchfra.compiler.track_kernel import TrackKernel

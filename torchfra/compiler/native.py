@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from torchfra.compiler.access import Access, Step
 from torchfra.compiler.elementary_functions import SHARED, applied, function
 from torchfra.compiler.expressions import Expressions, Routine
-from torchfra.compiler.frame import crossing, needs
 from torchfra.compiler.gathering import gathered
 from torchfra.compiler.instructions import Code, Lanes
-from torchfra.compiler.plan import Plan
+from torchfra.compiler.plan import Access, Loop, Order, Plan, crossing, needs
 from torchfra.compiler.routines import called_by
 from torchfra.compiler.schedule import Condition, Piece
 from torchfra.compiler.tensor_entries import BLOCK, TensorEntries
 
-_ALWAYS = ("%s", "%aside", "%left", "%in", "%out", "%at")
+_ALWAYS = ("%s", "%aside", "%in", "%out", "%at")
 """What a function takes that is called for all tracks."""
+_BEFORE, _BEHIND = ("%s", "%in", "%at"), ("%s", "%out", "%at")
+"""What those take that are called before and after the loop."""
 _OPERATORS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq"}
 _LONG = 20_000
@@ -29,19 +29,19 @@ class Native:
     """Writes the functions of a step.
 
     Args:
-        step: the step.
+        loop: the step.
         lanes: the tracks of a pack.
         backwards: whether from the last step to the first.
         name: what the names of its functions begin with.
     """
 
-    def __init__(self, step: Step, lanes: Lanes, backwards: bool = False, name: str = "") -> None:
-        self._step, self.lanes, self._backwards, self._name = step, lanes, backwards, name
-        self.plan = Plan(step, lanes.width == 1)
+    def __init__(self, loop: Loop, lanes: Lanes, backwards: bool = False, name: str = "") -> None:
+        self._loop, self.lanes, self._backwards, self._name = loop, lanes, backwards, name
+        self.plan = Plan(loop, lanes.width == 1)
         self._book, self._frame = self.plan.book, self.plan.frame
         self.declared: set[str] = set()
         self.texts: list[str] = []
-        self._called = set[str]() if len(step.live) > _LONG else None
+        self._called = set[str]() if len(loop.live) > _LONG else None
         self._write()
 
     @property
@@ -52,11 +52,17 @@ class Native:
     @property
     def written(self) -> int:
         """Numbers that are written at each step of a track."""
-        return len(self._step.stores)
+        return len(self._loop.stores)
 
-    def _function(self, name: str, args: Sequence[str], result: str = "void") -> Code:
+    def _function(self, name: str, args: Sequence[str]) -> Code:
         parameters = ", ".join(f"ptr noalias {arg}" for arg in args)
-        return Code(self.lanes, f"define internal {result} @{self._name}{name}({parameters})")
+        return Code(self.lanes, f"define internal void @{self._name}{name}({parameters})")
+
+    def _ordered(self, name: str, args: Sequence[str], orders: Sequence[Order], guarded: bool = False) -> None:
+        """A function that does what a plan says; ``guarded``: in a region."""
+        body = _Body(self, self._function(name, args), guarded=guarded)
+        body.do(orders)
+        self._done(body.code)
 
     def _done(self, code: Code) -> None:
         if not code.lines or not code.lines[-1].startswith("ret"):
@@ -76,14 +82,11 @@ class Native:
 
     def _write(self) -> None:
         plan = self.plan
-        for routine in called_by(self._book, self._step.live):
+        for routine in called_by(self._book, self._loop.live):
             self._routine(routine)
-        self._begin()
+        self._ordered("begin", _BEFORE, plan.begin())
         for k, piece in enumerate(plan.before):
-            body = _Body(self, self._function(f"before{k}", ("%s", "%in", "%at")))
-            body.piece(piece, None)
-            self._done(body.code)
-        stored = {*plan.next}
+            self._ordered(f"before{k}", _BEFORE, plan.once(piece))
         calls: list[tuple[list[str], str | None]] = []
         start, first = 0, list[str]()
         needed = [needs(self._book, piece) for piece in plan.steps]
@@ -91,17 +94,15 @@ class Native:
             parts = list(group)
             names = [f"piece{k}" for k in range(start, start + len(parts))]
             for name, piece in zip(names, parts, strict=True):
-                body = _Body(self, self._function(name, ("%s",) if guard else _ALWAYS))
-                body.piece(piece, stored)
-                self._done(body.code)
+                self._ordered(name, ("%s",) if guard else _ALWAYS, plan.each(piece), bool(guard))
             if guard:
                 others = [*needed[:start], *needed[start + len(parts) :]]
                 calls.append((first, self._region(guard, parts, names, start, others)))
             start, first = start + len(parts), [] if guard else names
         calls.append(([*first, "turn"], None))
-        self._turn(stored)
-        self._last()
-        self._end()
+        self._ordered("turn", _ALWAYS, plan.turn())
+        self._ordered("last", _BEHIND, plan.last())
+        self._ordered("end", _BEHIND, plan.end())
         self._loops(calls)
 
     def _routine(self, routine: Routine) -> None:
@@ -116,47 +117,6 @@ class Native:
             if i in computed:
                 code.store(code.numbers, body.value(i), code.at("%r", code.numbers, k), self.lanes.size)
         self._done(code)
-
-    def _begin(self) -> None:
-        """Reads what is carried."""
-        body = _Body(self, self._function("begin", ("%s", "%left", "%in", "%at")))
-        for number, access in self._step.first.items():
-            body.put_aside(number, body.read(access), None)
-        self._done(body.code)
-
-    def _turn(self, stored: set[int]) -> None:
-        """Ends a step: writes what no piece has computed, and moves what is carried on."""
-        body = _Body(self, self._function("turn", _ALWAYS))
-        stores = [(i, access) for i, access in self._step.stores if i not in stored]
-        for number in dict.fromkeys([*(i for i, _ in stores), *(i for i, _ in self._frame.moves)]):
-            body.take(number)
-        for number, access in stores:
-            body.written(number, access)
-        for number, place in self._frame.moves:
-            body.code.store(
-                body.code.numbers, body.kept(number), body.code.at("%s", body.code.numbers, place), self.lanes.size
-            )
-        self._done(body.code)
-
-    def _last(self) -> None:
-        """Writes of the last step what the next one would write."""
-        body = _Body(self, self._function("last", ("%s", "%out", "%at")))
-        for number, access in self._step.stores:
-            if number in self.plan.next:
-                body.take(number)
-                body.written(number, access)
-        self._done(body.code)
-
-    def _end(self) -> None:
-        """Writes what the last step has carried."""
-        body = _Body(self, self._function("end", ("%s", "%left", "%out", "%at")))
-        for number, access in self._step.end:
-            if number in self._step.carried:
-                body.take(number, None)
-                body.write(access, body.known[number])
-            else:
-                body.write(access, body.code.constant(0.0))
-        self._done(body.code)
 
     def _region(
         self,
@@ -186,9 +146,9 @@ class Native:
         """The function of a block: the loop over time, in it that over the packs of tracks."""
         head = f"define internal void @{self.block}(ptr %in, ptr %out, i64 %steps, i64 %first, i64 %lanes, i8 %past)"
         code, width = Code(self.lanes, head), self.lanes.width
-        own, unread, many = self._frame.own, self.plan.unread, self.plan.packs
+        own, many = self._frame.own, self.plan.packs
         passing = max(1, self._frame.size - own)
-        s, aside, left = (code.place(code.numbers, n) for n in (many * own, passing, many * unread))
+        s, aside = (code.place(code.numbers, n) for n in (many * own, passing))
         at = code.place(BLOCK, many)
         if self.plan.many:
             together, state = code.place(code.numbers, own + passing), code.place("i64", 8 + 2 * width)
@@ -200,11 +160,8 @@ class Native:
 
         def of(p: str) -> dict[str, str]:
             """What functions take of a pack."""
-            places = code.at(s, f"[{own} x {code.numbers}]", p)
-            unread_places = code.at(left, f"[{unread} x {code.numbers}]", p)
             return {
-                "%s": places,
-                "%left": unread_places,
+                "%s": code.at(s, f"[{own} x {code.numbers}]", p),
                 "%at": code.at(at, BLOCK, p),
                 "%aside": aside,
                 "%in": "%in",
@@ -226,15 +183,13 @@ class Native:
             ]  # fmt: skip
             for number, (type, value) in enumerate(fields):
                 code.store(type, value, code.field(BLOCK, arguments["%at"], number))
-            call("begin", ("%s", "%left", "%in", "%at"), arguments)
+            call("begin", _BEFORE, arguments)
             for number in range(len(self.plan.before)):
-                call(f"before{number}", ("%s", "%in", "%at"), arguments)
+                call(f"before{number}", _BEFORE, arguments)
         with code.loop("%steps") as k:
             time = k
             if self._backwards:
                 time = code.op("sub", code.op("sub", "%steps", 1), k)
-            next_step = code.op("add", k, "1")
-            last = code.new(f"icmp eq i64 {next_step}, %steps")
             begun = code.new(f"icmp sgt i64 {k}, 0")
             with code.loop(packs) as p:
                 steps = [code.field(BLOCK, at, field, p) for field in (2, 3)]
@@ -242,72 +197,56 @@ class Native:
                 code.store("i64", code.new(f"select i1 {begun}, i64 {old}, i64 {time}"), steps[1])
                 code.store("i64", time, steps[0])
             for names, region in calls:
-                if region is None or not self.plan.many:
-                    with code.loop(packs) as p:
-                        arguments = of(p)
-                        if self.plan.packs > 1:
-                            chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
-                            arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
-                        for name in names:
-                            call(name, _ALWAYS, arguments)
-                        if region is not None:
-                            code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']})")
-                else:
-                    # What a region takes is gathered behind what is computed for all, while that is in the first cache.
-                    with code.loop(packs) as p:
-                        arguments = of(p)
-                        chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
-                        arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
-                        for name in names:
-                            call(name, _ALWAYS, arguments)
-                        code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']}, ptr {aside}, {memory})")
+                with code.loop(packs) as p:
+                    arguments = of(p)
+                    for name in names:
+                        call(name, _ALWAYS, arguments)
+                    if region is not None:
+                        # What a region takes is gathered behind what is computed for all, while that is in the first
+                        # cache.
+                        together = f", ptr {aside}, {memory}" if self.plan.many else ""
+                        code.do(f"call void @{self._name}guarded{region}(ptr {arguments['%s']}{together})")
+                if region is not None and self.plan.many:
                     code.do(f"call void @{self._name}flush{region}({memory})")
         some = code.new("icmp sgt i64 %steps, 0")
         with code.loop(packs) as p:
             arguments = of(p)
             with code.where(some):
-                call("last", ("%s", "%out", "%at"), arguments)
+                call("last", _BEHIND, arguments)
             code.store("i64", "0", code.field(BLOCK, at, 2, p))
-            call("end", ("%s", "%left", "%out", "%at"), arguments)
+            call("end", _BEHIND, arguments)
         self._done(code)
 
 
 class _Body:
     """The instructions of one function, and the values that it knows."""
 
-    def __init__(self, of: Native, code: Code, book: Expressions | None = None) -> None:
-        self._of, self.code, self._book = of, code, book or of.plan.book
+    def __init__(self, of: Native, code: Code, book: Expressions | None = None, guarded: bool = False) -> None:
+        self._of, self.code, self._book, self._guarded = of, code, book or of.plan.book, guarded
         self._frame = of.plan.frame
         self.known: dict[int, str] = {}
-        self._opened: dict[tuple[str, str, str], TensorEntries] = {}
+        self._opened: dict[Access, TensorEntries] = {}
 
-    def piece(self, piece: Piece, stored: set[int] | None) -> None:
-        """All of a piece; ``stored``, if given, grows by what it writes."""
-        step, frame = self._of._step, self._frame
-        late: list[int] = []
-        nodes, values, known, behind = self._book.nodes, self._book.values, self.known, self._of.plan.behind
-        for number in piece.numbers:
-            for arg in nodes[number][1]:
-                if arg not in known and arg not in values:
-                    self.take(arg, piece)
-            access = step.loads.get(number)
-            if access is None:
+    def do(self, orders: Sequence[Order]) -> None:
+        """What a plan says."""
+        code = self.code
+        for what, number, access, place in orders:
+            if what == "compute":
                 self.compute(number)
+            elif what == "take":
+                value = code.load(code.numbers, self._place(number), code.lanes.size)
+                self.known[number] = code.truth(value) if self._book.is_bool(number) else value
+            elif access is None:
+                value = self._kept(number)
+                to = code.at("%s", code.numbers, place) if what == "move" else self._place(number)
+                code.store(code.numbers, value, to, code.lanes.size)
+            elif what == "read":
+                tensor = self._tensor(access)
+                self.known[number] = tensor.load(access.entry) if access.packed else tensor.get(access.entry)
+            elif access.type == "bool":
+                self._tensor(access).mark(access.entry, self.truth(number))
             else:
-                known[number] = self.read(access)
-            if number in frame.places or number in frame.left:
-                if number in frame.late:
-                    late.append(number)
-                else:
-                    self.put_aside(number, known[number], piece)
-            for other, store in behind.get(number, ()) if stored is not None else ():
-                if other not in known and other not in values:
-                    self.take(other, piece)
-                self.written(other, store)
-        for number in late:
-            self.put_aside(number, known[number], piece)
-        if stored is not None:
-            stored.update(other for number in piece.numbers for other, _ in behind.get(number, ()))
+                self._tensor(access).write(access.entry, self.value(number))
 
     def value(self, number: int) -> str:
         """An expression where numbers are wanted."""
@@ -321,108 +260,62 @@ class _Body:
 
     def compute(self, number: int) -> None:
         """An expression that is no constant and no input."""
+        self.known[number] = self._computed(number, *self._book.nodes[number])
+
+    def _computed(self, number: int, op: str, args: tuple[int, ...]) -> str:
         book, code = self._book, self.code
-        op, args = book.nodes[number]
         if op == "call":
-            self._call(number, args)
-        elif op in _OPERATORS:
-            a, b = map(self.value, args)
-            self.known[number] = code.new(f"{_OPERATORS[op]} contract {code.numbers} {a}, {b}")
-        elif op == "neg":
-            self.known[number] = code.new(f"fneg {code.numbers} {self.value(args[0])}")
-        elif op == "same":
-            self.known[number] = self.value(args[0])
-        elif op == "eq" and any(book.is_bool(i) for i in args):
-            a, b = (self.truth(i) for i in args)
-            differ = code.new(f"xor {code.truths} {a}, {b}")
-            self.known[number] = code.new(f"xor {code.truths} {differ}, {code.every('i1', 'true')}")
-        elif op in _COMPARED:
-            a, b = (self.value(i) for i in args)
-            self.known[number] = code.new(f"fcmp {_COMPARED[op]} {code.numbers} {a}, {b}")
-        elif op in ("and", "or"):
-            a, b = (self.truth(i) for i in args)
-            self.known[number] = code.new(f"{op} {code.truths} {a}, {b}")
-        elif op == "not":
-            self.known[number] = code.new(f"xor {code.truths} {self.truth(args[0])}, {code.every('i1', 'true')}")
-        elif op == "select":
+            return self._call(number, args)
+        if op == "result":
+            return code.load(
+                code.numbers, code.at(self.known[args[0]], code.numbers, book.places[number]), code.lanes.size
+            )
+        if op == "select":
             kind, type = (self.truth, code.truths) if book.is_bool(number) else (self.value, code.numbers)
             yes, no = (kind(i) for i in args[1:])
-            self.known[number] = code.new(f"select {code.truths} {self.truth(args[0])}, {type} {yes}, {type} {no}")
-        elif op == "result":
-            where = code.at(self.known[args[0]], code.numbers, book.places[number])
-            self.known[number] = code.load(code.numbers, where, code.lanes.size)
-        else:
-            self.known[number] = self._of.applied(code, op, [*map(self.value, args)])
+            return code.new(f"select {code.truths} {self.truth(args[0])}, {type} {yes}, {type} {no}")
+        if op in ("and", "or", "not") or (op == "eq" and any(book.is_bool(i) for i in args)):
+            truths = [*map(self.truth, args)]
+            if op in ("and", "or"):
+                return code.new(f"{op} {code.truths} {truths[0]}, {truths[1]}")
+            differ = truths[0] if op == "not" else code.new(f"xor {code.truths} {truths[0]}, {truths[1]}")
+            return code.new(f"xor {code.truths} {differ}, {code.every('i1', 'true')}")
+        values = [*map(self.value, args)]
+        if op in _OPERATORS:
+            return code.new(f"{_OPERATORS[op]} contract {code.numbers} {values[0]}, {values[1]}")
+        if op in _COMPARED:
+            return code.new(f"fcmp {_COMPARED[op]} {code.numbers} {values[0]}, {values[1]}")
+        if op == "neg":
+            return code.new(f"fneg {code.numbers} {values[0]}")
+        return values[0] if op == "same" else self._of.applied(code, op, values)
 
-    def _call(self, number: int, args: Sequence[int]) -> None:
-        """A call of a routine; what is known of it then is where its results are."""
+    def _call(self, number: int, args: Sequence[int]) -> str:
+        """Where the results of a call of a routine are."""
         code, routine = self.code, self._book.calls[number]
         arguments = code.place(code.numbers, max(len(args), 1))
         for k, arg in enumerate(args):
             code.store(code.numbers, self.value(arg), code.at(arguments, code.numbers, k), code.lanes.size)
-        self.known[number] = code.place(code.numbers, max(len(routine.outputs), 1))
-        code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {self.known[number]})")
+        results = code.place(code.numbers, max(len(routine.outputs), 1))
+        code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {results})")
+        return results
 
-    def take(self, number: int, piece: Piece | None = None) -> None:
-        """Takes a value from its place, unless it is a constant."""
-        if number in self._book.values:
-            return
+    def _kept(self, number: int) -> str:
+        """A value as it lies in its place: of a truth value all bits where it holds."""
+        if not self._book.is_bool(number):
+            return self.value(number)
         code = self.code
-        value = code.load(code.numbers, self._place(number, piece), code.lanes.size)
-        self.known[number] = self._truth_of(value) if self._book.is_bool(number) else value
-
-    def put_aside(self, number: int, value: str, piece: Piece | None) -> None:
-        """Puts a value into its place."""
-        value = self.kept_truth(value) if self._book.is_bool(number) else value
-        self.code.store(self.code.numbers, value, self._place(number, piece), self.code.lanes.size)
-
-    def kept(self, number: int) -> str:
-        """A value as it lies in its place."""
-        return self.kept_truth(self.truth(number)) if self._book.is_bool(number) else self.value(number)
-
-    def kept_truth(self, value: str) -> str:
-        """A truth value as numbers: all bits where it holds."""
-        code = self.code
-        integer = code.new(f"sext {code.truths} {value} to {code.integers}")
+        integer = code.new(f"sext {code.truths} {self.truth(number)} to {code.integers}")
         return code.new(f"bitcast {code.integers} {integer} to {code.numbers}")
 
-    def _truth_of(self, value: str) -> str:
-        return code_of_truth(self.code, value)
-
-    def _place(self, number: int, piece: Piece | None) -> str:
+    def _place(self, number: int) -> str:
         """The place of a value; regions have all places side by side."""
-        place, own = self._frame.places.get(number), self._frame.own
-        if place is None:
-            return self.code.at("%left", self.code.numbers, self._frame.left[number])
-        if place < own or (piece and piece.guard):
+        place, own = self._frame.places[number], self._frame.own
+        if place < own or self._guarded:
             return self.code.at("%s", self.code.numbers, place)
         return self.code.at("%aside", self.code.numbers, place - own)
 
-    def _open(self, access: Access) -> TensorEntries:
-        key = access.port, access.type, access.step
+    def _tensor(self, access: Access) -> TensorEntries:
+        key = access._replace(entry=0)
         if key not in self._opened:
             self._opened[key] = TensorEntries(self.code, access)
         return self._opened[key]
-
-    def read(self, access: Access) -> str:
-        """What lies in a tensor."""
-        entries = self._open(access)
-        return entries.load(access.entry) if access.how == "load" else entries.get(access.entry)
-
-    def written(self, number: int, access: Access) -> None:
-        """Writes an expression to a tensor."""
-        if access.how == "mark":
-            self._open(access).mark(access.entry, self.truth(number))
-        else:
-            self.write(access, self.value(number))
-
-    def write(self, access: Access, value: str) -> None:
-        """Writes numbers to a tensor."""
-        self._open(access).write(access.entry, value)
-
-
-def code_of_truth(code: Code, value: str) -> str:
-    """Truth values: whether a number in a place stands for true."""
-    integer = code.new(f"bitcast {code.numbers} {value} to {code.integers}")
-    zero = "0" if code.lanes.width == 1 else "zeroinitializer"
-    return code.new(f"icmp ne {code.integers} {integer}, {zero}")

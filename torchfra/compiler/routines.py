@@ -10,11 +10,10 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.compiler.divisions import with_quotients
 from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_back
 from torchfra.compiler.expressions import Expressions, Routine
+from torchfra.compiler.rewrites import with_quotients
 from torchfra.compiler.schedule import cost, ordered
-from torchfra.compiler.statements import called, statement
 from torchfra.linalg.batches import broadcast_shapes
 
 _SHORT, _LONG = 60, 8000
@@ -156,20 +155,3 @@ def called_by(book: Expressions, live: Iterable[int]) -> list[Routine]:
         found |= {inner.name: inner for inner in called_by(routine.book, routine.live)}
         found[routine.name] = routine
     return list(found.values())
-
-
-def texts(book: Expressions, live: Iterable[int]) -> dict[str, list[str]]:
-    """By name and arguments, the lines of all routines that these expressions call; each before those that call it."""
-    return {f"{routine.name}(const V* a, V* r)": _lines(routine) for routine in called_by(book, live)}
-
-
-def _lines(routine: Routine) -> list[str]:
-    book, computed = routine.book, set(routine.live)
-    lines = [f"const V {called(book, i)} = a[{k}];" for k, i in enumerate(routine.inputs)]
-    named = ""
-    for number in routine.live:
-        if book.origin[number] not in ("", named):
-            named = book.origin[number]
-            lines.append(f"// {named}")
-        lines += statement(book, number)
-    return lines + [f"r[{k}] = {called(book, i)};" for k, i in enumerate(routine.outputs) if i in computed]

@@ -14,9 +14,8 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.autograd.function import once_differentiable
 
-from torchfra.compiler.boundary import Boundary
-from torchfra.compiler.boundary_gradient import after_back, begin_back
-from torchfra.compiler.guards import savable
+from torchfra.compiler.boundary import Boundary, after_back, begin_back
+from torchfra.compiler.forms import savable
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import BUILDING, Making, Program, Ready, batch_first
 from torchfra.compiler.source import Scan
@@ -85,9 +84,8 @@ class Kernels:
             meanwhile.start()
 
     def tracks(
-        self, ready: Ready, batch: torch.Size, arguments: Sequence[Tensor], full: Sequence[Tensor],
-        boundary: Callable[[Step], Boundary],
-    ) -> TrackKernel | Learning | None:  # fmt: skip
+        self, ready: Ready, batch: torch.Size, arguments: Sequence[Tensor], full: Sequence[Tensor]
+    ) -> TrackKernel | Learning | None:
         """The steps, and all before and after them, in one call; None where that cannot be.
 
         Args:
@@ -95,13 +93,12 @@ class Kernels:
             batch: of the tracks.
             arguments: mean and root of a prior, and what the steps read besides the state.
             full: the same of the steps, with the batch.
-            boundary: what comes before and after the steps, always the same.
         """
         learns = has_gradient(arguments)
         if learns in self._refused or not hasattr(ready.run, "argtypes"):
             return None  # in the latter case it is no function of C but one that starts a GPU
         try:
-            made, function = self.around(boundary, learns)
+            made, function = self.around(learns)
             kernel = track_kernel(ready, made, function, batch, arguments[:2], learns)
             if kernel is None or not learns:
                 return kernel
@@ -110,7 +107,7 @@ class Kernels:
             self._refused.add(learns)
             return None
 
-    def around(self, boundary: Callable[[Step], Boundary], learns: bool) -> tuple[Boundary, Any]:
+    def around(self, learns: bool) -> tuple[Boundary, Any]:
         """What comes before and after the steps, and the function that does it; both are made once.
 
         Raises:
@@ -118,7 +115,7 @@ class Kernels:
         """
         with self._making_around:
             with BUILDING, torch.inference_mode(False):
-                made = self._boundary = self._boundary or boundary(self.step)
+                made = self._boundary = self._boundary or Boundary(self.step)
             if learns not in self._track_functions:
                 self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
             return made, self._track_functions[learns]

@@ -7,21 +7,17 @@ from dataclasses import dataclass
 
 import torch
 
-from torchfra.compiler.access import Access, Step
-from torchfra.compiler.choices import with_choices_last
-from torchfra.compiler.divisions import with_quotients
+from torchfra.compiler.cpp import file, template, texts
 from torchfra.compiler.expressions import ZERO, Expressions
 from torchfra.compiler.instructions import Lanes
-from torchfra.compiler.masked import with_masked
+from torchfra.compiler.llvm import lanes_of
 from torchfra.compiler.native import Native
 from torchfra.compiler.pages import PAST
-from torchfra.compiler.plan import Plan
-from torchfra.compiler.processor import lanes_of
+from torchfra.compiler.plan import Access, Loop, Plan
+from torchfra.compiler.rewrites import with_choices_last, with_masked, with_quotients
 from torchfra.compiler.schedule import Condition, conditions, regions
 from torchfra.compiler.sharing import kernel, module
-from torchfra.compiler.statements import file, template
 from torchfra.compiler.tensor_entries import functions
-from torchfra.compiler.writer import Writer
 
 SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""
@@ -89,7 +85,7 @@ class Scan:
 
     def native(self, lanes: Lanes, name: str = "") -> Native:
         """The functions of a block of tracks, in instructions; their names begin with ``name``."""
-        return Native(self.step(), lanes, self.backwards, name)
+        return Native(self.loop(), lanes, self.backwards, name)
 
     def source(self, narrow: bool = False) -> str:
         """The module of LLVM, whose function is ``run``; ``narrow``: for one track, in numbers."""
@@ -100,9 +96,8 @@ class Scan:
 
     def cuda(self) -> str:
         """The same in C++ for a GPU: a thread for each track, whose tensors come as an argument by value."""
-        plan = Plan(self.step(), True, _PIECE)
+        plan = Plan(self.loop(), True, _PIECE)
         length = sum(len(piece.numbers) for piece in plan.steps)
-        writer = Writer(plan, length > _PIECE // 2)
         counts = {
             "INPUTS": len(self.carry + self.reads),
             "OUTPUTS": len(self.after + self.writes),
@@ -112,20 +107,22 @@ class Scan:
         run = file("cuda.cpp")
         for word, count in counts.items():
             run = run.replace(word, str(count))
-        return "".join(("#define LONG\n" if length > _LONG else "", *self._parts(writer, "step"), run))
+        return "".join(
+            ("#define LONG\n" if length > _LONG else "", *self._parts("step", plan, length > _PIECE // 2), run)
+        )
 
     def parts(self, name: str) -> tuple[str, str]:
         """In C++ for one track: what any scan of this dtype needs, and the namespace of this one with ``block``."""
-        return self._parts(Writer(Plan(self.step(), True)), name)
+        return self._parts(name, Plan(self.loop(), True))
 
-    def _parts(self, writer: Writer, name: str) -> tuple[str, str]:
+    def _parts(self, name: str, plan: Plan, in_step: bool = False) -> tuple[str, str]:
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template())
         block = block.replace("TIME", "steps - 1 - k" if self.backwards else "k").replace("NAME", name)
-        for word, text in writer.texts().items():
+        for word, text in texts(plan, in_step).items():
             block = block.replace(word, text)
         return head, block
 
-    def step(self) -> Step:
+    def loop(self) -> Loop:
         """The step as its writer needs it, without what it need not compute each time."""
         carry = [(i, p, e) for p, port in enumerate(self.carry) for e, i in enumerate(port.ids)]
         stores = self._stores()
@@ -135,15 +132,15 @@ class Scan:
         carried = {i: j for i, j in self._carried().items() if i not in same}
         outputs = [*carried.values(), *(i for i, _ in stores)]
         book, live = with_choices_last(*with_quotients(book, live, varying, outputs), varying, outputs)
-        return Step(
+        return Loop(
             book,
             live,
             varying.intersection(live),
             carried,
-            {i: Access(f"in[{p}]", "Scalar", "get", e) for i, p, e in carry if i in carried},
+            {i: Access("in", p, e) for i, p, e in carry if i in carried},
             self._loads(),
             stores,
-            [(same.get(i, i), Access(f"out[{p}]", "Scalar", "put", e)) for i, p, e in carry],
+            [(same.get(i, i), Access("out", p, e)) for i, p, e in carry],
         )
 
     def _carried(self) -> dict[int, int]:
@@ -168,7 +165,7 @@ class Scan:
 
     def _loads(self) -> dict[int, Access]:
         return {
-            i: Access(f"in[{p}]", "double" if port.double else "Scalar", "load" if port.packed else "get", e)
+            i: Access("in", p, e, "double" if port.double else "Scalar", port.packed)
             for p, port in enumerate(self.reads, len(self.carry))
             for e, i in enumerate(port.ids)
             if i != ZERO
@@ -176,7 +173,7 @@ class Scan:
 
     def _stores(self) -> list[tuple[int, Access]]:
         return [
-            (i, Access(f"out[{p}]", "bool" if port.truth else "Scalar", "mark" if port.truth else "write", e))
+            (i, Access("out", p, e, "bool" if port.truth else "Scalar"))
             for p, port in enumerate(self.writes, len(self.carry))
             for e, i in enumerate(port.ids)
         ]

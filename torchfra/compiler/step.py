@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -9,20 +10,93 @@ from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 import torchfra.compiler.operations  # noqa: F401  fills the table of operations that Entries look up
-from torchfra.compiler.copies import frozen, put_in_place
+from torchfra.compiler.cpp import give
 from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_back
 from torchfra.compiler.expressions import ZERO, Expressions, TooManyError
-from torchfra.compiler.names import give
-from torchfra.compiler.refusals import gradient_refusals_of, refusals_of
+from torchfra.compiler.forms import late
+from torchfra.compiler.origin import gradient_refusals_of, refusals_of
 from torchfra.compiler.routines import called_for_each
 from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.tangents import tangent
-from torchfra.compiler.trees import late
-from torchfra.compiler.zeros import staying
 from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, paths, unflatten
+
+
+def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Module:
+    """A copy that no later change of the module reaches.
+
+    Tensors without a gradient, lists, dictionaries and sets are copied, tensors to the CPU, where traces are made;
+    everything else is shared.
+    """
+    memo = {} if memo is None else memo
+    if id(module) not in memo:
+        new = memo[id(module)] = module.__new__(type(module))
+        new.__dict__.update({key: _copied(x) for key, x in module.__dict__.items()})
+        new.__dict__["_buffers"] = {key: _copied(x) for key, x in module._buffers.items()}
+        new.__dict__["_modules"] = {key: x and frozen(x, memo) for key, x in module._modules.items()}
+    return memo[id(module)]
+
+
+def _copied(x: Any) -> Any:
+    if isinstance(x, Tensor):
+        return x if x.requires_grad else x.detach().cpu().clone()
+    return copy.copy(x) if isinstance(x, list | dict | set) else x
+
+
+def put_in_place(module: nn.Module, path: str, x: Tensor) -> None:
+    """Puts a tensor in the place of the parameter, buffer or number of this path."""
+    owner, _, key = path.rpartition(".")
+    part = module.get_submodule(owner)
+    part._parameters.pop(key, None)
+    (part.__dict__ if key in part.__dict__ else part._buffers)[key] = x
+
+
+Run = Callable[[Callable[[Sequence[int]], Tensor], Sequence[Tensor]], Sequence[Tensor]]
+"""A step: from what draws numbers of a shape and the leaves of a state to those of the next one."""
+
+
+def staying(run: Run, zero: list[Tensor], dtype: torch.dtype) -> list[Tensor]:
+    """Of the entries of a state that are 0 at first those that are 0 after every step: all of them, hardly any other.
+
+    Whatever an expression makes 0 is 0 in numbers too, but for what is not finite: then all that are 0 at first are
+    returned.  A trace, which knows for certain, takes tens of times as long.
+
+    Args:
+        run: a step in plain numbers.
+        zero: which entries are 0 before the first step.
+        dtype: of the numbers.
+    """
+    generator, first = torch.Generator().manual_seed(0), zero
+
+    def draw(shape: Sequence[int]) -> Tensor:
+        return 0.1 + 0.8 * torch.rand(torch.Size(shape), dtype=dtype, generator=generator)
+
+    while True:
+        leaves = [draw(z.shape).masked_fill(z, 0.0) for z in zero]
+        with _BothSides():
+            after = run(draw, leaves)
+        if any(x.shape != z.shape or not x.isfinite().all() for x, z in zip(after, zero, strict=True)):
+            return first
+        still = [z & (x == 0) for z, x in zip(zero, after, strict=True)]
+        if all(map(torch.equal, still, zero)):
+            return zero
+        zero = still
+
+
+class _BothSides(TorchFunctionMode):
+    """Inside, a choice is 0 only where both sides are: a step of other numbers may choose the other one."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        chosen = func(*args, **(kwargs or {}))
+        if func not in (torch.where, Tensor.where) or len(args) < 3:
+            return chosen
+        mask, yes, no = args if func is torch.where else (args[1], args[0], args[2])
+        other = torch.where(mask, no, yes)
+        return torch.where((chosen == 0) & (other == other), other, chosen)
+
 
 _MOST = 110_000
 """A step of more expressions calls routines: it compiles in half the time and runs 1.2 times as long."""
@@ -162,23 +236,23 @@ class Step:
             state, record = self._stepped(inputs, before)
         after, kept = (tuple(as_entries(book, x) for x in flatten(tree)) for tree in (state, record))
         for kind, leaves in (("", before), ("next.", after)):
-            _name(book, [kind + path for path in _paths(self.state, "state")], leaves)
-        _name(book, list(inputs), list(inputs.values()))
-        _name(book, _paths(record, "record"), kept)
+            give_all(book, [kind + path for path in _paths(self.state, "state")], leaves)
+        give_all(book, list(inputs), list(inputs.values()))
+        give_all(book, _paths(record, "record"), kept)
         if [x.shape for x in after] != [x.shape for x in zero]:
             raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
         return Trace(book, before, inputs, after, record, kept)
 
     def forwards(self, remembers: bool = False) -> Scan:
         """Filters: reads the inputs, writes the record of each step; with ``remembers`` the state before it as well."""
-        ports = self._kept_ports(self._plain)
-        return self._scan(self._plain, ports + (_nonzero_ports(self._plain.before) if remembers else []))
+        kept = self._kept_ports(self._plain)
+        return self._scan(self._plain, kept + (_nonzero_ports(self._plain.before) if remembers else []))
 
     def _kept_ports(self, trace: Trace) -> list[Port]:
-        ports = _ports(trace.kept, timed=self.repeated)
-        for port, is_late in zip(ports, late(trace.record), strict=True):
+        kept = ports(trace.kept, timed=self.repeated)
+        for port, is_late in zip(kept, late(trace.record), strict=True):
             port.late = is_late and self.repeated
-        return ports
+        return kept
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
@@ -192,7 +266,7 @@ class Step:
         )
 
     def _scan(self, trace: Trace, writes: list[Port]) -> Scan:
-        before, after = _ports(trace.before), _ports(trace.after)
+        before, after = ports(trace.before), ports(trace.after)
         return Scan(trace.book, before, after, self._reads(trace), writes, self.last_first, self.dtype)
 
     def _reads(self, trace: Trace) -> list[Port]:
@@ -214,7 +288,7 @@ class Step:
     def _adjoint(self, graded: Sequence[bool], needed: Sequence[str], book: Expressions, caller: Caller) -> Scan:
         trace = self._trace(self.zero, book, caller, differentiable=True)
         states = len(trace.before)
-        rare = self._scan(trace, _ports(trace.kept)).regions()
+        rare = self._scan(trace, ports(trace.kept)).regions()
         after = carried(book, self.zero, self.dtype)
         kept = [x for x, wanted in zip(trace.kept, graded, strict=True) if wanted]
         grads = [Entries.inputs(book, x.shape, self.dtype) for x in kept]
@@ -224,15 +298,15 @@ class Step:
         stays = [g for g, name in zip(pulled[states:], needed, strict=True) if not self.inputs[name].timed]
         timed = [g for g, name in zip(pulled[states:], needed, strict=True) if self.inputs[name].timed]
         sums = [Entries.inputs(book, g.shape, self.dtype) for g in stays]
-        _name(book, [f"gradient.{path}" for path in _paths(self.state, "state")], after)
-        _name(book, [f"gradient.{name}" for name in needed if not self.inputs[name].timed], sums)
+        give_all(book, [f"gradient.{path}" for path in _paths(self.state, "state")], after)
+        give_all(book, [f"gradient.{name}" for name in needed if not self.inputs[name].timed], sums)
         totals = [as_entries(book, a + b) for a, b in zip(sums, stays, strict=True)]
         return Scan(
             book,
-            _ports([*after, *sums]),
-            _ports(pulled[:states] + totals),
-            self._reads(trace) + _nonzero_ports(trace.before) + _ports(grads, timed=self.repeated),
-            _ports(timed, timed=True),
+            ports([*after, *sums]),
+            ports(pulled[:states] + totals),
+            self._reads(trace) + _nonzero_ports(trace.before) + ports(grads, timed=self.repeated),
+            ports(timed, timed=True),
             backwards=not self.last_first,
             dtype=self.dtype,
             rare=rare,
@@ -260,12 +334,14 @@ def _paths(tree: Any, root: str) -> list[str]:
     return [f"{root}.{path}".rstrip(".") if path[:4] in ("", "part") else path for path, _ in paths(tree)]
 
 
-def _name(book: Expressions, names: Sequence[str], tensors: Sequence[Entries]) -> None:
+def give_all(book: Expressions, names: Sequence[str], tensors: Sequence[Entries]) -> None:
+    """Calls the entries of tensors by their names: see ``names.give``."""
     for name, x in zip(names, tensors, strict=True):
         give(book, name, entry_ids(x), x.dim() == 0)
 
 
-def _ports(tensors: Sequence[Entries], *, timed: bool = False) -> list[Port]:
+def ports(tensors: Sequence[Entries], *, timed: bool = False) -> list[Port]:
+    """Tensors as a loop reads or writes them; ``timed``: at each step."""
     return [Port(entry_ids(x), x.shape, timed, truth=x.dtype == torch.bool) for x in tensors]
 
 

@@ -38,70 +38,45 @@ struct Block { int64_t first, step; };
 template <class T> struct Entries {
   T* first;
   int64_t entry;
-  INLINE Entries(const Port& p, const Block& at, int64_t step)
-      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + step * p.time), entry(p.entry) {}
-  INLINE T* operator[](int64_t number) const { return first + number * entry; }
+  INLINE Entries(const Port& p, const Block& at)
+      : first(reinterpret_cast<T*>(p.data) + at.first * p.track + at.step * p.time), entry(p.entry) {}
+  INLINE T& operator[](int64_t number) const { return first[number * entry]; }
 };
-}  // namespace
 
-// LANES
-FUNCTION1(expm1_, expm1, 10)
-FUNCTION1(log1p_, log1p, 10)
-FUNCTION1(erf_, erf, 10)
-FUNCTION1(erfc_, erfc, 15)
-FUNCTION1(lgamma_, lgamma, 10)
-FUNCTION1(sin_, sin, 10)
-FUNCTION1(cos_, cos, 10)
-FUNCTION1(tan_, tan, 10)
-FUNCTION1(asin_, asin, 10)
-FUNCTION1(acos_, acos, 10)
-FUNCTION1(atan_, atan, 10)
-FUNCTION1(sinh_, sinh, 10)
-FUNCTION1(cosh_, cosh, 10)
-FUNCTION1(tanh_, tanh, 10)
-FUNCTION2(hypot_, hypot, 05)
-FUNCTION2(pow_, pow, 10)
-LANES1(round_, nearbyint)  // halves to the even neighbour, as torch does
-LANES1(floor_, floor)
-LANES1(ceil_, ceil)
-LANES1(trunc_, trunc)
-
-namespace {
-INLINE V max_(const V& a, const V& b) { return (a > b) | (a != a) ? a : b; }
-INLINE V min_(const V& a, const V& b) { return (a < b) | (a != a) ? a : b; }
+INLINE Scalar largest(Scalar a, Scalar b) { return (a > b) | (a != a) ? a : b; }
+INLINE Scalar smallest(Scalar a, Scalar b) { return (a < b) | (a != a) ? a : b; }
 
 // Sums of squares from LEAST to MOST have lost nothing to under- or overflow; outside, factors UP and DOWN bring them there.
 constexpr Scalar LEAST = DOUBLE ? 0x1p-960 : 0x1p-100, MOST = DOUBLE ? 0x1p1000 : 0x1p120;
 constexpr Scalar LOWEST = DOUBLE ? 0x1p-1022 : 0x1p-126;  // that is normal
 constexpr Scalar UP = DOUBLE ? 0x1p600 : 0x1p90, DOWN = DOUBLE ? 0x1p-600 : 0x1p-90;
 // Four at a time: none waits for all that come before it.
-template <class... A> INLINE V sum_of_squares(const V& a, const A&... more) {
+template <class... A> INLINE Scalar sum_of_squares(Scalar a, A... more) {
   return ((a * a) + ... + (more * more));
 }
-template <class... A> INLINE V sum_of_squares(const V& a, const V& b, const V& c, const V& d, const A&... more) {
-  const V four = (a * a + b * b) + (c * c + d * d);
+template <class... A> INLINE Scalar sum_of_squares(Scalar a, Scalar b, Scalar c, Scalar d, A... more) {
+  const Scalar four = (a * a + b * b) + (c * c + d * d);
   if constexpr (sizeof...(more) == 0) return four;
   else return four + sum_of_squares(more...);
 }
 // The Euclidean norm, scaled where that is needed: hardly ever.  Others keep what they have without scaling, to the bit.  No
 // function is called, so that the values of a step stay in registers.
-template <class... A> INLINE V norm_(const A&... a) {
-  const V squares = sum_of_squares(a...);
-  if (within(squares, LEAST, MOST)) return sqrt_(squares);
-  const M small = squares < LEAST, large = squares > MOST;
-  const V factor = small ? all(UP) : large ? all(DOWN) : all(1);
-  const V norm = sqrt_(sum_of_squares(a * factor...)) / factor;
-  return !(small | large) ? sqrt_(squares) : norm < LOWEST ? all(0) : norm;  // its inverse would not be finite
+template <class... A> INLINE Scalar norm(A... a) {
+  const Scalar squares = sum_of_squares(a...);
+  const bool small = squares < LEAST, large = squares > MOST;
+  if (!(small | large)) return ::sqrt(squares);
+  const Scalar factor = small ? UP : DOWN;
+  const Scalar scaled = ::sqrt(sum_of_squares(a * factor...)) / factor;
+  return scaled < LOWEST ? Scalar(0) : scaled;  // its inverse would not be finite
 }
 }  // namespace
 
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece
-constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t track) {
-  V s[PLACES], left[LEFT];
+  Scalar s[PLACES];
   Block at{track, 0};
   // FIXED
   for (int64_t k = 0; k < steps; k++) {
@@ -109,7 +84,7 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t
     // STEP
   }
   at.step = 0;
-  end(s, left, out, at);
+  end(s, out, at);
 }
 }  // namespace NAME
 }  // namespace

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from torchfra.compiler.access import Access
 from torchfra.compiler.instructions import Code, Lanes, phi
+from torchfra.compiler.plan import Access
 
 PORT = "{ ptr, i64, i64, i64 }"
 """A tensor: where it is, and how far it is to the next track, the next step, the next entry."""
@@ -19,21 +19,20 @@ class TensorEntries:
         self._code = code
         self._scalar = code.lanes.scalar if access.type == "Scalar" else access.type
         self._bytes = _BYTES[self._scalar]
-        port, number = access.port[:-1].split("[")
 
         def field(k: int) -> str:
-            return code.load("i64" if k else "ptr", code.field(PORT, f"%{port}", k, number))
+            return code.load("i64" if k else "ptr", code.field(PORT, f"%{access.port}", k, access.number))
 
         def of_block(k: int) -> str:
             return code.load("i8" if k == 4 else "i64", code.field(BLOCK, "%at", k))
 
         data, self._track, time, entry = map(field, range(4))
-        first, self._lanes, step = of_block(0), of_block(1), of_block(2 if access.step == "step" else 3)
+        first, self._lanes, step = of_block(0), of_block(1), of_block(3 if access.before else 2)
         a, b = code.op("mul", first, self._track), code.op("mul", step, time)
         offset = code.op("mul", code.op("add", a, b), self._bytes)
         self._first = code.at(data, "i8", offset)
         self._step = code.op("mul", entry, self._bytes)
-        if port == "out" and code.lanes.width > 1:
+        if access.port == "out" and code.lanes.width > 1:
             self._some = code.new(f"icmp slt i64 {self._lanes}, {code.lanes.width}")
             bits = code.new(f"trunc i64 {self._lanes} to i32")
             power = code.new(f"shl i32 1, {bits}")

@@ -10,13 +10,10 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.compiler.boundary import Boundary
 from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
-from torchfra.compiler.step import Step
 from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
-from torchfra.linalg.triangular import tria
-from torchfra.types import Cause, Estimate, Gaussian
+from torchfra.types import Gaussian
 
 
 def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
@@ -29,70 +26,42 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
     state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.home is not f:
         # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
-        return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+        return f.with_memory_of(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
     if like is None or type(like) is type(state):
         return state
     return type(like)(state, *(Entries.inputs(book, tuple(targets), dtype) for _ in like[1:]))
 
 
-def boundary(step: Step) -> Boundary:
-    """From a prior with any root to the first state, and from what has been kept of each step to an estimate."""
-
-    def start(f: Any, mean: Tensor, root: Tensor) -> Any:
-        return f.begin(Gaussian(mean, tria(root)))
-
-    def finish(f: Any, state: Any, kept: Any) -> Estimate:
-        estimate: Estimate = f.estimate_of(state, kept)
-        return estimate
-
-    f: Any = step.module
-    return Boundary(step, start, finish, f.motion.size, (-1, int(Cause.NONE)))
-
-
 @dataclass(frozen=True)
-class Keep:
-    """One step of ``forward``: ``past`` with what the backward pass needs, ``complete`` where scans are."""
-
-    past: bool = False
-    complete: bool = False
-
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-        """The next state, and what is kept."""
-        return f.keep(state, _frame(f, data, self.complete), past=self.past)
-
-
-@dataclass(frozen=True)
-class Observe:
-    """One step of ``step``, of scans that are ``complete`` or not; ``watched``: with the alarm and the belief."""
-
-    complete: bool = False
-    watched: bool = False
-
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-        """The next state, and the innovation."""
-        frame = _frame(f, data, self.complete)
-        if not self.watched:
-            stepped: tuple[Any, Any] = f.observe(state, frame)
-            return stepped
-        state, (innovation, alarm) = f.watched(state, frame)
-        return state, (innovation, alarm, state.belief)
-
-
-@dataclass(frozen=True)
-class Once:
+class Advance:
     """One step by a function of the filter, a state and a frame, of scans that are ``complete`` or not."""
 
-    function: Callable[[Any, Any, Frame], Any]
+    function: Callable[[Any, Any, Frame], tuple[Any, Any]]
     complete: bool = False
 
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> Any:
-        """What the function gives."""
-        return self.function(f, state, _frame(f, data, self.complete))
+    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+        """The next state, and what else the function gives; of one track, or scene."""
+        measurements = Measurements(**data).as_track(scans=f.scans)
+        (frame,), _ = f._frames(CompleteScans(*measurements) if self.complete else measurements, int(f.scans))
+        return self.function(f, state, frame)
 
 
-def _frame(f: Any, data: dict[str, Tensor], complete: bool) -> Frame:
-    """The frame of one step of one track, or scene."""
-    measurements = Measurements(**data).as_track(scans=f.scans)
-    (frame,), _ = f._frames(CompleteScans(*measurements) if complete else measurements, int(f.scans))
-    made: Frame = frame
-    return made
+def keep(f: Any, state: Any, frame: Frame) -> Any:
+    """A step of ``forward``: the next state, and what is kept of the step."""
+    return f.keep(state, frame)
+
+
+def keep_past(f: Any, state: Any, frame: Frame) -> Any:
+    """The same with what the backward pass needs."""
+    return f.keep(state, frame, past=True)
+
+
+def observe(f: Any, state: Any, frame: Frame) -> Any:
+    """A step of ``step``: the next state, and the innovation."""
+    return f.observe(state, frame)
+
+
+def watch(f: Any, state: Any, frame: Frame) -> Any:
+    """The same with the alarm and the belief."""
+    state, (innovation, alarm) = f.watched(state, frame)
+    return state, (innovation, alarm, state.belief)

@@ -12,13 +12,10 @@ from torch import Tensor, nn
 
 from torchfra.compiler import traced
 from torchfra.compiler.backward import BackwardInputs, retreat
-from torchfra.compiler.copies import frozen
 from torchfra.compiler.program import Program
+from torchfra.compiler.ready import AllReadyTracks, Data, ReadyStep, ReadySteps, ReadyTracks, WholeTracks, number
 from torchfra.compiler.run import Kernels, has_gradient
-from torchfra.compiler.single_steps import Data, ReadyStep, ReadySteps, number
-from torchfra.compiler.step import Input, Step
-from torchfra.compiler.unchanged import Seen
-from torchfra.compiler.whole_tracks import AllReadyTracks, ReadyTracks, WholeTracks
+from torchfra.compiler.step import Input, Step, frozen
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.linalg.batches import broadcast_shapes
@@ -45,7 +42,7 @@ class _Value(NamedTuple):
                     if part.get(self.key) is not None)  # fmt: skip
 
 
-class Plan(NamedTuple):
+class Task(NamedTuple):
     """What a form of call comes to."""
 
     kernels: Kernels
@@ -70,28 +67,28 @@ class Version:
 
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
-        self.steps: dict[tuple[Any, ...], Plan] = {}
-        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)  # as ``traced.Observe`` is made of
+        self.steps: dict[tuple[Any, ...], Task] = {}
+        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)  # of complete scans, watched
         self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))
         self.values: list[_Value] = []
-        seen = Seen()
+        sizes, items = list[dict[str, Any]](), list[tuple[dict[str, Any], str, Any]]()
         for path, module in f.named_modules():
             numbers = getattr(module, "annealed", ())
             parts = (module.__dict__, module._modules, module._parameters, module._buffers)
             if not any(parts[1:]) and module.__dict__.keys() <= _EMPTY:
                 continue  # a side that does nothing has nothing that could change
             if not isinstance(module, Hyper):
-                seen.sizes += parts
+                sizes += parts
             for part in parts:
                 for key, x in part.items():
                     event, alone = (0 if key in numbers else _event(module, part, x, s) for s in (self.scans, False))
                     if event is not None and alone is not None:
                         self.values.append(_Value(f"{path}.{key}".lstrip("."), module, key, event, alone))
                     elif part is not module.__dict__ or key not in _PLUMBING:
-                        seen.items.append((part, key, x))
-        self._unchanged = seen.check()
+                        items.append((part, key, x))
+        self._unchanged = _unchanged(sizes, items)
         self._locate()
 
     @property
@@ -124,10 +121,10 @@ class Version:
             values[i] = number(values[i])
         return values
 
-    def plan(
+    def task(
         self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
         back: BackwardInputs | None = None,
-    ) -> Plan:  # fmt: skip
+    ) -> Task:  # fmt: skip
         """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
         first, events = flatten(state)[0], self._events if back is None else back.events
         dtype, targets = first.dtype, () if back else tuple(state.belief.mean.shape[-1 - self.scans : -1])
@@ -154,7 +151,7 @@ class Version:
         counts = any(not (x.is_floating_point() or x.dtype == torch.bool) for x in flatten(kernels.step.record))
         shapes = [batch + zero.shape for zero in kernels.step.zero] + shapes
         dtypes = [dtype] * len(kernels.step.zero) + [torch.float64 if x.double else dtype for x in inputs.values()]
-        return Plan(kernels, batch, shapes, dtypes, counts, first.device)
+        return Task(kernels, batch, shapes, dtypes, counts, first.device)
 
     def _read_for(self, back: BackwardInputs | None) -> list[Tensor]:
         """The values as they are now; with windows, a batch of values gets a dimension of size 1 for them."""
@@ -163,41 +160,41 @@ class Version:
         pairs = ((x, x.dim() - value.alone) for value, x in zip(self.values, self.read(), strict=True))
         return [x.unsqueeze(rank) if rank else x for x, rank in pairs]
 
-    def get_ready(self, plan: Plan, state: Any, data: Data, kind: tuple[bool, bool]) -> None:
+    def get_ready(self, task: Task, state: Any, data: Data, kind: tuple[bool, bool]) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
-        if plan.counts or self._changes(tensors):
+        if task.counts or self._changes(tensors):
             return
-        full, step = self.full(plan, tensors), plan.kernels.step
+        full, step = self.full(task, tensors), task.kernels.step
         if any(x.data_ptr() != y.data_ptr() for x, y in zip(full, tensors, strict=True)):
             return
-        ready = plan.forwards.ready(plan.batch, 1, full)
+        ready = task.forwards.ready(task.batch, 1, full)
         if ready is not None:
             inputs = state, data, tuple(self.read())
             self.ready[kind].add(ReadyStep(ready, inputs, (step.state, step.record)), state, data)
 
     def get_tracks_ready(
-        self, form: Hashable, plan: Plan, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool
+        self, form: Hashable, task: Task, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool
     ) -> None:
         """Makes later tracks like these ready as well; with a gradient where the gradient pass is ``plain``."""
         steps, inputs = data[0].shape[-2], [*(x for x in data if x is not None), *self.read()]
         tensors, leaves = [*prior, *inputs], [x.contiguous() for x in flatten(state)]
-        full, kernels, learns = self.full(plan, [*leaves, *inputs]), plan.kernels, has_gradient(tensors)
+        full, kernels, learns = self.full(task, [*leaves, *inputs]), task.kernels, has_gradient(tensors)
         if (
-            self._changes(tensors, learns and plain and not past and kernels.remembers(plan.batch, steps))
-            or any(x.dtype != plan.dtypes[0] or x.device != plan.device for x in prior)
+            self._changes(tensors, learns and plain and not past and kernels.remembers(task.batch, steps))
+            or any(x.dtype != task.dtypes[0] or x.device != task.device for x in prior)
             or any(x.data_ptr() != y.data_ptr() for x, y in zip(full, [*leaves, *inputs], strict=True))
         ):
             return
-        run = kernels.forwards(plan.batch, plan.device, learns).ready(plan.batch, steps, full)
+        run = kernels.forwards(task.batch, task.device, learns).ready(task.batch, steps, full)
         if run is None:
             return
-        kernel = None if past else kernels.tracks(run, plan.batch, tensors, full[len(leaves) :], traced.boundary)
+        kernel = None if past else kernels.tracks(run, task.batch, tensors, full[len(leaves) :])
         if kernel is not None:
-            self.tracks.add(form, WholeTracks(kernel, tensors))
-        elif not (learns or plan.counts):
+            self.tracks.known.add(form, WholeTracks(kernel, tensors))
+        elif not (learns or task.counts):
             made = kernels.step.state, kernels.step.record
-            self.tracks.add(form, ReadyTracks(run, plan.batch, tensors, state, made))
+            self.tracks.known.add(form, ReadyTracks(run, task.batch, tensors, state, made))
 
     @staticmethod
     def _changes(tensors: Sequence[Tensor], learns: bool = False) -> bool:
@@ -206,24 +203,24 @@ class Version:
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
         return gradients or twice
 
-    def full(self, plan: Plan, tensors: Sequence[Tensor]) -> list[Tensor]:
+    def full(self, task: Task, tensors: Sequence[Tensor]) -> list[Tensor]:
         """Leaves of the state, data and values as kernels take them: with the full batch."""
         return [
             x
-            if x.shape == shape and x.dtype == dtype and x.device == plan.device
-            else x.to(plan.device, dtype).expand(shape)
-            for x, shape, dtype in zip(tensors, plan.shapes, plan.dtypes, strict=True)
+            if x.shape == shape and x.dtype == dtype and x.device == task.device
+            else x.to(task.device, dtype).expand(shape)
+            for x, shape, dtype in zip(tensors, task.shapes, task.dtypes, strict=True)
         ]
 
     def run(
-        self, plan: Plan, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None,
+        self, task: Task, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None,
         back: BackwardInputs | None = None,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Runs the kernels of a plan on these tensors: the state after all steps, and the record of each."""
-        count = len(plan.kernels.step.zero)
-        full = self.full(plan, [*flatten(state), *(x for x in data if x is not None), *self._read_for(back)])
-        state, record = plan.kernels.run(plan.batch, steps, full[:count], full[count:], *options)
-        return state, map_tensors(_whole, record, plan.kernels.step.record) if plan.counts else record
+        """Runs the kernels of a task on these tensors: the state after all steps, and the record of each."""
+        count = len(task.kernels.step.zero)
+        full = self.full(task, [*flatten(state), *(x for x in data if x is not None), *self._read_for(back)])
+        state, record = task.kernels.run(task.batch, steps, full[:count], full[count:], *options)
+        return state, map_tensors(_whole, record, task.kernels.step.record) if task.counts else record
 
 
 def _whole(x: Tensor, like: Tensor) -> Tensor:
@@ -245,3 +242,27 @@ def _event(module: nn.Module, part: dict[str, Any], x: Any, scans: bool) -> int 
 
 _EMPTY = nn.Module().__dict__.keys()
 _PLUMBING = {*_EMPTY, "engine"} - {"training"}
+
+
+def _unchanged(sizes: Sequence[dict[str, Any]], items: Sequence[tuple[dict[str, Any], str, Any]]) -> Callable[[], bool]:
+    """What says whether all is as it is now; it raises ``KeyError`` where something is gone.
+
+    It is written as Python, like ``forms.flattener``, in a third of the time of a loop: every call begins with it.
+
+    Args:
+        sizes: dictionaries that are to have as many entries as now.
+        items: dictionaries, keys and what is there; of tensors nobody may have written to.
+    """
+    known: dict[str, Any] = {}
+    names: dict[int, str] = {}
+
+    def name(x: Any) -> str:
+        known.setdefault(names.setdefault(id(x), f"x{len(names)}"), x)
+        return names[id(x)]
+
+    same = [f"{name(part)}[{key!r}] is {name(x)}" for part, key, x in items]
+    long = [f"len({name(part)}) == {len(part)}" for part in sizes]
+    tensors = {id(x): x for *_, x in items if isinstance(x, Tensor)}.values()
+    versions = [f"{name(x)}._version == {x._version}" for x in tensors]
+    function: Callable[[], bool] = eval(f"lambda: {' and '.join([*same, *long, *versions, 'True'])}", known)
+    return function

@@ -102,7 +102,7 @@ class Filter(nn.Module, Generic[S]):
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     alarms = False
     """Whether it detects a faulty sensor: ``watch``, and ``alarm`` in the ``info`` of its steps."""
-    instants = True
+    zero_dt = True
     """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
     mixes = False
     """Whether ``advance`` takes a ``mix``, a function that replaces the belief from which the step starts, as a filter
@@ -177,11 +177,11 @@ class Filter(nn.Module, Generic[S]):
             raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
         return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
 
-    def unremembered(self, state: Any) -> Any:
+    def without_memory(self, state: Any) -> Any:
         """A state without the memory of earlier measurements, which were those of another sensor."""
         return state
 
-    def remembering(self, state: Any, before: Any) -> Any:
+    def with_memory_of(self, state: Any, before: Any) -> Any:
         """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
         return state
 
@@ -225,17 +225,17 @@ class Filter(nn.Module, Generic[S]):
         """
         return Past(belief, None, info=info)
 
-    def fresh(self, past: Any) -> Any:
+    def provisional_past(self, past: Any) -> Any:
         """The past of a step before the next measurement has decided its estimate."""
-        return past if past.fresh is None else Past(*past.fresh)
+        return past if past.provisional is None else Past(*past.provisional)
 
-    def decided(self, past: Any) -> Any:
+    def last_past(self, past: Any) -> Any:
         """The past of the last step, whose estimate no later measurement can decide."""
-        return past._replace(fresh=None)
+        return past._replace(provisional=None)
 
     def needed_of_next(self, past: Any) -> Any:
         """The part of the next step's past that ``retreat`` reads, here the fading factor; all else is None."""
-        return past._replace(belief=None, fresh=None)
+        return past._replace(belief=None, provisional=None)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
         """Where the backward pass begins: its state at the last step, and the smoothed estimate there."""
@@ -594,8 +594,8 @@ class Filter(nn.Module, Generic[S]):
             estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
         return estimate, state, kept
 
-    def begun(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
-        """Checks the arguments; the state before the first measurement of whole tracks, and its batch dimensions."""
+    def first_state(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
+        """The state before the first measurement, and its number of batch dimensions; arguments are checked."""
         batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
         mean, root = (x.to(measurements.z) for x in prior)
         return self.init(Gaussian(mean.expand((*batch, self.motion.size)), root)), len(batch)
@@ -616,7 +616,7 @@ class Filter(nn.Module, Generic[S]):
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
         batch = check(
-            measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, instants=self.instants
+            measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt
         )
         batch = torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
         return batch if self.scans else broadcast_with_values(self, batch)

@@ -30,7 +30,7 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
             received = model.__name__ if isinstance(model, type) else type(model).__name__
             raise ValueError(f"{name}: expected an instance of torchfra's {kind.__name__}, received {received}")
     if any(isinstance(part, Correlated) for part in sensor.modules()):
-        expected = "one without errors that last (a preset of single targets takes them, outermost or in Stacked)"
+        expected = "one without time-correlated errors (a preset of single targets takes them, outermost or in Stacked)"
         raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
     if sensor.reads > motion.size:
         expected = f"one that reads at most {motion.size} states [{', '.join(motion.components)}]"
@@ -44,16 +44,16 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
             raise ValueError(f"sensor: {sensor.describe()}: expected {expected}, received {has}")
 
 
-def check_sides(**sides: tuple[Any, type]) -> None:
-    """Checks that each part of a filter is of its class: ``check_sides(robust=(robust, Robust))``.
+def check_parts(**parts: tuple[Any, type]) -> None:
+    """Checks that each part of a filter is of its class: ``check_parts(robust=(robust, Robust))``.
 
     Raises:
         ValueError: names the first that is not.
     """
-    for name, (side, kind) in sides.items():
-        if not isinstance(side, kind):
+    for name, (part, kind) in parts.items():
+        if not isinstance(part, kind):
             expected = f"{kind.__name__} of torchfra.{'robust' if name == 'robust' else 'adaptive'}, or a kind of it"
-            raise ValueError(f"{name}: expected {expected}, received {type(side).__name__}")
+            raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
 def check_state(f: Any, state: Any) -> None:

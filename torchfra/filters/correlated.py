@@ -46,7 +46,7 @@ class WithErrorsPast(NamedTuple):
 
 
 class WithErrors(Filter[WithErrorsState]):
-    """A filter whose sensor has errors that last (coloured noise): only the state of ``inner`` holds them.
+    """A filter whose sensor has time-correlated errors: only the state of ``inner`` holds them.
 
     Priors, estimates and beliefs in ``info`` have the components of the target alone; errors start from their
     stationary distribution.  A preset makes this filter if its sensor is a ``sensors.Correlated``.
@@ -97,9 +97,9 @@ class WithErrors(Filter[WithErrorsState]):
         return self.inner.alarms
 
     @property
-    def instants(self) -> bool:  # type: ignore[override]
+    def zero_dt(self) -> bool:  # type: ignore[override]
         """Whether ``dt`` may be 0 in ``inner``."""
-        return self.inner.instants
+        return self.inner.zero_dt
 
     @property
     def one_sensor(self) -> str | None:  # type: ignore[override]
@@ -177,13 +177,13 @@ class WithErrors(Filter[WithErrorsState]):
         belief, info = self.inner.finish(state.inner, steps.belief, steps.info)
         return self.inner.past(belief, info, state.inner, steps.past)
 
-    def fresh(self, past: Any) -> Any:
+    def provisional_past(self, past: Any) -> Any:
         """The past of a step before the next measurement has decided its estimate."""
-        return self.inner.fresh(past)
+        return self.inner.provisional_past(past)
 
-    def decided(self, past: Any) -> Any:
+    def last_past(self, past: Any) -> Any:
         """The past of the last step, whose estimate no later measurement can decide."""
-        return self.inner.decided(past)
+        return self.inner.last_past(past)
 
     def needed_of_next(self, past: Any) -> Any:
         """The part of the next step's past that ``retreat`` reads."""
@@ -201,7 +201,7 @@ class WithErrors(Filter[WithErrorsState]):
 
 
 def with_errors(preset: P, takes: bool = True) -> P:
-    """A preset ``(motion, sensor, ...)`` that takes sensors with errors that last, or refuses them."""
+    """A preset ``(motion, sensor, ...)`` that takes sensors with time-correlated errors, or refuses them."""
     first, second = list(inspect.signature(preset).parameters)[:2]
 
     @wraps(preset)
@@ -211,8 +211,9 @@ def with_errors(preset: P, takes: bool = True) -> P:
         if not isinstance(sensor, Sensor) or not errors_of(sensor) or not isinstance(motion, Motion | Sequence):
             return preset(*arguments, **options)
         if not takes:
-            expected = f"one without errors that last, as {preset.__name__} has none in its state"
+            expected = f"one without time-correlated errors, as {preset.__name__} has none in its state"
             raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
+        # Each element with an error gets the next component behind those of the target.
         errors, behind = errors_of(sensor), count(_one(motion).size)
         biased = Biased(without_errors(sensor), [next(behind) if has else None for has in have_errors(sensor)])
         options = {name: x for name, x in options.items() if name not in (first, second)}

@@ -38,7 +38,7 @@ class Engine(Protocol):
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """The result of ``function(f, state, frame)`` for one measurement that has been checked."""
 
-    def scan(
+    def over_steps(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
@@ -102,14 +102,14 @@ class Interpreted:
         (frame,), _ = f._frames(measurements.as_track(scans=f.scans), state.belief.mean.dim() - 1)
         return function(f, state, frame)
 
-    def scan(
+    def over_steps(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None,
         truncate: int | None, past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
         """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
         with _constants(checkpoint):
-            state, records = scan(f.advance, state, frames, checkpoint, truncate)
+            state, records = over_steps(f.advance, state, frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         stacked = tree.stack(needed, rank)
         nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))
@@ -120,8 +120,8 @@ class Interpreted:
         past: bool,
     ) -> tuple[Estimate, Any, Any]:  # fmt: skip
         """Filters whole tracks from their prior."""
-        state, rank = f.begun(measurements, prior)
-        state, kept = self.scan(f, state, measurements, rank, checkpoint, truncate, past)
+        state, rank = f.first_state(measurements, prior)
+        state, kept = self.over_steps(f, state, measurements, rank, checkpoint, truncate, past)
         return f.estimate_of(state, kept), state, kept.past
 
     def backward(
@@ -132,7 +132,7 @@ class Interpreted:
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
         with _constants(checkpoint):
-            return backward_pass(f, [*earlier, f.decided(last)], steps, rank, checkpoint, lag, truncate)
+            return backward_pass(f, [*earlier, f.last_past(last)], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
         """This engine itself, as it holds nothing of a filter."""
@@ -151,7 +151,7 @@ INTERPRETED = Interpreted()
 """The engine of every filter that has not been compiled."""
 
 
-def scan(
+def over_steps(
     step: Callable[[Any, Any], tuple[Any, Any]],
     state: Any,
     inputs: Sequence[Any],
@@ -214,7 +214,7 @@ def backward_pass(
         stepped: tuple[Any, Smoothed] = f.retreat(step, after) if lag is None else _lagged(f, after, step)
         return stepped
 
-    _, smoothed = scan(back, state, steps[::-1], checkpoint)
+    _, smoothed = over_steps(back, state, steps[::-1], checkpoint)
     stacked: Smoothed = tree.stack([*smoothed[::-1], end], rank)
     return stacked
 
@@ -222,16 +222,16 @@ def backward_pass(
 def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
     """One step of the backward pass with a fixed lag: ``window[l]`` is smoothed by the ``l`` steps after its own.
 
-    For ``window[0]`` the past of the next step is fresh: no later measurement has decided that step.
+    For ``window[0]`` the past of the next step is provisional: no later measurement has decided that step.
     """
-    fresh = f.fresh(step.next)
-    if fresh is step.next:
+    provisional = f.provisional_past(step.next)
+    if provisional is step.next:
         before, smoothed = f.retreat(step, window)
     else:
-        before, smoothed = f.retreat(step._replace(next=fresh), tree.map_tensors(lambda x: x[:1], window))
+        before, smoothed = f.retreat(step._replace(next=provisional), tree.map_tensors(lambda x: x[:1], window))
         if len(tree.flatten(window)[0]) > 1:
             older, smoothed = f.retreat(step, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
-    now, _ = f.last(f.fresh(step.past))
+    now, _ = f.last(f.provisional_past(step.past))
     window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
     return window, tree.map_tensors(lambda x: x[-1], smoothed)

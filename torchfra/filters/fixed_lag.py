@@ -97,25 +97,25 @@ class FixedLag(nn.Module):
         f: Filter = self.filter.with_sensor(sensor)
         if f is not self.filter:
             self.filter.check_smooths_several()
-        inner, record, step = remember(f, state.inner, Measurements(z, dt, u, std, noise))
+        inner, record, step = step_kept(f, state.inner, Measurements(z, dt, u, std, noise))
         window = (*state.window, step)[-self.lag - 1 :]
-        smoothed, rank = go_back(self.filter, inner, window), inner.belief.mean.dim() - 1
+        smoothed, rank = smooth_window(self.filter, inner, window), inner.belief.mean.dim() - 1
         first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), smoothed)
         return FixedLagState(inner, window, first), f.innovation_of(record, step.frame)
 
 
-def remember(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
+def step_kept(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     frame = f._frame(state, measurements)
     state, record = f.advance(state, frame)
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 
-def go_back(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smoothed:
+def smooth_window(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smoothed:
     """The backward pass over a window that ends in the filter's state ``inner``, time behind the batch."""
     rank = inner.belief.mean.dim() - 1
     steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), step[:3]) for step in window]
     belief, info, steps = joined(steps, rank)
     past = f.past(*f.finish(inner, belief, info), inner, steps)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-    return backward_pass(f, [*earlier, f.fresh(now)], [step.frame for step in window], rank, None, None)
+    return backward_pass(f, [*earlier, f.provisional_past(now)], [step.frame for step in window], rank, None, None)

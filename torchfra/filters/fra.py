@@ -13,7 +13,7 @@ from torch.nn.functional import logsigmoid
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.checks import check_sides
+from torchfra.filters.checks import check_parts
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.filters.soft import Soft
@@ -171,7 +171,7 @@ class FRA(Soft, Filter[FRAState]):
         if self.signed:
             raise ValueError("rule: expected one without negative weights, received one with some")
         robust, fading = Huber() if robust is None else robust, Fading() if fading is None else fading
-        check_sides(robust=(robust, Weights), fading=(fading, Fading))
+        check_parts(robust=(robust, Weights), fading=(fading, Fading))
         self.robust, self.fading = robust, fading.of(motion)
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
@@ -186,11 +186,11 @@ class FRA(Soft, Filter[FRAState]):
             belief, belief, belief, belief, belief, normal, self.fading.begin(belief.mean, self.sensor.size)
         )
 
-    def unremembered(self, state: FRAState) -> FRAState:
+    def without_memory(self, state: FRAState) -> FRAState:
         """A state with an empty memory of innovations."""
         return state._replace(memory=self.fading.begin(state.belief.mean, self.sensor.size))
 
-    def remembering(self, state: FRAState, before: FRAState) -> FRAState:
+    def with_memory_of(self, state: FRAState, before: FRAState) -> FRAState:
         """A state with the memory of innovations of the state ``before``."""
         return state._replace(memory=before.memory)
 
@@ -215,6 +215,7 @@ class FRA(Soft, Filter[FRAState]):
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
+        # Interacting models alone, which give a ``mix``, weigh a step by it.
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 

@@ -44,7 +44,7 @@ class Fused:
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments for each sensor; their batch."""
         sizes = [view.sensor.size for view in self.views]
-        check(measurements, prior, self.home.motion, max(sizes), name=name, instants=self.home.instants)
+        check(measurements, prior, self.home.motion, max(sizes), name=name, zero_dt=self.home.zero_dt)
         steps = measurements.z.shape[-2]
         if steps != len(self.which):
             received = f"{len(self.which)} numbers"
@@ -75,7 +75,7 @@ class Fused:
 class Stretches(Interpreted):
     """Runs a ``Fused`` filter: stretches of steps of one sensor, each by the engine of its view."""
 
-    def scan(
+    def over_steps(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
@@ -89,7 +89,7 @@ class Stretches(Interpreted):
                 state = tree.detach(state)
             view = f.views[f.which[first]]
             part = _part(measurements, list(range(first, last)), view.sensor.size)
-            state, more = view.engine.scan(view, state, part, rank, checkpoint, None, past)
+            state, more = view.engine.over_steps(view, state, part, rank, checkpoint, None, past)
             kept.append(tree.map_tensors(lambda x: x.narrow(rank, 0, last - first), more))  # noqa: B023  # it runs now
         return state, joined(kept, rank)
 

@@ -22,7 +22,7 @@ from torchfra.filters.interaction import (
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.markov import mean_durations, over_seconds, rates
-from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, remembered, retreat, together
+from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
@@ -148,9 +148,9 @@ class IMM(Filter[IMMState]):
         """The parts, by name, that differ around another sensor."""
         return {"inner": self.inner.with_sensor(sensor)}
 
-    def remembering(self, state: Any, before: Any) -> Any:
+    def with_memory_of(self, state: Any, before: Any) -> Any:
         """A state whose models have the memory of those of the state ``before``."""
-        return state._replace(inner=self.inner.remembering(state.inner, before.inner))
+        return state._replace(inner=self.inner.with_memory_of(state.inner, before.inner))
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""
@@ -277,16 +277,16 @@ class IMM(Filter[IMMState]):
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
         """The past of every model."""
-        return remembered(self.inner, state.inner, steps)
+        return past_of_models(self.inner, state.inner, steps)
 
-    def fresh(self, past: ModelsPast) -> ModelsPast:
+    def provisional_past(self, past: ModelsPast) -> ModelsPast:
         """The past of a step before the next measurement has decided its estimate."""
-        inner = self.inner.fresh(past.inner)
+        inner = self.inner.provisional_past(past.inner)
         return past if inner is past.inner else past._replace(inner=inner)
 
-    def decided(self, past: ModelsPast) -> ModelsPast:
+    def last_past(self, past: ModelsPast) -> ModelsPast:
         """The past of the last step, whose estimate no later measurement can decide."""
-        return past._replace(inner=self.inner.decided(past.inner))
+        return past._replace(inner=self.inner.last_past(past.inner))
 
     def needed_of_next(self, past: ModelsPast) -> ModelsPast:
         """The part of the next step's past that ``retreat`` reads: that of the models' filters."""
@@ -296,7 +296,7 @@ class IMM(Filter[IMMState]):
     def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
         """Where the backward pass begins: the filtered models of the last step."""
         models = Models(past.inner.belief, past.log_weights)
-        return models, together(models, past.active, self.motion)
+        return models, estimate_of_models(models, past.active, self.motion)
 
     def retreat(self, step: BackwardStep, after: Models) -> tuple[Models, Smoothed]:
         """One step of the backward pass, of all models."""
@@ -306,7 +306,7 @@ class IMM(Filter[IMMState]):
             return several
         matrix, frame = self.past_transition(step, after.log_weights)
         models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.carried), matrix, after)
-        return models, together(models, step.past.active, self.motion)
+        return models, estimate_of_models(models, step.past.active, self.motion)
 
 
 def _reachable(count: int, follows: Value | None) -> Tensor:

@@ -15,7 +15,7 @@ from torchfra.filters.base import Mix
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, wide, without_failed
+from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, without_failed
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.linalg.safe import safe_log, safe_log1p
@@ -45,6 +45,7 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
+    # By the evidence of a robust filter: one outlier shall not decide between the models.
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     roots, total = share_roots(log_weights.movedim(-1, 0))
     log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)
@@ -78,7 +79,7 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
 
 
 def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
-    """``interaction`` for a transition ``(1 - e) I + e / K``: stay, or restart with a model drawn from all uniformly.
+    """``interaction`` for a transition ``(1 - e) I + e / K``: a model stays, or restarts as any of them, uniformly.
 
     The mixed belief of each model has two components, its own belief and that of all models together, instead of K.
     The moments are the same.  Angles count from the likelier of the two.
@@ -93,8 +94,8 @@ def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Te
     """
     before, count = state.log_weights, len(motion)  # type: ignore[arg-type]  # a Bank
     own = safe_log1p(-restart).to(before).unsqueeze(-1) + before
-    drawn = safe_log(restart / count).to(before).unsqueeze(-1)
-    roots, predicted = share_roots(torch.stack(torch.broadcast_tensors(own, drawn)))
+    restarted = safe_log(restart / count).to(before).unsqueeze(-1)
+    roots, predicted = share_roots(torch.stack(torch.broadcast_tensors(own, restarted)))
 
     def interact(belief: Gaussian) -> Gaussian:
         """Eqs. (7), (8)."""
@@ -103,7 +104,7 @@ def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Te
             together = pooled(belief, before, motion)
         pairs = zip(belief, repeated(together, count), strict=True)
         two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
-        return (wide if motion.linear else matched)(two, roots, motion.angles)
+        return matched(two, roots, motion.angles, triangular=not motion.linear)
 
     return predicted, interact
 

@@ -109,6 +109,8 @@ class LikelyModels(nn.Module):
         principal = (weight > high).to(weight)
         called = ((principal.unsqueeze(-2) @ self.calls.to(weight)).squeeze(-2) > 0).to(weight)
         likely = runs * (weight >= low).to(weight)
+        # 4 for principal models, 3 for their neighbours, 2 for active likely ones, 1 for active unlikely ones, else 0;
+        # a probability is less than the 2 between tiers, so that it decides within a tier alone.
         tier = torch.where(principal > 0, 4.0, torch.where(called > 0, 3.0, runs + likely))
         score = 2 * tier + weight
         mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
@@ -117,8 +119,9 @@ class LikelyModels(nn.Module):
         chosen = (rank < active.shape[-2]).to(weight)
         goes_on = (active @ chosen.unsqueeze(-1)).squeeze(-1)
         new, free = chosen * (1 - runs), 1 - goes_on
-        turn = (_counted(new).unsqueeze(-2) == _counted(free).unsqueeze(-1)).to(weight)
-        return goes_on.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * turn, goes_on
+        # The first new model takes the first free place, and so on.
+        paired = (_counted(new).unsqueeze(-2) == _counted(free).unsqueeze(-1)).to(weight)
+        return goes_on.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * paired, goes_on
 
     def matrix(self, every: Tensor, was: Tensor, now: Tensor, goes_on: Tensor) -> Tensor:
         """``P(now j | was i) (..., A, A)`` between two sets ``(..., A, K)``, from that between all models.

@@ -47,12 +47,13 @@ def over_seconds(generator: Tensor, dt: Tensor) -> Tensor:
     Source: Moler & Van Loan (2003), "Nineteen dubious ways to compute the exponential of a matrix", method 3.
     """
     fastest = (-generator.diagonal(dim1=-2, dim2=-1)).amax(-1)
-    stable = torch.minimum(fastest * dt, torch.as_tensor(2.0 ** (DOUBLINGS + 1)).to(fastest))  # the series converges
-    first = generator * (safe_divide(stable, fastest) / 2**DOUBLINGS)[..., None, None]
-    square = first @ first
-    change = first + square / 2 + square @ (first / 6 + square / 24)
+    # No longer step, for which the series of a halved step would not converge.
+    ends = torch.minimum(fastest * dt, torch.as_tensor(2.0 ** (DOUBLINGS + 1)).to(fastest))
+    small = generator * (safe_divide(ends, fastest) / 2**DOUBLINGS)[..., None, None]
+    square = small @ small
+    change = small + square / 2 + square @ (small / 6 + square / 24)  # exp(small) - I to fourth order
     for _ in range(DOUBLINGS):
-        change = 2 * change + change @ change
+        change = 2 * change + change @ change  # (I + change)^2 - I
     eye = torch.eye(generator.shape[-1], dtype=generator.dtype, device=generator.device)
     probabilities: Tensor = (eye + change).clamp_min(0.0)
     return probabilities

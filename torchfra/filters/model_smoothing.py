@@ -50,7 +50,7 @@ class Models(NamedTuple):
     """``(..., K)`` logs of the models' smoothed probabilities."""
 
 
-def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
+def past_of_models(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
     """The past of all models, from the kept parts of all steps.
 
     Args:
@@ -68,7 +68,7 @@ def remembered(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
     return ModelsPast(swapped(inner.past(belief, info, None, None)), steps.log_weights, steps.active)
 
 
-def together(models: Models, active: Tensor | None, motion: Motion) -> Smoothed:
+def estimate_of_models(models: Models, active: Tensor | None, motion: Motion) -> Smoothed:
     """The estimate of all models, and their probabilities, 0 for those that are not ``active``."""
     belief = moment_match(models_first(models.belief), models.log_weights.movedim(-1, 0), motion.angles)
     belief = canonical(motion, belief)
@@ -96,6 +96,7 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     frame = adapted(step.frame, mixed.mean)  # as the filter has adapted it
     predicted, _ = inner.carry(mixed, frame, step.next.factor).belief()
     difference = inner.motion.difference
+    # What later measurements add to a prediction, they add to every model before that leads to it.
     later = future(predicted, after.belief, difference)
     each, fit = later.update(inner.carry(before, frame, step.next.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))

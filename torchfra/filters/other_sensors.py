@@ -32,8 +32,8 @@ class View:
     def advance(self, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Any]:
         """One step, from a state with an empty memory; the next state has the memory of the one before."""
         parent: Any = super()
-        after, record = parent.advance(parent.unremembered(state), frame, *mix)
-        return parent.remembering(after, state), record
+        after, record = parent.advance(parent.without_memory(state), frame, *mix)
+        return parent.with_memory_of(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Any:
         """A view of the home filter around another sensor."""
@@ -57,7 +57,7 @@ class SensorViews:
             parts = f.parts_for(sensor)
             view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
             view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
-            if len(self._views) == _VIEWS:
+            if len(self._views) == _VIEWS:  # the one that was used least recently goes
                 self._views.pop(next(iter(self._views)))
         self._views[id(sensor)] = view
         share(f, view)

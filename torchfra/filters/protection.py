@@ -58,6 +58,7 @@ def protection_level(
         away = torch.cat([away, away], -1)
     beyond = _TAILS[centre[..., where].shape[-1]]
     one = std.new_ones(())
+    # No tail is left in double precision beyond 100 standard deviations.
     k = _halved(lambda r: beyond(r) > risk, 0 * one, 100 * one)
     # At the radius that the widest hypothesis needs alone, no hypothesis exceeds the risk.
     widest = torch.where(weight > 0, away + k * std, 0.0).amax(-1)

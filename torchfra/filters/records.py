@@ -69,7 +69,7 @@ class Past(NamedTuple):
     """The filtered belief, from which the next step was predicted."""
     factor: Tensor | None
     """``(...)`` fading factor of the prediction that led to it."""
-    fresh: tuple[Gaussian, Tensor] | None = None
+    provisional: tuple[Gaussian, Tensor] | None = None
     """Belief and factor before the next measurement, for a filter that decides a step by the next one."""
     info: Any = None
     """``Estimate.info`` of the step, for a ``retreat`` that reads it."""

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchfra.adaptive.fading import Memory, NoFading
 from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.checks import check_sides
+from torchfra.filters.checks import check_parts
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.gaussian.cubature import third_degree
@@ -88,7 +88,7 @@ class SRCKF(Filter[State]):
         self.robust = Robust() if robust is None else robust
         self.fading = NoFading() if fading is None else fading
         self.noise = NominalNoise() if noise is None else noise
-        check_sides(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
+        check_parts(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
         self.fading = self.fading.of(motion)
         if self.signed and not self.fading.plain:
             raise ValueError("rule: expected one without negative weights beside fading factors")
@@ -96,8 +96,8 @@ class SRCKF(Filter[State]):
         if others and not self.noise.plain:
             expected = "none beside an estimate of the measurement noise"
             raise ValueError(f"robust, fading: expected {expected}, received {' and '.join(others)}")
-        if isinstance(self.noise, SageHusa) and len(self.noise.element) != sensor.size:
-            count = len(self.noise.element)
+        if isinstance(self.noise, SageHusa) and len(self.noise.block_of) != sensor.size:
+            count = len(self.noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
 
     @property
@@ -119,11 +119,11 @@ class SRCKF(Filter[State]):
             )
         return super().parts_for(sensor)
 
-    def unremembered(self, state: State) -> State:
+    def without_memory(self, state: State) -> State:
         """A state with an empty memory of innovations."""
         return state._replace(fading=self.fading.begin(state.belief.mean, self.sensor.size))
 
-    def remembering(self, state: State, before: State) -> State:
+    def with_memory_of(self, state: State, before: State) -> State:
         """A state with the memory of innovations of the state ``before``."""
         return state._replace(fading=before.fading)
 

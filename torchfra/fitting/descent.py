@@ -54,6 +54,7 @@ class Settings:
             value = getattr(self, name)
             if not is_integer(value, least):
                 raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
+            object.__setattr__(self, name, int(value))  # torch's generators take no integers of numpy
         for name in ("lr", "clip", "spread"):
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0 < value < math.inf:

@@ -105,7 +105,7 @@ def fit(
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
     vector.store(raw)
     f.requires_grad_(False)
-    held = _judged(own := FitTracks(objective, sums, test), start, raw, seed)
+    held = _judged(own := FitTracks(objective, sums, test), start, raw, settings.seed)
     lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
     return Fitted(
         f, _named(vector, start), _named(vector, raw), known, held, descent.rows,

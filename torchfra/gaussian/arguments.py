@@ -26,7 +26,7 @@ def check(
     *,
     scans: bool = False,
     name: str = "prior",
-    instants: bool = True,
+    zero_dt: bool = True,
 ) -> torch.Size:
     """Checks kinds, shapes and values of a user's arguments, and returns their batch.
 
@@ -37,7 +37,7 @@ def check(
         size: elements of a measurement, ``m``.
         scans: whether measurements are ``(..., T, J, m)`` and priors ``(..., N, n)``; targets are no part of the batch.
         name: name of the prior in error messages.
-        instants: whether ``dt`` may be 0.
+        zero_dt: whether ``dt`` may be 0.
 
     Raises:
         ValueError: names the argument, what was expected and what came.
@@ -59,7 +59,7 @@ def check(
     except RuntimeError:
         received = ", ".join(f"{name} {tuple(shape)}" for name, shape in batch.items())
         raise ValueError(f"batch: expected shapes that broadcast, received {received}") from None
-    check_values(measurements, instants)
+    check_values(measurements, zero_dt)
     return common
 
 
@@ -109,10 +109,10 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
         raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
 
 
-def check_values(measurements: Measurements, instants: bool = True) -> None:
+def check_values(measurements: Measurements, zero_dt: bool = True) -> None:
     """Checks that time steps are finite and not negative, and noise positive, in the precision of ``z``.
 
-    Noise is checked where something is measured.  Without ``instants`` a ``dt`` of 0 is refused.  Nothing is checked
+    Noise is checked where something is measured.  Without ``zero_dt`` a ``dt`` of 0 is refused.  Nothing is checked
     while code is traced.
 
     Raises:
@@ -121,7 +121,7 @@ def check_values(measurements: Measurements, instants: bool = True) -> None:
     z, dt, _, std, noise = measurements
     if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
         return
-    check_seconds(dt, z.dtype, instants)
+    check_seconds(dt, z.dtype, zero_dt)
     if std is not None:
         std = std.to(z)
         bad = ~((std > 0) & (std < torch.inf) | z.isnan())
@@ -134,8 +134,8 @@ def check_values(measurements: Measurements, instants: bool = True) -> None:
             _refuse("noise", expected, noise, singular, event=2)
 
 
-def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
-    """Checks that time steps are finite and not negative in this precision, and without ``instants`` not 0.
+def check_seconds(dt: Time, dtype: torch.dtype, zero_dt: bool = True) -> None:
+    """Checks that time steps are finite and not negative in this precision, and without ``zero_dt`` not 0.
 
     Raises:
         ValueError: one is not.
@@ -143,10 +143,10 @@ def check_seconds(dt: Time, dtype: torch.dtype, instants: bool = True) -> None:
     exact = dt if isinstance(dt, Tensor) else torch.tensor(dt, dtype=torch.float64)
     seconds = exact.to(dtype)
     bad = ~((seconds > 0) & (seconds < torch.inf))
-    if instants:
+    if zero_dt:
         bad = bad & (exact != 0)
     if bool(bad.any()):
-        _refuse("dt", f"seconds above 0 {'(or just 0) ' * instants}and finite in {dtype}", exact, bad)
+        _refuse("dt", f"seconds above 0 {'(or just 0) ' * zero_dt}and finite in {dtype}", exact, bad)
 
 
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:

@@ -20,7 +20,11 @@ from torchfra.types import Gaussian
 
 @event_ranks(origin=1, slope=2, value=1)
 class Future(NamedTuple):
-    """``value = slope (x - origin) + N(0, I)`` for a state ``x (..., n)``."""
+    """``value = slope (x - origin) + N(0, I)`` for a state ``x (..., n)``.
+
+    Its likelihood, as a function of the state, is that of all later measurements up to a factor: the likelihood which
+    the backward filter of two-filter smoothing carries.
+    """
 
     origin: Tensor
     """``(..., n)`` prediction of the state."""
@@ -56,7 +60,7 @@ def _update(
     """``Future.update`` for beliefs whose mean is ``origin + gap``."""
     n = slope.shape[-1]
     rest = spread.shape[-1] - n
-    noise = hstack(noise, spread[..., :rest]) if rest else noise
+    noise = hstack(noise, spread[..., :rest]) if rest else noise  # the linearisation error is independent of the belief
     eye = torch.eye(n, dtype=noise.dtype, device=noise.device)
     root = tria_beside(eye.diagonal(), slope @ noise)
     if subtracted:
@@ -66,9 +70,9 @@ def _update(
     residual = whitened[..., n] - apply(slope, gap)
     rows = hstack(slope @ spread[..., rest:], residual.unsqueeze(-1)).mT  # [A, e]^T
     lower = tria_beside(pad(eye.diagonal(), (0, 1)), rows)
-    left = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)
-    fit = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
-    return Gaussian(apply(left, lower[..., n, :n]), left), fit
+    inverse = torch.linalg.solve_triangular(lower[..., :n, :n].mT, eye, upper=True)  # R^-T
+    log_density = -0.5 * lower[..., n, n].square() - _log_det(lower[..., :n, :n]) - _log_det(root)
+    return Gaussian(apply(inverse, lower[..., n, :n]), inverse), log_density
 
 
 def _log_det(root: Tensor) -> Tensor:

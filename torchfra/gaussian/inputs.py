@@ -128,6 +128,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     shift = motion.shift(dt, u)
     models = (motion.transition(dt) if motion.linear else None, motion.process_noise(dt), motion.adaptation(dt))
     _check_models(motion, shift, *models[:2])
+    # A shift varies with ``u`` even where all steps have one ``dt``.
     varying_shift = shift is not None and shift.dim() > rank + 1 + motion.stacked
     steps = len(z)
 

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import near
-from torchfra.linalg.safe import safe_log, safe_sqrt
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.linalg.safe import safe_log
+from torchfra.linalg.triangular import tria
 from torchfra.types import Gaussian
 
 
@@ -38,26 +38,26 @@ def moment_match(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] =
     return matched(beliefs, roots, angles)
 
 
-def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """``moment_match`` with square roots ``(K, ...)`` of the weights."""
+def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, triangular: bool = True) -> Gaussian:
+    """``moment_match`` with square roots ``(K, ...)`` of the weights.
+
+    If not ``triangular``, its root is ``(..., n, p)`` and saves a triangularisation: enough for a linear motion, whose
+    prediction has a triangularisation of its own.
+    """
     middle, columns = _moments(beliefs, roots, angles)
+    if not triangular:
+        return Gaussian(middle, torch.cat(columns, -1))
     zeros = middle.new_zeros(*middle.shape, middle.shape[-1])
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
-
-
-def wide(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """``matched`` with a root ``(..., n, p)`` that is not triangular, which is enough for a linear motion."""
-    middle, columns = _moments(beliefs, roots, angles)
-    return Gaussian(middle, torch.cat(columns, -1))
 
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
     """The mean ``(..., n)`` of a mixture, and blocks that side by side are a root of its covariance."""
     root = roots.unsqueeze(-1)
-    counts = root != 0  # true for NaN, which must show in the result
-    mean = torch.where(counts, beliefs.mean, 0.0)
+    nonzero = root != 0  # true for NaN, which must show in the result
+    mean = torch.where(nonzero, beliefs.mean, 0.0)
     if angles:
-        mean = _together(mean, roots, angles)
+        mean = _near_likeliest(mean, roots, angles)
     if len(root) == 2:  # one column for both means, as their shares sum to one
         (one, other), (first, second) = root.unbind(), mean.unbind()
         between = second - first
@@ -66,7 +66,7 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
     else:
         middle = (root.square() * mean).sum(0)
         apart = list((root * (mean - middle)).unsqueeze(-1).unbind())
-    spread = root.unsqueeze(-1) * torch.where(counts.unsqueeze(-1), beliefs.scale_tril, 0.0)
+    spread = root.unsqueeze(-1) * torch.where(nonzero.unsqueeze(-1), beliefs.scale_tril, 0.0)
     return middle, [*spread.unbind(), *apart]
 
 
@@ -92,30 +92,7 @@ def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:
     return torch.where(top == -torch.inf, 0.0, top)
 
 
-def missed_or_hit(missed: Gaussian, hit: Gaussian, log_weights: Tensor) -> Gaussian:
-    """``moment_match`` of a belief and of J beliefs that share one root.
-
-    ``tria([sqrt(w_0) S_0, sqrt(w_1 + ... + w_J) S, sqrt(w_i) (mean_i - mean)])``.
-
-    Args:
-        missed: ``(..., 1)``.
-        hit: means ``(..., J, n)``, root ``(..., 1, n, n)``.
-        log_weights: ``(..., J + 1)``; minus infinity for a belief of zero weight, which may then be NaN.
-    """
-    counts = log_weights != -torch.inf
-    root = (0.5 * log_weights).exp()
-    weight = root.square()
-    means = torch.cat([x.expand(*log_weights.shape[:-1], -1, -1) for x in (missed.mean, hit.mean)], -2)
-    means = torch.where(counts.unsqueeze(-1), means, 0.0)
-    middle = (weight.unsqueeze(-1) * means).sum(-2, keepdim=True)
-    both = torch.stack([root[..., 0], safe_sqrt(weight[..., 1:].sum(-1))], -1)[..., None, None]
-    roots = torch.cat(torch.broadcast_tensors(missed.scale_tril, hit.scale_tril), -3)
-    first, second = torch.where(both == 0, 0.0, both * roots).unbind(-3)
-    apart = (root.unsqueeze(-1) * (means - middle)).mT
-    return Gaussian(middle.squeeze(-2), tria(hstack(first, second, apart)))
-
-
-def _together(mean: Tensor, weights: Tensor, angles: Sequence[int]) -> Tensor:
+def _near_likeliest(mean: Tensor, weights: Tensor, angles: Sequence[int]) -> Tensor:
     """Means ``(K, ..., n)`` with their angles within half a turn of the likeliest mean's."""
     columns = list(mean.unbind(-1))
     for i in angles:

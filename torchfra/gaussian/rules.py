@@ -98,9 +98,10 @@ class SigmaPoints(nn.Module):
             )
         there = power > 1e-12 * power[-1]  # equal weights that sum to one leave nothing in one direction
         root = basis[:, there] * power[there].sqrt()
+        # Of all roots, one whose first n columns are the slope: they correlate with the points, the others do not.
         turn = torch.linalg.qr((points @ root).mT, mode="complete").Q
         root = root @ turn
-        root[:, : len(points)] *= (points @ root).diagonal().sign()
+        root[:, : len(points)] *= (points @ root).diagonal().sign()  # QR leaves the signs open: the slope of x is +I
         root = torch.where(root.abs() < 1e-14 * root.abs().max(), 0.0, root)  # rounding: exactly zero
         ordered: Tensor = root.roll(-len(points), 1)
         return ordered

@@ -20,9 +20,9 @@ class Joint(NamedTuple):
     root: Tensor
     """``S_zz (..., m, m)`` lower root of the innovation's covariance: eq. (17)."""
     cross: Tensor
-    """``(..., n, m)`` covariance of state and measurement, divided by that root: eqs. (20), (22)."""
-    left: Tensor
-    """``(..., n, n)`` lower root of the covariance that a measurement leaves: eq. (24)."""
+    """``K S_zz (..., n, m)`` covariance of state and measurement, divided by that root: eqs. (20), (22)."""
+    posterior: Tensor
+    """``S_post (..., n, n)`` lower root of the posterior covariance: eq. (24)."""
 
 
 def repaired_root(whitened: Whitened) -> tuple[Tensor, Tensor]:
@@ -56,9 +56,9 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
 
 def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Tensor]:
     """The belief after the measurement, and the innovation's root and normalised residual: eqs. (17)-(24)."""
-    root, cross, left = joint(belief, whitened)
+    root, cross, posterior = joint(belief, whitened)
     normalised = whiten(root, whitened.residual)
-    return Gaussian(belief.mean + apply(cross, normalised), left), root, normalised
+    return Gaussian(belief.mean + apply(cross, normalised), posterior), root, normalised
 
 
 def down_weight(whitened: Whitened, weights: Tensor) -> Whitened:

@@ -76,6 +76,7 @@ def _positive(lower: Tensor) -> Tensor:
 
 
 def _by_rows(a: Tensor) -> bool:
+    """Whether a loop over rows is faster than LAPACK: for many small matrices on a GPU, and in compiled code."""
     return a.is_cuda or is_elementary() or (torch.compiler.is_compiling() and a.shape[-2] <= _SMALL)
 
 

@@ -228,6 +228,7 @@ def people(q: Value = 0.5, dims: int = 2, *, spectral: bool = False) -> Bank:
 
 
 def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, spectral: bool) -> Bank:
+    """Seven motions: turns at two ``rates``, deg/s, to both sides, and accelerations up to a ``limit``, m/s^2."""
     turns = [
         CoordinatedTurn(math.radians(side * rate), q, dims, orders=3, spectral=spectral)
         for rate in rates

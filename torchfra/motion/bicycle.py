@@ -76,15 +76,19 @@ class Bicycle(Motion):
         left = torch.stack([-course.sin(), course.cos()], -1)
 
         def response(ago: Tensor) -> Tensor:
+            """Change of the state by a unit of speed, and by a unit of steering angle, added ``ago`` seconds before."""
             ago, turn = torch.broadcast_tensors(ago, speed * curvature * ago)
             (along, across), (along_rate, across_rate) = arc(turn), arc_of_rate(turn)
-            bent = speed * curvature_rate * ago
-            shift = (slip_rate * across + bent * along_rate, slip_rate * along + bent * across_rate)
-            aside = (speed * ago).unsqueeze(-1) * (shift[0].unsqueeze(-1) * forward + shift[1].unsqueeze(-1) * left)
+            heading_change = speed * curvature_rate * ago
+            shift = (
+                slip_rate * across + heading_change * along_rate,
+                slip_rate * along + heading_change * across_rate,
+            )
+            moved = (speed * ago).unsqueeze(-1) * (shift[0].unsqueeze(-1) * forward + shift[1].unsqueeze(-1) * left)
             one, zero = torch.ones_like(ago), torch.zeros_like(ago)
-            pushed = [ago.unsqueeze(-1) * forward, torch.stack([one, curvature * ago, zero], -1)]
-            steered = [aside, torch.stack([zero, bent, one], -1)]
-            return torch.stack([torch.cat(pushed, -1), torch.cat(steered, -1)], -1)
+            by_speed = [ago.unsqueeze(-1) * forward, torch.stack([one, curvature * ago, zero], -1)]
+            by_steering = [moved, torch.stack([zero, heading_change, one], -1)]
+            return torch.stack([torch.cat(by_speed, -1), torch.cat(by_steering, -1)], -1)
 
         variances = torch.stack(torch.broadcast_tensors(self.q(mean), self.steer(mean)), -1)
         return driven(response, dt, variances, spectral=self.spectral)

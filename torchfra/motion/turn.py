@@ -85,6 +85,7 @@ class CoordinatedTurn(Motion):
             return matrix
         rate = self.rate(matrix)
         zero = torch.zeros_like(rate)
+        # The acceleration is the rate times the velocity turned by 90 degrees, and 0 on axes outside of the turn.
         across = _plane(self.dims, zero, rate)
         across = across * torch.ones(self.dims, dtype=rate.dtype, device=rate.device).index_fill_(
             0, torch.arange(2, self.dims, device=rate.device), 0.0
@@ -150,13 +151,16 @@ class UnknownTurn(Motion):
         velocity, rate = mean[..., None, self.dims : 2 * self.dims], mean[..., -1:]
 
         def response(ago: Tensor) -> Tensor:
+            """Change of the state by a unit of each velocity, and by a unit of rate, added ``ago`` seconds before."""
             ago, angle = torch.broadcast_tensors(ago, rate * ago)
             moved, turned = _plane(self.dims, *arc(angle)), _plane(self.dims, angle.cos(), angle.sin())
-            pushed = pad(torch.cat([ago[..., None, None] * moved, turned], -2), (0, 0, 0, 1))
+            by_velocity = pad(torch.cat([ago[..., None, None] * moved, turned], -2), (0, 0, 0, 1))
             along, across = (x.unsqueeze(-1) for x in arc_of_rate(angle))
             ago = ago.unsqueeze(-1)
-            bent = [ago.square() * _turned(velocity, along, across), ago * _turned(velocity, 0 * along, 1 + 0 * across)]
-            return torch.cat([pushed, torch.cat([*bent, torch.ones_like(ago)], -1).unsqueeze(-1)], -1)
+            position = ago.square() * _turned(velocity, along, across)
+            turned_velocity = ago * _turned(velocity, 0 * along, 1 + 0 * across)
+            by_rate = torch.cat([position, turned_velocity, torch.ones_like(ago)], -1)
+            return torch.cat([by_velocity, by_rate.unsqueeze(-1)], -1)
 
         q, drift = torch.broadcast_tensors(self.q(mean), self.drift(mean))
         return driven(response, dt, torch.stack([q] * self.dims + [drift], -1), spectral=True)

@@ -12,7 +12,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
-from torchfra.presets.single import Share, States, robust_side
+from torchfra.presets.single import Share, States, robust_update
 from torchfra.presets.values import with_values
 from torchfra.robust.weights import Weights
 from torchfra.sensors.base import Sensor
@@ -55,9 +55,9 @@ def fra_srckf(
         rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    side = robust_side(sensor, robust, threshold, per_element, learn)
+    update = robust_update(sensor, robust, threshold, per_element, learn)
     fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
-    f = FRA(motion, sensor, robust=side, fading=fading, rule=rule, gate=gate, preference=preference,
+    f = FRA(motion, sensor, robust=update, fading=fading, rule=rule, gate=gate, preference=preference,
             plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional,
             final=final)  # fmt: skip
     return with_learning(f, learn)

@@ -44,7 +44,7 @@ Share = Value | Sequence[float] | None
 R = TypeVar("R", bound=Robust)
 
 
-def robust_side(
+def robust_update(
     sensor: Sensor, robust: R | None, threshold: Value | None, per_element: bool, learn: Collection[str]
 ) -> R | Huber:
     """The robust update of the argument (a copy, if anything learns), or Huber weights with a threshold.
@@ -130,8 +130,8 @@ def rsrckf(
 
     Source: Wang et al. (2021), eqs. (25)-(26).
     """
-    side = robust_side(sensor, robust, threshold, per_element, learn)
-    return with_learning(SRCKF(motion, sensor, robust=side), learn)
+    update = robust_update(sensor, robust, threshold, per_element, learn)
+    return with_learning(SRCKF(motion, sensor, robust=update), learn)
 
 
 @register.filter("mr_ckf", words="srckf with weights in three segments")
@@ -298,9 +298,9 @@ def rmckf(
     Raises:
         ValueError: ``robust`` together with ``threshold`` or ``per_element``.
     """
-    side = robust_side(sensor, robust, threshold, per_element, learn)
+    update = robust_update(sensor, robust, threshold, per_element, learn)
     fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
-    return with_learning(SRCKF(motion, sensor, robust=side, fading=fading), learn)
+    return with_learning(SRCKF(motion, sensor, robust=update, fading=fading), learn)
 
 
 @register.filter("iaukf", words="ukf that estimates the noise")

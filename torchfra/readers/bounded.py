@@ -12,6 +12,8 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, TextIO
 
+from torchfra.numbers import is_integer
+
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
@@ -35,7 +37,7 @@ def check_bound(max_bytes: int) -> None:
     Raises:
         ValueError: no whole number above 0.
     """
-    if not isinstance(max_bytes, int) or isinstance(max_bytes, bool) or max_bytes < 1:
+    if not is_integer(max_bytes, 1):
         raise ValueError(f"max_bytes: expected a whole number above 0, received {max_bytes!r}")
 
 

@@ -65,7 +65,7 @@ class HuberScore(Robust):
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The belief after the measurement: eqs. (54)-(59); ``weights`` are not used."""
-        root, cross, left = joint(belief, whitened)
+        root, cross, posterior = joint(belief, whitened)
         eta = whiten(root, whitened.residual)
         if self.whitening == "symmetric":
             eta, cross = _symmetric(eta, cross, noise.colour(root))
@@ -74,9 +74,9 @@ class HuberScore(Robust):
         score = zeta.square() / (size / threshold).clamp_min(1.0)  # eqs. (54)-(56)
         mean = belief.mean + apply(cross, score * eta)  # eq. (58)
         slope = (size < threshold).to(eta) if self.cov_mode == "indicator" else self.factor().to(eta).unsqueeze(-1)
-        remaining = 1 - zeta.square() * slope  # eq. (59): P = left left^T + cross diag(remaining) cross^T
-        after, repaired = tria(hstack(left, cross * safe_sqrt(remaining).unsqueeze(-2))), None
-        if self.zeta_scale:  # then it may be negative
+        remaining = 1 - zeta.square() * slope  # eq. (59): P = S_post S_post^T + cross diag(remaining) cross^T
+        after, repaired = tria(hstack(posterior, cross * safe_sqrt(remaining).unsqueeze(-2))), None
+        if self.zeta_scale:  # weights above 1 take more from the covariance than the plain update
             after, repaired = downdate(after, cross * safe_sqrt(-remaining).unsqueeze(-2))
         limited = torch.minimum(size, threshold)
         cost = limited * (size - limited / 2)  # eq. (34)

@@ -9,6 +9,7 @@ import stat
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from numbers import Integral
 from pathlib import Path
 from typing import IO, Any
 
@@ -64,15 +65,17 @@ def write_text(path: str | Path, text: str) -> Path:
 
 
 def write_json(path: str | Path, data: Any) -> Path:
-    """Writes JSON, completely or not at all; NaN and infinity become null."""
-    return write_text(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
+    """Writes JSON, completely or not at all; NaN and infinity become null, integers of numpy numbers."""
+    return write_text(path, json.dumps(_plain(data), indent=1, allow_nan=False) + "\n")
 
 
-def _finite(data: Any) -> Any:
+def _plain(data: Any) -> Any:
     if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
+        return {key: _plain(value) for key, value in data.items()}
     if isinstance(data, (list, tuple)):
-        return [_finite(value) for value in data]
+        return [_plain(value) for value in data]
+    if isinstance(data, Integral):
+        return data if isinstance(data, bool) else int(data)
     return None if isinstance(data, float) and not (abs(data) < float("inf")) else data
 
 

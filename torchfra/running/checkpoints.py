@@ -42,14 +42,14 @@ def save(state: Any, newest: Path) -> None:
         raise OSError(error.errno, f"{error.strerror}, {kept}", error.filename) from None
 
 
-def load(newest: Path, take: Callable[[Path], None], say: str) -> bool:
+def load(newest: Path, take: Callable[[Path], None], program: str) -> bool:
     """Continues from the newest checkpoint that can be read.
 
     Args:
         newest: where it should be.
         take: reads the checkpoint at a path and continues from it; raises ``ValueError`` for one that is damaged, and
             ``OtherSettingsError`` for one of another run.
-        say: who speaks on standard error where one is damaged.
+        program: its name begins the line on standard error where one is damaged.
 
     Returns:
         Whether there was a checkpoint.
@@ -58,9 +58,9 @@ def load(newest: Path, take: Callable[[Path], None], say: str) -> bool:
         ValueError: none of them can be read, or it belongs to other settings.
     """
 
-    def tell(line: str) -> None:
+    def warn(line: str) -> None:
         if distributed.rank() == 0:
-            print(f"{say}: {line}", file=sys.stderr)
+            print(f"{program}: {line}", file=sys.stderr)
 
     paths = found(newest)
     for path in paths:
@@ -69,10 +69,10 @@ def load(newest: Path, take: Callable[[Path], None], say: str) -> bool:
         except OtherSettingsError:
             raise
         except (ValueError, OSError) as error:
-            tell(f"{path} is damaged and is not used: {error}")
+            warn(f"{path} is damaged and is not used: {error}")
             continue
         if path != newest:
-            tell(f"{path} is used")
+            warn(f"{path} is used")
             if path != paths[0] and distributed.rank() == 0:  # or saving would put the damaged one in place of the good
                 paths[0].replace(newest.with_stem(f"{newest.stem}-damaged"))
         return True

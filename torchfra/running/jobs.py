@@ -53,7 +53,7 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
         yield from enumerate(starmap(work, parts))
         return
     spawn = multiprocessing.get_context("spawn")  # a fork would copy the threads of torch in any state
-    pool = ProcessPoolExecutor(min(jobs, max(len(parts), 1)), spawn, initializer=_alone)
+    pool = ProcessPoolExecutor(min(jobs, max(len(parts), 1)), spawn, initializer=_as_worker)
     left, running = iter(enumerate(parts)), dict[Future[T], int]()
     try:
         while True:
@@ -72,7 +72,7 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
         pool.shutdown(cancel_futures=True)
 
 
-def _alone() -> None:
+def _as_worker() -> None:
     """Gives a worker process one thread, and lets it end with the process that started it, even if that is killed."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)

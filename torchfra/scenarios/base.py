@@ -13,6 +13,7 @@ from torch import Tensor
 from torchfra.association.clutter import Clutter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
+from torchfra.numbers import is_integer
 from torchfra.scenarios.law import Law
 from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
@@ -145,7 +146,7 @@ class Scenario:
             ValueError: ``runs`` below 1, ``seed`` or ``first`` below 0.
         """
         given = (runs, seed, first)
-        if not all(isinstance(x, int) and x >= least for x, least in zip(given, (1, 0, 0), strict=True)):
+        if not all(is_integer(x, least) for x, least in zip(given, (1, 0, 0), strict=True)):
             received = ", ".join(map(repr, given))
             raise ValueError(f"runs, seed, first: expected whole numbers of at least 1, 0, 0, received {received}")
         size = len(self.recordings) or BLOCK

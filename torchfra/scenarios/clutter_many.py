@@ -12,6 +12,7 @@ from torchfra.association.clutter import Clutter
 from torchfra.coordinates import belief_from_cartesian
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.motion.spherical import Spherical
+from torchfra.numbers import is_integer
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
 from torchfra.scenarios.clutter import DT, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
 from torchfra.types import Gaussian
@@ -53,7 +54,7 @@ def clutter_many(
 
     Source: sensor, clutter and motion of Chen, Zou & Wu.  Differs: the aircraft and their lives are drawn here.
     """
-    if not (isinstance(count, int) and count >= 1):
+    if not is_integer(count, 1):
         raise ValueError(f"count: expected 1 aircraft or more, received {count!r}")
     if not clutter >= 1:
         raise ValueError(f"clutter: expected 1 measurement or more, received {clutter}")

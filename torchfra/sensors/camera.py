@@ -109,6 +109,7 @@ def facing(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Tensor:
 def _checked(rotation: Tensor) -> Tensor:
     """The rotation, if its rows are three directions at right angles, right-handed."""
     off = (rotation @ rotation.mT - torch.eye(3).to(rotation)).abs().max()
+    # Rows that were written with four digits, or computed in float32, are still directions.
     if off > 1e-4 or torch.linalg.det(rotation) < 0:
         raise ValueError(f"rotation: expected three directions at right angles, received {rotation.tolist()}")
     return rotation

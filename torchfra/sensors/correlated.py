@@ -29,7 +29,7 @@ class Correlated(Sensor):
         time: correlation time, s, after which the correlation is ``exp(-1)``: a number, or ``(m,)``.
 
     Raises:
-        ValueError: no sensor, or one with errors that last already; ``std`` below 0, ``time`` not above 0, or another
+        ValueError: no sensor, or one that has such errors already; ``std`` below 0, ``time`` not above 0, or another
             shape.
 
     Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 3.6.
@@ -38,7 +38,7 @@ class Correlated(Sensor):
     def __init__(self, sensor: Sensor, std: Value, time: Value) -> None:
         if not isinstance(sensor, Sensor) or errors_of(sensor):
             received = "one that has" if isinstance(sensor, Sensor) else type(sensor).__name__
-            raise ValueError(f"sensor: expected a sensor without errors that last, received {received}")
+            raise ValueError(f"sensor: expected a sensor without time-correlated errors, received {received}")
         self._lay_out(sensor.reads, sensor.angles.tolist())
         self.sensor, self.blocks, self.dims = sensor, sensor.blocks, sensor.dims
         values = [as_numbers(std, "std"), as_numbers(time, "time")]
@@ -89,8 +89,8 @@ class Correlated(Sensor):
         return self.sensor.measurement_noise(z, std, root)
 
     def describe(self) -> str:
-        """The sensor, and that its errors last."""
-        return f"{self.sensor.describe()} with errors that last"
+        """The sensor, and that it has time-correlated errors."""
+        return f"{self.sensor.describe()} with time-correlated errors"
 
 
 def errors_of(sensor: Sensor) -> list[GaussMarkov]:

@@ -81,8 +81,7 @@ class RangeBearing(Sensor):
         ValueError: ``dims`` neither 2 nor 3, a ``position`` of another shape or not finite, a ``u`` that is too short.
     """
 
-    stands: Tensor | None
-
+    position: Tensor | None
     locates = measures_each_direction = True
 
     def __init__(
@@ -93,7 +92,7 @@ class RangeBearing(Sensor):
         super().__init__(dims, [False, True, True][:dims], std, noise)
         self.dims = dims
         at = None if position is None else finite(position, dims, name="position")
-        self.register_buffer("stands", at, persistent=False)
+        self.register_buffer("position", at, persistent=False)
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
@@ -103,8 +102,8 @@ class RangeBearing(Sensor):
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Range, bearing and, in space, elevation ``(..., dims)`` of states."""
         offset = x[..., : self.size]
-        if self.stands is not None:
-            offset = offset - self.stands.to(x)
+        if self.position is not None:
+            offset = offset - self.position.to(x)
         elif u is not None:
             offset = offset - from_u(u, self.size, "where the sensor stands")
         ground = torch.hypot(offset[..., 0], offset[..., 1])
@@ -119,7 +118,7 @@ class RangeBearing(Sensor):
         level = z[..., 0] if self.size == 2 else z[..., 0] * z[..., 2].cos()
         plane = [level * z[..., 1].sin(), level * z[..., 1].cos()]
         away = torch.stack(plane if self.size == 2 else [*plane, z[..., 0] * z[..., 2].sin()], -1)
-        return away if self.stands is None else away + self.stands.to(z)
+        return away if self.position is None else away + self.position.to(z)
 
     def units_per_metre(self, z: Tensor) -> Tensor:
         """1 for the range, and for an angle the inverse radius of its circle, rad/m."""

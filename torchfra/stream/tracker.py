@@ -12,7 +12,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.alarms import lasting
 from torchfra.filters.base import Filter, in_full_precision
-from torchfra.filters.fixed_lag import go_back, remember
+from torchfra.filters.fixed_lag import smooth_window, step_kept
 from torchfra.filters.forecast import Forecast
 from torchfra.filters.protection import protection_level
 from torchfra.gaussian.arguments import check_belief
@@ -258,12 +258,12 @@ class Tracker:
         time, state, moments = self._window.time, self._window.state.state, []
         for entry in self._window.entries:
             f = around[entry.sensor]
-            state, _, moment = remember(f, state, entry.after(time))
+            state, _, moment = step_kept(f, state, entry.after(time))
             moments.append(moment)
             time = entry.time
         if not moments:
             return []
-        beliefs, rank = go_back(self.filter, state, moments).belief, state.belief.mean.dim() - 1
+        beliefs, rank = smooth_window(self.filter, state, moments).belief, state.belief.mean.dim() - 1
         each = [Gaussian(*pair) for pair in zip(*(x.unbind(rank) for x in beliefs), strict=True)]
         times = [self._clock.outside(entry.time) for entry in self._window.entries]
         return [At(time, self._intake.outward(belief)) for time, belief in zip(times, each, strict=True)]

@@ -100,7 +100,7 @@ def check_scan(
         z, (std, noise) = z.unsqueeze(0), (None if x is None else x.unsqueeze(0) for x in (std, noise))
     if len(z) != scenes:
         raise ValueError(f"z: expected {scenes} scenes as the state has, received {len(z)}")
-    seconds = _seconds(dt, (scenes,), instants=filter.inner.instants, lag=lag).to(like)
+    seconds = _seconds(dt, (scenes,), zero_dt=filter.inner.zero_dt, lag=lag).to(like)
     if bool((seconds < 0).any()) and not state.past:
         raise ValueError(f"dt: expected 0 or more before any scan has come, received {seconds.tolist()}")
     own = (x if x is None else x.to(like) for x in (std, noise))
@@ -149,15 +149,15 @@ def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | r
         raise ValueError("z: expected finite measurements, or NaN where there is none, received an infinite one")
 
 
-def _seconds(dt: Time, shape: tuple[int, ...], *, instants: bool = False, lag: float = 0.0) -> Tensor:
+def _seconds(dt: Time, shape: tuple[int, ...], *, zero_dt: bool = False, lag: float = 0.0) -> Tensor:
     try:  # a number of Python's own would be rounded to torch's default
         seconds = dt if isinstance(dt, Tensor) else torch.as_tensor(dt, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"dt: expected a number or {shape}, received {dt!r}") from None
     if seconds.dim() > 1 or (seconds.dim() and seconds.shape != shape):
         raise ValueError(f"dt: expected a number or {shape}, received {tuple(seconds.shape)}")
-    if not all(0 < x < math.inf or (instants and -lag <= x <= 0) for x in seconds.flatten().tolist()):
-        least = f" or 0, and -{lag:g} at least of a late scan" if lag else " or 0" * instants
+    if not all(0 < x < math.inf or (zero_dt and -lag <= x <= 0) for x in seconds.flatten().tolist()):
+        least = f" or 0, and -{lag:g} at least of a late scan" if lag else " or 0" * zero_dt
         raise ValueError(f"dt: expected finite seconds above 0{least}, received {seconds.tolist()}")
     return seconds.expand(shape)
 

@@ -22,7 +22,7 @@ def in_reach(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sce
     Args:
         gate: the gate of the filter.
         sensor: the sensor of the scan.
-        predicted: measurements ``(N,)``, see ``filters.scans.managed.outlook``.
+        predicted: measurements ``(N,)``, see ``filters.scans.managed.predict_measurements``.
         scans: ``(R, J, m)``; NaN is missing.
         scene: ``(N,)`` number of each target's scene.
         heat: temperature of the gate.

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.hyper import Hyper, Value
+from torchfra.numbers import is_integer
 from torchfra.targets.state import TargetsEstimate
 
 
@@ -30,7 +31,7 @@ class PoissonBirths(nn.Module):
     def __init__(self, rate: Value = 0.1, *, skip: int = 5) -> None:
         super().__init__()
         self.rate = Hyper(rate, name="rate")
-        if not (isinstance(skip, int) and skip >= 0):
+        if not is_integer(skip, 0):
             raise ValueError(f"skip: expected 0 scans or more, received {skip!r}")
         self.skip = skip
 

@@ -9,7 +9,13 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.scans.managed import Uncertain, among, among_uncertain, outlook, stepped
+from torchfra.filters.scans.managed import (
+    UncertainTargets,
+    predict_measurements,
+    step_scan,
+    update_targets,
+    update_uncertain,
+)
 from torchfra.gaussian.inputs import Measurements
 from torchfra.targets.clusters import Group, clusters
 from torchfra.targets.gating import in_reach
@@ -66,11 +72,12 @@ def filter_scan(
     certain = exists is None and visible is None
     sure = scan.z.new_ones(len(scene))
     chances = (sure if x is None else x for x in (exists, visible))
-    function, everyone = (among, state) if certain else (among_uncertain, Uncertain(state, *chances))
+    everyone = state if certain else UncertainTargets(state, *chances)
+    function: Any = update_targets if certain else update_uncertain
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         measured = _measured(scene[targets[:, 0]], scan, *rows(tables, measurements))
-        after, (chances, evidence) = stepped(filter, function, rows(everyone, targets), measured)
+        after, (chances, evidence) = step_scan(filter, function, rows(everyone, targets), measured)
         target, number = targets.unsqueeze(-1), measurements.unsqueeze(-2)
         inside = (number >= 0).expand(*targets.shape, number.shape[-1])
         place = (target.expand_as(inside)[inside], number.expand_as(inside)[inside] % count)
@@ -88,7 +95,9 @@ def _reach(filter: JPDA, state: Any, scene: Tensor, scan: SceneScan) -> Tensor:
     """Measurements ``(N, J)`` of its scene that may be in the gate of each target, bool."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own
     anything = scan.z.new_zeros(len(scene), 1, filter.sensor.size)
-    _, predicted = stepped(filter, outlook, alone, _measured(scene, scan, anything, _widest(scene, scan)))
+    _, predicted = step_scan(
+        filter, predict_measurements, alone, _measured(scene, scan, anything, _widest(scene, scan))
+    )
     predicted = Gaussian(*(x.squeeze(1) for x in predicted))
     return in_reach(filter.gate, filter.sensor, predicted, scan.z, scene, filter.temperature)
 

@@ -42,9 +42,9 @@ def shapes_that_do_not_fit_are_named(case: Case) -> None:
 def time_steps_must_be_seconds_above_zero(case: Case) -> None:
     """A ``dt`` that is negative, NaN, infinite, complex or None is refused, as a number and at one of several steps.
 
-    Zero is allowed for filters with ``instants``: a second measurement at the same instant.
+    Zero is allowed for filters with ``zero_dt``: a second measurement at the same instant.
     """
-    numbers = (-1.0, math.nan, math.inf) if case.filter.instants else (0.0, -1.0, math.nan, math.inf)
+    numbers = (-1.0, math.nan, math.inf) if case.filter.zero_dt else (0.0, -1.0, math.nan, math.inf)
     for dt in (*numbers, 1j, None, "1"):
         _refuse(case, "dt", dt=dt)
         _refuse_step(case, "dt", dt=dt)

@@ -28,7 +28,7 @@ Rows: TypeAlias = list[list[Tensor]]
 class ConstantGainFilter(Filter[S]):
     """Abstract: a filter of positions, axis by axis."""
 
-    instants = False
+    zero_dt = False
     one_sensor = "constant gains are chosen for one sensor's noise"
     gamma: Hyper | None
 
@@ -128,6 +128,7 @@ def startup_gains(column: list[Tensor], count: Tensor) -> list[Tensor]:
     """Gains that take the position from the first measurement and the velocity from the second; later unchanged."""
     first = [1.0] + [0.0] * (len(column) - 1)
     second = [1.0, 1.0] + [0.0] * (len(column) - 2)
+    # Halfway between whole numbers, as soft choices count a measurement as a share of one.
     return [
         torch.where(count < 0.5, a, torch.where(count < 1.5, b, gain))
         for a, b, gain in zip(first, second, column, strict=True)

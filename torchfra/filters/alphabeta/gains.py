@@ -81,7 +81,7 @@ def benedict_bordner(alpha: Value) -> Gains:
     Raises:
         ValueError: ``alpha`` not in (0, 1].
     """
-    alpha = _share("alpha", alpha)
+    alpha = _as_share("alpha", alpha)
     return Gains(alpha, alpha.square() / (2 - alpha))
 
 
@@ -91,7 +91,7 @@ def critically_damped(theta: Value) -> Gains:
     Raises:
         ValueError: ``theta`` not in (0, 1).
     """
-    theta = _share("theta", theta)
+    theta = _as_share("theta", theta)
     if bool((theta == 1).any()):
         raise ValueError(f"theta: expected a value below 1, which would use no measurement, received {theta.tolist()}")
     return Gains(1 - theta.square(), (1 - theta).square())
@@ -128,7 +128,8 @@ def stable(gains: Gains) -> bool:
     return bool((torch.linalg.eigvals(step).abs().amax(-1) < 1).all()) and bool((gain > 0).all())
 
 
-def _share(name: str, value: Value) -> Tensor:
+def _as_share(name: str, value: Value) -> Tensor:
+    """A value above 0 and at most 1, as a tensor."""
     value = as_numbers(value, name).double()
     if not bool(((value > 0) & (value <= 1)).all()):
         raise ValueError(f"{name}: expected a value above 0 and at most 1, received {value.tolist()}")

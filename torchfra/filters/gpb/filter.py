@@ -25,9 +25,10 @@ from torchfra.filters.gpb.hypotheses import (
     merge,
     moments,
     to_state,
+    values_first,
 )
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import Regimes, Switching, in_front
+from torchfra.filters.gpb.regimes import Regimes, Switching
 from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Last, Step
 from torchfra.filters.interaction import for_each_model
@@ -71,8 +72,9 @@ class GPB(Filter[GPBState]):
     update and a likelihood.  After a step the hypotheses are merged into one Gaussian for each motion (and each level
     that ``Regimes.separate_levels`` keeps separate) without an outlier in the step and one with an outlier in some
     block; the next measurement weighs those two.  So no gate decides whether a large innovation is an outlier or a
-    manoeuvre, and the filter is smooth in its inputs.  Over steps without any measurement, however many, both are
-    carried on, and the first motion keeps its regime if regimes have no ``durations``.
+    manoeuvre, and the filter is smooth in its inputs.  Over the regimes it is IMM, which mixes beliefs before a step;
+    over the two outlier modes GPB2, which merges them after the next measurement.  Over steps without any measurement,
+    however many, both modes are carried on, and the first motion keeps its regime if regimes have no ``durations``.
 
     With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's belief, and a prime for the step
     before, a step is:
@@ -147,7 +149,7 @@ class GPB(Filter[GPBState]):
         """The state of a prior: for every belief the prior as it is, and inflated except for parameters."""
         mean, root = belief
         outlying = self.prior_outlier(mean)
-        log_prior = in_front(torch.stack([torch.log1p(-outlying), outlying.log()], -1), mean.dim() + 1)
+        log_prior = values_first(torch.stack([torch.log1p(-outlying), outlying.log()], -1), mean.dim() + 1)
         log_weight = log_prior + safe_log(self.regimes.initial_distribution(mean[None, ..., 0]))[None, :, None]
         inflated = torch.tensor([kind != "parameter" for kind in self.motion.kinds], device=mean.device)
         factor = torch.where(inflated, self.prior_inflation(mean).sqrt()[..., None], 1.0)[..., None]
@@ -178,21 +180,24 @@ class GPB(Filter[GPBState]):
         smoothed = mixing.smoothed(regimes.by_belief(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
-        if_any = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
-        if_any = torch.where(measured.unsqueeze(-1), if_any, state.outlier)
-        any_outlier = torch.where(measured, posterior.mode[1, 0, 0].square(), 0.0).unsqueeze(-1)
-        by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
-        kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), if_any
-        expected = self.compare(self.expected(predicted), frame)
+        # The next state; what it knows of outliers is of the last step with a measurement.
+        blocks = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
+        blocks = torch.where(measured.unsqueeze(-1), blocks, state.outlier)
+        kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
         last = None if state.last is None else Last(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
         now = GPBState(belief, lagged, *kept, state.lasted, relaxation, last)
         alarm = self.alarm(state, now, frame)
-        info = Step(tree.Late(lagged), by_regime, any_outlier * if_any, alarm)
+        now = now._replace(lasted=alarm.lasted)  # the alarm has counted this step
+
+        # The record: for the estimate, and for the backward pass.
+        some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
+        by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
+        info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm)
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
         past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation, ratio)
-        record = Record(belief, expected.residual, *innovation(expected), info, posterior.log_likelihood, past=past)
-        return now._replace(lasted=alarm.lasted), record
+        expected = self.compare(self.expected(predicted), frame)
+        return now, Record(belief, expected.residual, *innovation(expected), info, posterior.log_likelihood, past=past)
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
@@ -250,8 +255,9 @@ class GPB(Filter[GPBState]):
         carried = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
         ahead = regimes.predicted_parts(carried, nis, self.motion.position)
         mean, root = (regimes.per_regime(x) for x in mixed)
-        rest, spread = ahead.spread[..., :-n], ahead.spread[..., -n:] - root  # of the same unknowns: x' - x
-        change = hstack(rest, hstack(spread, ahead.process_noise))[..., :d, :]
+        # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
+        rest, slope = ahead.spread[..., :-n], ahead.spread[..., -n:]
+        change = hstack(rest, slope - root, ahead.process_noise)[..., :d, :]
         expected = Gaussian(self.motion.difference(ahead.mean, mean)[..., :d], tria(change))
         probability = self.outliers.repeated(state.outlier, relaxation, state.last.measured, frame.measured)
         z = self.sensor.difference(frame.z, state.last.z)
@@ -335,13 +341,13 @@ class GPB(Filter[GPBState]):
         outliers.check(sensor)
         return super().parts_for(sensor) | {"outliers": outliers}
 
-    def unremembered(self, state: GPBState) -> GPBState:
+    def without_memory(self, state: GPBState) -> GPBState:
         """A state without outliers in its last measurement, from which outliers in the next do not follow."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
         last = None if state.last is None else self._unmeasured(state.belief.mean)
-        return self.remembering(state, state._replace(outlier=outlier, last=last))
+        return self.with_memory_of(state, state._replace(outlier=outlier, last=last))
 
-    def remembering(self, state: GPBState, before: GPBState) -> GPBState:
+    def with_memory_of(self, state: GPBState, before: GPBState) -> GPBState:
         """A state after a measurement of another sensor, whose outliers say nothing of this filter's own sensor."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
@@ -366,11 +372,11 @@ class GPB(Filter[GPBState]):
         """The hypotheses after each step."""
         return steps
 
-    def fresh(self, past: GPBPast) -> GPBPast:
+    def provisional_past(self, past: GPBPast) -> GPBPast:
         """The past as it is: no later measurement decides anything of it."""
         return past
 
-    decided = fresh
+    last_past = provisional_past
 
     def needed_of_next(self, past: GPBPast) -> GPBPast:
         """Of the next step the normalised innovation squared, whether it has a measurement, and ``log_repeated``."""

@@ -40,6 +40,11 @@ class Posterior(NamedTuple):
     log_likelihood: Tensor
     """``(...)`` log likelihood of the measurement."""
 
+    @property
+    def some_outlier(self) -> Tensor:
+        """``(...)`` probability that the measurement has an outlier in some block."""
+        return self.mode[1, 0, 0].square()
+
 
 @event_ranks(log_weight=0)
 class Hypotheses(NamedTuple):
@@ -63,7 +68,7 @@ class Hypotheses(NamedTuple):
         total = torch.where(none, 1.0, total)
         log_total = torch.where(none, -torch.inf, top + total.log())
         sizes = [self.log_weight.shape[axis] for axis in axes]
-        return _back((roots / total.sqrt()).unflatten(0, sizes), axes), _kept(log_total, axes)
+        return _back((roots / total.sqrt()).unflatten(0, sizes), axes), _reinserted(log_total, axes)
 
     def posterior(self) -> Posterior:
         """Probability of each, where weights are prior times likelihood of the measurement."""
@@ -124,7 +129,7 @@ def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence
         axes: the axes to merge over; they have size 1 afterwards.
         angles: components of a state that are angles, as in ``gaussian.moment_match``.
     """
-    return Gaussian(*(_kept(x, axes) for x in _merged(belief, roots, axes, angles)))
+    return Gaussian(*(_reinserted(x, axes) for x in _merged(belief, roots, axes, angles)))
 
 
 def _merged(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int]) -> Gaussian:
@@ -165,6 +170,7 @@ def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
         x = x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
         if not more:
             return x
+        # The first layer has the beliefs of the motions; of every other one the first motion counts.
         layers = x.expand(more + 1, *x.shape[1:])
         return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
 
@@ -206,7 +212,7 @@ def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], coun
 
     def placed(event: int, x: Tensor) -> Tensor:
         x = x.movedim((-2 - event, -1 - event), sorted(range(2), key=axes.__getitem__))  # in the order of their axes
-        return _kept(x, [axis for axis in range(count) if axis not in axes])
+        return _reinserted(x, [axis for axis in range(count) if axis not in axes])
 
     every: Hypotheses = tree.map_ranked(placed, Hypotheses(belief, log_weight))
     return every
@@ -227,6 +233,12 @@ def batch_first(values: Tensor, axis: int) -> Tensor:
     return _behind(values, (axis,), 3, 0)
 
 
+def values_first(values: Tensor, rank: int) -> Tensor:
+    """Values ``(..., C)`` of tracks as ``(C, ...)``, with ``rank`` dimensions behind the first, the last of tracks."""
+    values = values.movedim(-1, 0)
+    return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])
+
+
 def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
     """Moves some of the ``count`` axes behind the batch, in front of the event; the others, of size 1, are dropped."""
     x = _in_front(x, axes)
@@ -237,6 +249,7 @@ def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
 
 
 def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
+    """Moves axes in front of all others, in this order."""
     first = tuple(range(len(axes)))
     return x if tuple(axes) == first else x.movedim(tuple(axes), first)
 
@@ -247,8 +260,8 @@ def _back(x: Tensor, axes: Sequence[int]) -> Tensor:
     return x if tuple(axes) == first else x.movedim(first, tuple(axes))
 
 
-def _kept(x: Tensor, axes: Sequence[int]) -> Tensor:
-    """Inserts the axes that a sum has taken away again, with size 1."""
+def _reinserted(x: Tensor, axes: Sequence[int]) -> Tensor:
+    """Inserts axes of size 1, in the place of those that a sum has taken away."""
     for axis in sorted(axes):
         x = x.unsqueeze(axis)
     return x

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
-from torchfra.filters.gpb.hypotheses import Hypotheses
-from torchfra.filters.gpb.regimes import in_front
+from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import mean_durations
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
@@ -126,6 +125,7 @@ class Outliers(nn.Module):
         within = torch.zeros(covariance.shape[-2:], dtype=torch.bool, device=root.device)
         for block in self.blocks:
             within[torch.tensor(block).unsqueeze(-1), torch.tensor(block)] = True
+        # A correlation of less is rounding, in float32 too.
         correlated = covariance.abs() > 1e-6 * std.unsqueeze(-1) * std.unsqueeze(-2)
         if bool((correlated & ~within).any()):
             raise ValueError(f"{name}: expected noise that is independent between blocks, received a correlation")
@@ -240,66 +240,84 @@ class Outliers(nn.Module):
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
-        eye = torch.eye(reads, dtype=root.dtype, device=root.device)
-        sizes, log_shares, offsets = self._sizes(mean)
-        belief, log_density, outliers = (
-            Gaussian(torch.zeros_like(mean), eye.expand_as(root)),
-            torch.zeros_like(mean[..., 0]),
-            [],
-        )
-        only, first_one = len(self.blocks) == 1, torch.ones_like(missing[..., :1, None])
-        log_ratio = None if repeated is None else torch.zeros_like(mean[..., 0])
+        eye, noise = torch.eye(reads, dtype=root.dtype, device=root.device), self._noise(mean)
+        belief, log_density = Gaussian(torch.zeros_like(mean), eye.expand_as(root)), torch.zeros_like(mean[..., 0])
+        none_measured, outliers, ratios = torch.ones_like(missing[..., :1, None]), [], []
         for b, block in enumerate(self.blocks):
-            share, gone = prior[..., b], missing[..., list(block)]
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
-            whitened = compare(so_far, block)
+            whitened, absent = compare(so_far, block), missing[..., list(block)]
             if b and whitened.rest.shape[-1]:
-                whitened = whitened._replace(spread=hstack(first_one * tria(whitened.rest), whitened.slope))
-            first_one = first_one * gone.amin(-1)[..., None, None]
+                whitened = whitened._replace(spread=hstack(none_measured * tria(whitened.rest), whitened.slope))
+            none_measured = none_measured * absent.amin(-1)[..., None, None]
             rows, cross, left, residual = _in_space_of(whitened, belief)
-            adapted = self.adapted(sizes, residual[-1:], gone, offsets)
-            updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, gone, offsets)
-            none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
-            if not self.outliers_inform:
-                updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
-            if b:  # after the first block, beliefs without and with outliers differ
-                first, log_first = sequential(rows[:1], residual[:1], sizes[:1], gone)
-                none, log_none = _entry(first, 0), log_first[0]
-            joint = torch.cat(
-                [(log_updated[0] + torch.log1p(-share)).unsqueeze(0), log_updated[1:] + share.log() + log_shares]
-            )
-            first_size = int(only)  # given that some block is an outlier, a single block is
-            if repeated is not None and log_ratio is not None:
-                chance, change = repeated[0][..., b], elements_of(repeated[1], block)
-                _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], gone)  # noise of two steps
-                alone, same = joint[first_size:], log_same + share.log() + safe_log(chance)
-                joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-chance), same.expand_as(joint[:1])])
-                updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
-                log_ratio = log_ratio + _log_ratio(log_sum(joint[first_size:], 0), log_sum(alone, 0))
-            roots, log_some = share_roots(joint[first_size:])
-            some = matched(Gaussian(updated.mean[first_size:], updated.scale_tril[first_size:]), roots)
-            both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
-            spread = cross @ both.scale_tril
+            again = None if repeated is None else (repeated[0][..., b], elements_of(repeated[1], block))
+            unknowns, log_block, outlier, ratio = self._weigh_modes(rows, residual, absent, prior[..., b], noise, again)
+            spread = cross @ unknowns.scale_tril
             spread = spread if left is None else hstack(spread, left)
-            belief = Gaussian(belief.mean + apply(cross, both.mean), tria(spread))
-            log_density = log_density + torch.cat([log_none, log_some])
-            outliers.append(torch.ones_like(log_some) if only else roots[1:].square().sum(0))
+            belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
+            log_density = log_density + log_block
+            outliers.append(outlier)
+            ratios += [] if ratio is None else [ratio]
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
+        log_ratio = reduce(torch.add, ratios) if ratios else None
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
 
     @once
-    def _sizes(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Sizes of no outlier and of outliers ``(1 + C, ...)``, logs of shares ``(C, ...)``, offsets ``(1 + C, ...)``.
-
-        For ``like (..., n)`` with the axes of hypotheses in front.
-        """
-        rank = like.dim() - 1
-        sizes, log_shares = in_front(self.outlier_sizes(like), rank), in_front(self.outlier_shares(like).log(), rank)
-        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])
+    def _noise(self, mean: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Sizes ``(1 + C, ...)`` of the noise, the first of no outlier, logs ``(C, ...)`` of shares, and offsets."""
+        rank = mean.dim() - 1
+        sizes, shares = values_first(self.outlier_sizes(mean), rank), self.outlier_shares(mean)
+        sizes, log_shares = torch.cat([torch.ones_like(sizes[:1]), sizes]), values_first(shares.log(), rank)
         if self.outlier_offsets is None:
             return sizes, log_shares, None
-        offsets = in_front(self.outlier_offsets(like), rank)
+        offsets = values_first(self.outlier_offsets(mean), rank)
         return sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets])
+
+    def _weigh_modes(
+        self, rows: Tensor, residual: Tensor, absent: Tensor, chance: Tensor,
+        noise: tuple[Tensor, Tensor, Tensor | None], again: tuple[Tensor, Whitened] | None,
+    ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None]:  # fmt: skip
+        """The update of unknowns by one block, without any outlier so far and with some, which are in front.
+
+        Args:
+            rows: ``(1 or 2, R, 2, ..., m, k)`` measurement matrix of the unknowns, ``N(0, I)`` before: before the first
+                block the two in front are one.
+            residual: ``(1 or 2, R, 2, ..., m)``.
+            absent: ``(..., m)`` 1 where missing, 0 where measured.
+            chance: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
+            noise: from ``_noise``.
+            again: probability that an outlier has the offset of the step before, and the change of the measurement.
+
+        Returns:
+            The posterior ``(2, R, 2, ..., k)`` of the unknowns, the log density ``(2, R, 2, ...)`` of the block, the
+            probability ``(1, R, 2, ...)`` that it is an outlier, given that some block is, and the log likelihood ratio
+            with and without ``again``.
+        """
+        (sizes, log_shares, offsets), single, log_ratio = noise, len(self.blocks) == 1, None
+        adapted = self.adapted(sizes, residual[-1:], absent, offsets)
+        updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, absent, offsets)
+        none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
+        if not self.outliers_inform:
+            updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
+        if len(rows) > 1:
+            first, log_first = sequential(rows[:1], residual[:1], sizes[:1], absent)
+            none, log_none = _entry(first, 0), log_first[0]
+        joint = torch.cat(
+            [(log_updated[0] + torch.log1p(-chance)).unsqueeze(0), log_updated[1:] + chance.log() + log_shares]
+        )
+        start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
+        if again is not None:
+            probability, change = again
+            _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], absent)  # noise of two steps
+            without, same = joint[start:], log_same + chance.log() + safe_log(probability)
+            joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
+            updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
+            log_ratio = _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))
+        roots, log_some = share_roots(joint[start:])
+        some = matched(Gaussian(updated.mean[start:], updated.scale_tril[start:]), roots)
+        both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
+        outlier = torch.ones_like(log_some) if single else roots[1:].square().sum(0)
+        return both, torch.cat([log_none, log_some]), outlier, log_ratio
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Sizes ``(C, ...)`` of the noise, the last at least the mean square of a residual ``(..., m)`` if adaptive."""
@@ -328,6 +346,9 @@ def sequential(
         The posterior ``(C, ..., k)`` of the unknowns, with any root, and the log density ``(C, ...)`` of the
         measurement, constants left out.
 
+    For each row ``h``, with ``f = S^T h`` and ``s^2 = f^T f + size``, the gain is ``S f / s^2`` and the root afterwards
+    ``S - S f f^T / (s (s + sqrt(size)))``.
+
     Source: Potter's square-root update, in Bierman (1977), chapter II.
     """
     rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
@@ -335,15 +356,15 @@ def sequential(
     root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
     mean, noise, squares, stds = torch.zeros_like(rows[0]), sizes.sqrt(), torch.zeros_like(residual[..., 0]), []
     for i in range(m):
-        follows = (root * rows[i].unsqueeze(1)).sum(0)
-        std = (follows.square().sum(0) + sizes).sqrt()
-        once = 1 / (std * (std + noise))
-        inverse = (std + noise) * once  # of std, by the same division
+        f = (root * rows[i].unsqueeze(1)).sum(0)
+        std = (f.square().sum(0) + sizes).sqrt()
+        factor = 1 / (std * (std + noise))
+        inverse = (std + noise) * factor  # of std, by the same division
         off = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
         normalised = (off - (mean * rows[i]).sum(0)) * inverse
-        covariance = (root * follows).sum(1)
+        covariance = (root * f).sum(1)
         mean = mean + covariance * (normalised * inverse)
-        root = root - covariance.unsqueeze(1) * (follows * once)
+        root = root - covariance.unsqueeze(1) * (f * factor)
         squares = squares + normalised.square()
         stds.append(torch.where(missing[..., i] > 0, 1.0, std))
     # The log of two factors at a time: their product does not overflow where their squares do not.

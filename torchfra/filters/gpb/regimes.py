@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken
+from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
 from torchfra.filters.markov import mean_durations, over_seconds, rates
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Carried
@@ -252,6 +252,9 @@ class Regimes(nn.Module):
     def penalised(self, log_weight: Tensor, nis: Tensor) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
+        Their covariances scale with the innovation, so they would explain one of any size equally well.  Beyond its
+        limit the weight of a jump falls as ``1 / nis``, and that of a manoeuvre as ``1 / nis^2``.
+
         Args:
             log_weight: of the regimes by the Markov chain alone.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
@@ -298,11 +301,11 @@ class Regimes(nn.Module):
     def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
         """Factors ``(1, R, 2, ..., 1, 1)`` on the root of the process noise of each regime's motion."""
         rank = nis.dim() - 2
-        levels = in_front(self.noise_levels(mean), rank).unsqueeze(0)
+        levels = values_first(self.noise_levels(mean), rank).unsqueeze(0)
         manoeuvres = []
         if self.manoeuvre_factors is not None:
             levels = levels.expand(1, self.level_count, *nis.shape[2:])
-            factors = in_front(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
+            factors = values_first(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
             manoeuvres = [levels[:, -1:] * factors.clamp(1.0, LARGEST_FACTOR)]
         others = [torch.ones_like(levels[:, :1])] * (self.motions - 1)
         every = torch.cat([levels, *others, *manoeuvres, *[levels[:, -1:]] * self.jump_count], MOTION)
@@ -310,7 +313,7 @@ class Regimes(nn.Module):
 
     def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: those of the position in a jump."""
-        jumps = in_front(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
+        jumps = values_first(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
         widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
         rows = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         rows[position] = 1.0
@@ -346,7 +349,7 @@ class Regimes(nn.Module):
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
         """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` with ``rank`` dimensions behind the first."""
-        return taken(in_front(kinds, rank), self.kind_of, 0)
+        return taken(values_first(kinds, rank), self.kind_of, 0)
 
     def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
         """Values ``(1, R, 2, ...)`` from those ``(1, 1 or more, 2, ...)`` of manoeuvres and jumps, and all others."""
@@ -355,9 +358,3 @@ class Regimes(nn.Module):
         jumps = jumps.expand(1, self.jump_count, *batch)
         rest = jumps.new_full((1, self.level_count + self.motions - 1, *batch), others)
         return torch.cat([rest, manoeuvres, jumps], MOTION)
-
-
-def in_front(values: Tensor, rank: int) -> Tensor:
-    """Values ``(..., C)`` of tracks as ``(C, ...)``, with ``rank`` dimensions behind the first, the last of tracks."""
-    values = values.movedim(-1, 0)
-    return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])

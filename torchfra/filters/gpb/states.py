@@ -62,7 +62,7 @@ class GPBInfo(NamedTuple):
 
 
 class Step(NamedTuple):
-    """The info of one step, and the final one of the step before, which ``Late`` marks."""
+    """The info of one step; ``lagged`` is of the step before."""
 
     lagged: Late
     regimes: Tensor

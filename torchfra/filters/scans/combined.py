@@ -13,14 +13,15 @@ from torchfra.association.clusters import Association
 from torchfra.filters.scans.scan import Scan, chosen, gated_first
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import missed_or_hit, moment_match
+from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.model import canonical
-from torchfra.linalg.safe import safe_divide
+from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-def learned(
+def learn_noise(
     estimate: NominalNoise, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
     share_noise: bool,
 ) -> Any:  # fmt: skip
@@ -44,6 +45,7 @@ def learned(
     measured = share.sum(-1)[..., None, None]  # probability that each target was measured
     total = measured.sum(-3, keepdim=True)
     mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
+    # Below a half no target was measured, more likely than not.
     return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
 
 
@@ -75,7 +77,7 @@ def update(
     weights = robust(rescaled.residual, scan.candidates.nis)
     each = robust.correct(predicted, rescaled, weights, frame.measurement_noise)
     if each.belief.scale_tril.shape[-3] == 1:
-        belief = missed_or_hit(predicted, each.belief, log_weights)
+        belief = moments_with_one_root(predicted, each.belief, log_weights)
     else:
         belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
     return canonical(f.motion, belief), None if robust.plain else weights
@@ -86,6 +88,31 @@ def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:
     mean = torch.cat([predicted.mean.expand_as(each.mean[..., :1, :]), each.mean], -2)
     root = torch.cat([predicted.scale_tril.expand_as(each.scale_tril[..., :1, :, :]), each.scale_tril], -3)
     return Gaussian(mean.movedim(-2, 0), root.movedim(-3, 0))
+
+
+def moments_with_one_root(predicted: Gaussian, each: Gaussian, log_weights: Tensor) -> Gaussian:
+    """The moments of all association hypotheses where the measurements leave one posterior covariance ``S S^T``.
+
+    The covariance is that of the probabilistic data association filter, ``w_0 P- + (1 - w_0) P_c`` plus the spread of
+    the means, by its root: ``tria([sqrt(w_0) S-, sqrt(w_1 + ... + w_J) S, sqrt(w_i) (mean_i - mean)])``.
+
+    Args:
+        predicted: ``(..., 1)`` the belief if the target was missed.
+        each: means ``(..., J, n)``, root ``(..., 1, n, n)``.
+        log_weights: ``(..., J + 1)``; minus infinity for a belief of zero weight, which may then be NaN.
+
+    Source: Bar-Shalom & Fortmann (1988), "Tracking and Data Association", section 6.4.
+    """
+    root = (0.5 * log_weights).exp()
+    weight = root.square()
+    means = torch.cat([x.expand(*log_weights.shape[:-1], -1, -1) for x in (predicted.mean, each.mean)], -2)
+    means = torch.where((log_weights != -torch.inf).unsqueeze(-1), means, 0.0)
+    middle = (weight.unsqueeze(-1) * means).sum(-2, keepdim=True)
+    both = torch.stack([root[..., 0], safe_sqrt(weight[..., 1:].sum(-1))], -1)[..., None, None]
+    roots = torch.cat(torch.broadcast_tensors(predicted.scale_tril, each.scale_tril), -3)
+    if_missed, if_measured = torch.where(both == 0, 0.0, both * roots).unbind(-3)
+    spread = (root.unsqueeze(-1) * (means - middle)).mT
+    return Gaussian(middle.squeeze(-2), tria(hstack(if_missed, if_measured, spread)))
 
 
 def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:

@@ -20,7 +20,7 @@ from torchfra.association.joint import associate
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Past, Record, Smoothed
-from torchfra.filters.scans.combined import combined, fade, learned, update
+from torchfra.filters.scans.combined import combined, fade, learn_noise, update
 from torchfra.filters.scans.lost_tracks import inflated, log_miss, log_unseen, missed_scans, search
 from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.scans.scan import (
@@ -30,7 +30,7 @@ from torchfra.filters.scans.scan import (
     associate_uncertain,
     target_repairs,
 )
-from torchfra.filters.scans.separate import core, inflated_state, measured, missed, together
+from torchfra.filters.scans.separate import core, inflated_state, measured, merge_hypotheses, missed
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
@@ -191,7 +191,7 @@ class JPDA(Soft, Filter[JPDAState]):
         scan = self.compare_scan(f, prediction.belief, noise, frame)
         repaired = target_repairs(prediction, scan.whitened)
         association = associate(scan, self.inside(scan))  # (25)-(27)
-        learn = partial(learned, f.noise, association=association, frame=frame, share_noise=self.share_noise)
+        learn = partial(learn_noise, f.noise, association=association, frame=frame, share_noise=self.share_noise)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
         rescaled = f.noise.rescale(scan.whitened, noise)
         prediction, rescaled, fading, factor = fade(f, prediction, rescaled, fading, scan, association, frame)
@@ -221,7 +221,7 @@ class JPDA(Soft, Filter[JPDAState]):
         each = measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)
         association = associate(scan, inside)
-        inner, info = together(f, none, each, association)
+        inner, info = merge_hypotheses(f, none, each, association)
         return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
 
     def compare_scan(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
@@ -297,11 +297,11 @@ class JPDA(Soft, Filter[JPDAState]):
         """The past of each target for the backward pass, which keeps the associations of the forward pass."""
         return ScanPast(self.inner.past(belief, info, None, None), steps)
 
-    def fresh(self, past: ScanPast) -> ScanPast:
+    def provisional_past(self, past: ScanPast) -> ScanPast:
         """The past as it is: no later scan decides anything of it."""
         return past
 
-    decided = needed_of_next = fresh
+    last_past = needed_of_next = provisional_past
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
         """Where the backward pass begins: the filtered beliefs after the last scan."""

@@ -20,6 +20,7 @@ def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
     """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
     chance, inside = detection(like), gate.gate_probability()
     chance = chance if inside is None else chance * inside.to(like)
+    # A target that is always measured is never missed; the logarithm of rounding is no probability.
     some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
     miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)
     return miss.squeeze(-1) if miss.dim() else miss

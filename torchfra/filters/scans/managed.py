@@ -23,7 +23,7 @@ from torchfra.types import Gaussian
 S = TypeVar("S", bound=Any)
 
 
-class Uncertain(NamedTuple):
+class UncertainTargets(NamedTuple):
     """Targets that may not exist."""
 
     state: JPDAState
@@ -39,7 +39,7 @@ class Uncertain(NamedTuple):
         return self.state.belief
 
 
-def stepped(
+def step_scan(
     f: JPDA, function: Callable[[JPDA, S, Frame], tuple[S, Any]], state: S, measurements: Measurements
 ) -> tuple[S, Any]:
     """Calls a ``function`` of this module on a checked scan ``z (C, J, m)``.
@@ -52,7 +52,7 @@ def stepped(
     return (f.engine if small else INTERPRETED).once(f, function, state, measurements)
 
 
-def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
+def update_targets(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
     """The state after a scan, the association ``(..., N, J + 1)`` and the log density ``(..., N)``: see ``JPDAInfo``.
 
     A scan without any measurement misses all targets.
@@ -60,8 +60,10 @@ def among(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, tuple[Ten
     return _advanced(f, state, frame, None, None)
 
 
-def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertain, tuple[Tensor, Tensor]]:
-    """``among`` for targets that may not exist: state and association of each are conditional on its existence."""
+def update_uncertain(
+    f: JPDA, targets: UncertainTargets, frame: Frame
+) -> tuple[UncertainTargets, tuple[Tensor, Tensor]]:
+    """``update_targets`` for targets that may not exist: each state and association is conditional on existence."""
     state, result = _advanced(f, targets.state, frame, targets.exists, targets.visible)
     return targets._replace(state=state), result
 
@@ -69,12 +71,13 @@ def among_uncertain(f: JPDA, targets: Uncertain, frame: Frame) -> tuple[Uncertai
 def _advanced(
     f: JPDA, state: JPDAState, frame: Frame, exists: Tensor | None, visible: Tensor | None
 ) -> tuple[JPDAState, tuple[Tensor, Tensor]]:
+    """One scan, in which a target that is not measured is missed, even if nothing is measured."""
     state, record = f.advance(state, frame, exists=exists, visible=visible, count_empty=True)
     assert record.density is not None
     return state, (record.info.association, record.density)
 
 
-def outlook(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, Gaussian]:
+def predict_measurements(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, Gaussian]:
     """The unchanged state, and the predicted measurement ``(..., N)`` of each target in the scan.
 
     Of the scan only its noise is used.

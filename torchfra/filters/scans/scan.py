@@ -120,6 +120,7 @@ def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | N
 
 
 def _taken(x: Tensor, rank: int, order: Tensor, shape: torch.Size) -> Tensor:
+    """``chosen`` of one tensor, whose entry for a measurement has ``rank`` dimensions."""
     event = x.shape[x.dim() - rank :]
     if x.shape[-rank - 1] == 1:
         return x  # all measurements share it

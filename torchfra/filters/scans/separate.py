@@ -59,7 +59,7 @@ def measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
     return Pairs(states, info, number, nowhere.scatter(-1, number, log_density))
 
 
-def together(inner: Filter, none: tuple[Any, Any], each: Pairs, association: Association) -> tuple[Any, Any]:
+def merge_hypotheses(inner: Filter, none: tuple[Any, Any], each: Pairs, association: Association) -> tuple[Any, Any]:
     """One state and one info for each target, merged from a miss (``none``) and from ``each`` measurement."""
     missed, associated = association.log_weights[..., 0], association.log_weights[..., 1:]
     log_weights = torch.cat([missed.unsqueeze(0), associated.gather(-1, each.number).movedim(-1, 0)])

@@ -2,9 +2,9 @@
 
 It is ``filters.GPB`` for what most recordings are, positions of targets at a nearly constant velocity: ``as_gpb`` makes
 the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to turning as
-hard as can be, and a fix is clean or an outlier.  All axes have one covariance, the mean of theirs where hypotheses are
-merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise operations a
-step.  On one axis both filters are the same.
+hard as can be, and a fix is an inlier or an outlier.  All axes have one covariance, the mean of theirs where hypotheses
+are merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise operations
+a step.  On one axis both filters are the same.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchfra import tree
 from torchfra.filters import GPB, Outliers, Regimes
 from torchfra.motion.bank import Bank
 from torchfra.motion.polynomial import ConstantVelocity
@@ -49,7 +50,7 @@ class OutlierModel(NamedTuple):
     lasts: Tensor | float = 0.35
     """Probability of an outlier after an outlier; one, or ``(B,)``."""
     least_size: float = 100.0
-    """Least mean square error per axis of an outlier, in units of the variance of a clean fix."""
+    """Least mean square error per axis of an outlier, in units of the variance of an inlier."""
     reach: Tensor | float = 0.0
     """The same as a distance, m, as far as targets often are beside their way; one, or ``(B,)``."""
     same_offset: float = 0.5
@@ -63,12 +64,12 @@ class OutlierModel(NamedTuple):
     def of_any_offset(self) -> OutlierModel:
         """The same without outliers as far off as each other.
 
-        It is used while sigma and the process noise are found: many such outliers could stand for clean fixes.
+        It is used while sigma and the process noise are found: many such outliers could stand for inliers.
         """
         return self._replace(same_offset=0.0)
 
-    def chain(self, like: Tensor) -> Tensor:
-        """Probabilities ``(2, 2, B)`` of a clean fix and an outlier, after either, for tracks ``like (B,)``."""
+    def transition(self, like: Tensor) -> Tensor:
+        """Probabilities ``(2, 2, B)``, ``[now, before]``, of inlier and outlier, for tracks ``like (B,)``."""
         begins, lasts = (torch.zeros_like(like) + x for x in (self.begins, self.lasts))
         return torch.stack([torch.stack([1 - begins, 1 - lasts]), torch.stack([begins, lasts])])
 
@@ -107,8 +108,8 @@ class Chain(NamedTuple):
         """
         gap = gap.unsqueeze(1)
         lasts = -gap / self.duration
-        modes = _times(weights, self.begun) * torch.exp(-gap * self.rates)
-        return lasts, (_times(modes, self.ended) - weights * lasts.exp()).clamp_min(_LEAST)
+        modes = _product(weights, self.begun) * torch.exp(-gap * self.rates)
+        return lasts, (_product(modes, self.ended) - weights * lasts.exp()).clamp_min(_LEAST)
 
 
 class Levels(NamedTuple):
@@ -151,7 +152,7 @@ class Fixes(NamedTuple):
     gap: Tensor
     """``(T, B)`` seconds since the step before."""
     variance: Tensor
-    """``(T, B)`` of a clean fix per axis, m^2."""
+    """``(T, B)`` of an inlier per axis, m^2."""
     odds: Tensor
     """``(T, B)`` log of a factor on the odds that the fix is an outlier, from what is known besides."""
 
@@ -174,8 +175,17 @@ class Fixes(NamedTuple):
         return Fixes(self.z.flip(0), gap, self.variance.flip(0), self.odds.flip(0))
 
 
-State = tuple[Belief, Tensor, Tensor, Tensor]
-"""After a fix: beliefs ``(2, J, B)`` and logs of their weights, how likely the fix is an outlier, and the fix."""
+class State(NamedTuple):
+    """The filter after a fix."""
+
+    belief: Belief
+    """``(2, J, B)`` if the fix is an inlier, and if it is an outlier."""
+    log_weights: Tensor
+    """``(2, J, B)`` logs of the probabilities of these."""
+    outlier: Tensor
+    """``(B,)`` probability that the fix is an outlier."""
+    z: Tensor
+    """``(d, B)`` the fix; NaN before the first."""
 
 
 class Predictions(NamedTuple):
@@ -197,7 +207,7 @@ class Step(NamedTuple):
     """What the filter says of a step."""
 
     ahead: Belief
-    """``(2, J, B)`` before the fix, if the one before was clean and if it was an outlier."""
+    """``(2, J, B)`` before the fix, if the one before was an inlier and if it was an outlier."""
     log_ahead: Tensor
     """``(2, J, B)`` logs of the probabilities of these."""
     prior_outlier: Tensor
@@ -205,7 +215,7 @@ class Step(NamedTuple):
     log_likelihood: Tensor
     """These as in ``Predictions``."""
     known: Belief
-    """``(2, J, B)`` after the fix, if it is clean and if it is an outlier; predicted where there is none."""
+    """``(2, J, B)`` after the fix, if it is an inlier and if it is an outlier; predicted where there is none."""
     log_weights: Tensor
     """``(2, J, B)`` of these."""
 
@@ -213,7 +223,7 @@ class Step(NamedTuple):
     def prediction(self) -> Belief:
         """``(J, B)`` of each level before the fix."""
         share = (self.log_ahead[1] - self.log_ahead[0]).sigmoid()
-        return _pair(share, _entry(self.ahead, 0), _entry(self.ahead, 1))
+        return _merged_pair(share, _entry(self.ahead, 0), _entry(self.ahead, 1))
 
     @property
     def log_levels(self) -> Tensor:
@@ -223,10 +233,10 @@ class Step(NamedTuple):
 
 def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
     """The filter: predictions of every step."""
-    return predicted(steps(fixes, levels, model))
+    return predictions_of(steps(fixes, levels, model))
 
 
-def predicted(every: Iterable[Step]) -> Predictions:
+def predictions_of(every: Iterable[Step]) -> Predictions:
     """Predictions of all steps."""
     beliefs, *rest = zip(*((step.prediction, step.log_levels, *step[2:5]) for step in every), strict=True)
     return Predictions(
@@ -237,44 +247,58 @@ def predicted(every: Iterable[Step]) -> Predictions:
 def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterator[Step]:
     """The steps of the filter.
 
-    After each fix hypotheses are merged to one for each level and for clean and outlier; these two stay apart until the
-    next fix has said which was right.  Steps without a fix are predicted from the last one, and change nothing.
+    After each fix hypotheses are merged to one for each level and for inlier and outlier; these two stay apart until
+    the next fix has said which was right.  Steps without a fix are predicted from the last one, and change nothing.
 
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
-    belief, log_weights = _start(fixes, levels, model)
-    log_chain, chain = model.chain(fixes.gap[0]).log().unsqueeze(2), levels.chain
-    outlier, last = model.share(fixes.gap[0]), torch.full_like(fixes.z[0], torch.nan)
-    state: State = belief, log_weights, outlier, last
+    state, chain, log_transition = _start(fixes, levels, model), levels.chain, model.transition(fixes.gap[0]).log()
     rows = zip(fixes.z, fixes.variance, fixes.odds, fixes.missing, fixes.elapsed, strict=True)
     for k, (z, variance, odds, missing, elapsed) in enumerate(rows):
-        belief, log_weights, outlier, last = state
-        if k:
-            mixed, log_weights = switched(belief, log_weights, chain, elapsed.unsqueeze(0))
-            belief = _predicted(mixed, levels, elapsed)
-        prior_outlier = model.begins + outlier * (model.lasts - model.begins)
-        clean, log_density = corrected(belief, z, variance, missing, model)
+        ahead = state
+        if k:  # the first fix is of the time of the prior
+            mixed, log_weights = switched(state.belief, state.log_weights, chain, elapsed.unsqueeze(0))
+            ahead = state._replace(belief=_propagated(mixed, levels, elapsed), log_weights=log_weights)
+        inlier, log_density = corrected(ahead.belief, z, variance, missing, model)
         if model.same_offset:
-            log_density[1, 1] = _again(log_density[1, 1], _entry(belief, 1), z - last, levels, elapsed, variance, model)
-        joint = log_chain + log_weights + log_density  # (2, 2, J, B): now, before
-        share = (joint[:, 1] - joint[:, 0]).sigmoid()
-        after = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
-        weights, log_likelihood = _shares(after.flatten(0, 1), 0)
-        pairs = [_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((clean, belief))]
-        merged_now = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
-        now: State = merged_now, after - log_likelihood, weights[len(levels.q) :].sum(0), z
-        ahead: State = belief, log_weights, outlier, last
-        state, known = (now, now) if not missing.any() else (_where(missing, x, now) for x in (state, ahead))
+            log_density[1, 1] = _with_same_offset(
+                log_density[1, 1], _entry(ahead.belief, 1), z - state.z, levels, elapsed, variance, model
+            )
+        joint = log_transition.unsqueeze(2) + ahead.log_weights + log_density  # (2, 2, J, B): now, before
+        after, log_likelihood = _weighed(ahead, z, odds, inlier, joint)
         log_likelihood = torch.where(missing, 0.0, log_likelihood)
-        yield Step(belief, ahead[1], prior_outlier, state[2], log_likelihood, *known[:2])
+        # Without a fix the state stays that of the last one, from which ``elapsed`` counts; known is its prediction.
+        known, state = (_where(missing, x, after) if missing.any() else after for x in (ahead, state))
+        prior_outlier = model.begins + ahead.outlier * (model.lasts - model.begins)
+        outlier = prior_outlier, known.outlier
+        yield Step(ahead.belief, ahead.log_weights, *outlier, log_likelihood, known.belief, known.log_weights)
+
+
+def _weighed(ahead: State, z: Tensor, odds: Tensor, inlier: Belief, joint: Tensor) -> tuple[State, Tensor]:
+    """The state after a fix, merged over inlier and outlier before it, and the log-likelihood ``(B,)`` of the fix.
+
+    Args:
+        ahead: before the fix, which an outlier leaves as it is.
+        z: ``(d, B)`` the fix.
+        odds: ``(B,)`` of ``Fixes``.
+        inlier: ``(2, J, B)`` beliefs if the fix is one.
+        joint: ``(2, 2, J, B)`` logs of the joint densities of fix and hypotheses, ``[now, before]``.
+    """
+    share = (joint[:, 1] - joint[:, 0]).sigmoid()
+    log_weights = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
+    weights, log_likelihood = _normalised(log_weights.flatten(0, 1), 0)
+    pairs = [_merged_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((inlier, ahead.belief))]
+    belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
+    outlier = weights[log_weights.shape[1] :].sum(0)
+    return State(belief, log_weights - log_likelihood, outlier, z), log_likelihood
 
 
 def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
     """The Gaussian with the moments of a mixture along a dimension of the weights, and the log of their sum."""
-    weight, total = _shares(log_weights, dim)
+    weight, total = _normalised(log_weights, dim)
     position, velocity = ((weight * x).sum(dim + 1) for x in belief[:2])
     dp, dv = belief.position - position.unsqueeze(dim + 1), belief.velocity - velocity.unsqueeze(dim + 1)
-    spread = belief.pp + _over_axes(dp, dp), belief.pv + _over_axes(dp, dv), belief.vv + _over_axes(dv, dv)
+    spread = belief.pp + _mean_product(dp, dp), belief.pv + _mean_product(dp, dv), belief.vv + _mean_product(dv, dv)
     return Belief(position, velocity, *((weight * x).sum(dim) for x in spread)), total
 
 
@@ -285,7 +309,7 @@ def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> 
     common, _ = merged(log_weights + ends, belief, 1)
     stayed, restarted = log_weights + lasts, follow.log()
     every = Belief(*(x.unsqueeze(-2) for x in common))
-    return _pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
+    return _merged_pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
 
 
 def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB:
@@ -301,7 +325,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
     """
     outliers = Outliers(
         [range(dims)],
-        outlier_transition=model.chain(sigma).permute(2, 1, 0),
+        outlier_transition=model.transition(sigma).permute(2, 1, 0),
         outlier_sizes=(max(model.least_size, float((model.reach / sigma).square().max())),),
         outlier_shares=(1.0,),
         outliers_inform=False,
@@ -334,8 +358,8 @@ class _Walking(ConstantVelocity):
         return torch.cat([root, step[..., None, None] * torch.eye(self.size, self.dims).to(root)], -1)
 
 
-def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, Tensor]:
-    """Near the first fixes, as far as those are apart, of any speed: beliefs ``(2, J, B)`` and their log weights."""
+def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
+    """The prior: near the first fixes, as far as those are apart, of any speed."""
     z = fixes.z
     order = (~fixes.missing).to(z).cumsum(0)
     first = torch.where((order <= 9).unsqueeze(1), z, torch.nan)
@@ -345,26 +369,27 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> tuple[Belief, T
     position = middle.nan_to_num()[:, None, None].expand(-1, *shape)
     pp, vv = (1e8 + apart.square()).expand(shape), z.new_full(shape, 1e5)
     share = model.share(fixes.gap[0])
-    log_quality = torch.stack([1 - share, share]).log().unsqueeze(1)
+    log_mode = torch.stack([1 - share, share]).log().unsqueeze(1)
     belief = Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv)
-    return belief, log_quality + levels.log_share
+    return State(belief, log_mode + levels.log_share, share, torch.full_like(z[0], torch.nan))
 
 
-def _predicted(x: Belief, levels: Levels, gap: Tensor) -> Belief:
+def _propagated(x: Belief, levels: Levels, gap: Tensor) -> Belief:
+    """Beliefs ``gap`` seconds later, at a constant velocity that white noise disturbs, and a random walk."""
     q, pv = levels.q, x.pv + gap * x.vv
     pp = x.pp + gap * (x.pv + pv) + q * (gap**3 / 3) + levels.walk * gap
     return Belief(x.position + gap * x.velocity, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
 
 
 def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: OutlierModel) -> tuple[Belief, Tensor]:
-    """Beliefs after a clean fix, and the log densities ``(2, ...)`` of a clean one and of an outlier.
+    """Beliefs after an inlier, and the log densities ``(2, ...)`` of an inlier and of an outlier.
 
     An outlier says nothing of the position, and is as large as it takes.
     """
     seen, d = (~missing).to(z), len(z)
     z = z.nan_to_num().reshape(d, *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
     residual = seen * (z - x.position)  # products with 0: much faster than a choice
-    squared = d * _over_axes(residual, residual)
+    squared = d * _mean_product(residual, residual)
     least = model.least_size * variance
     wide = x.pp + torch.maximum(least.clamp_min(model.reach**2), squared / d)
     total = x.pp + variance
@@ -379,7 +404,7 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: Ou
     return after, log_density
 
 
-def _again(
+def _with_same_offset(
     log_density: Tensor,
     x: Belief,
     moved: Tensor,
@@ -390,31 +415,30 @@ def _again(
 ) -> Tensor:
     """Log density ``(J, B)`` of an outlier after another, which may be as far off in the same direction.
 
-    Then fixes have moved by ``moved (d, B)`` in some seconds as the target has.
+    Then the fixes have ``moved (d, B)`` as the target has, whatever the offset: ``moved = elapsed velocity + noise``.
     """
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
-    wide = 2 * variance + elapsed.square() * x.vv - levels.q * (2 / 3 * elapsed**3)  # the velocity was surer before
-    wide = wide + levels.walk * elapsed
-    squared = d * _over_axes(residual, residual)
-    same = math.log(model.same_offset) - 0.5 * (squared / wide + d * (wide.log() + _LOG_TWO_PI))
+    # With the velocity v now, the way is t v - integral(s dW), of variance t^2 vv + q t^3 / 3 - 2 t (q t^2 / 2).
+    total = 2 * variance + elapsed.square() * x.vv - levels.q * (2 / 3 * elapsed**3)
+    total = total + levels.walk * elapsed
+    squared = d * _mean_product(residual, residual)
+    same = math.log(model.same_offset) - 0.5 * (squared / total + d * (total.log() + _LOG_TWO_PI))
     other = log_density + math.log1p(-model.same_offset)
     return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same))
 
 
 def _where(missing: Tensor, before: State, now: State) -> State:
     """The state before where there is no fix."""
-    beliefs = zip(before[0], now[0], strict=True)
-    rest = (torch.where(missing, old, new) for old, new in zip(before[1:], now[1:], strict=True))
-    return Belief(*(torch.where(missing, old, new) for old, new in beliefs)), *rest  # type: ignore[return-value]
+    chosen: State = tree.map_tensors(lambda old, new: torch.where(missing, old, new), before, now)
+    return chosen
 
 
-def _pair(share: Tensor, a: Belief, b: Belief) -> Belief:
+def _merged_pair(share: Tensor, a: Belief, b: Belief) -> Belief:
     """The Gaussian with the moments of two, the second of weight ``share``."""
     dp, dv, spread = b.position - a.position, b.velocity - a.velocity, share * (1 - share)
     position, velocity, pp, pv, vv = (torch.lerp(one, other, share) for one, other in zip(a, b, strict=True))
-    pp, pv, vv = (
-        torch.addcmul(x, spread, _over_axes(one, other)) for x, one, other in ((pp, dp, dp), (pv, dp, dv), (vv, dv, dv))
-    )
+    between = _mean_product(dp, dp), _mean_product(dp, dv), _mean_product(dv, dv)
+    pp, pv, vv = (torch.addcmul(x, spread, y) for x, y in zip((pp, pv, vv), between, strict=True))
     return Belief(position, velocity, pp, pv, vv)
 
 
@@ -423,17 +447,17 @@ def _entry(x: Belief, i: int) -> Belief:
     return Belief(*(part.select(-3, i) for part in x))
 
 
-def _over_axes(a: Tensor, b: Tensor) -> Tensor:
+def _mean_product(a: Tensor, b: Tensor) -> Tensor:
     """The mean product of ``(d, ...)``."""
     return (a * b).sum(0) * (1.0 / len(a))
 
 
-def _times(x: Tensor, matrix: Tensor) -> Tensor:
+def _product(x: Tensor, matrix: Tensor) -> Tensor:
     """Products of ``(n, J, B)`` and ``(J, K, B)``; far faster than matrices of eight rows for each of many ``B``."""
     return (x.unsqueeze(2) * matrix).sum(1)
 
 
-def _shares(log_weights: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+def _normalised(log_weights: Tensor, dim: int) -> tuple[Tensor, Tensor]:
     """Weights that sum to one along a dimension, and the log of what they summed to."""
     largest = log_weights.amax(dim, keepdim=True)
     weight = (log_weights - largest).exp()

@@ -1,27 +1,31 @@
-"""Whole tracks of a compiled filter, made ready once for each form of call, so that a call does little but run them."""
+"""Calls of a compiled filter whose form is known: they do little but run."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
+from functools import lru_cache
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from torchfra.compiler.guards import guard
+from torchfra.compiler.forms import flattener, guard, unflattener
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import Ready
-from torchfra.compiler.single_steps import is_ordinary, number
 from torchfra.compiler.track_kernel import TrackKernel
-from torchfra.compiler.trees import flattener, unflattener
-from torchfra.gaussian.arguments import check_values
-from torchfra.gaussian.inputs import Measurements
+from torchfra.gaussian.arguments import PRECISIONS, check_values
+from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.linalg.triangular import tria
+from torchfra.tree import flatten
 from torchfra.types import Estimate, Failure, Gaussian
 
-_FORMS = 16
-"""How many forms are remembered."""
+Data = tuple[Tensor, Tensor, Tensor | None, Tensor | None, Tensor | None]
+"""``z``, ``dt``, ``u``, ``std``, ``noise`` of a step."""
+_FORMS = 64
+"""How many forms are remembered, of steps and of tracks."""
+_RANGES = {dtype: (torch.finfo(dtype).tiny, torch.finfo(dtype).max) for dtype in PRECISIONS}
+"""From the least normal number on to the largest, in each precision."""
 _SHORT = 4096
 """Steps of all tracks up to which a form gets ready at its first call: such calls are little but overhead."""
 _OFTEN = 8
@@ -30,6 +34,107 @@ _LEARNING = 256
 """The same of calls with a gradient, whose boundary takes one to three seconds and saves one to three milliseconds."""
 _COUNTED = 256
 """How many longer forms are counted."""
+T = TypeVar("T")
+
+
+class _Known(dict[Hashable, list[T]]):
+    """What has been made ready by the form of the call, the latest first; all is forgotten when there is too much."""
+
+    def add(self, form: Hashable, made: T) -> None:
+        """Remembers one more."""
+        if sum(map(len, self.values())) >= _FORMS:
+            self.clear()
+        self[form] = [made, *self.get(form, ())]
+
+
+class ReadyStep:
+    """A step for tensors of one form.
+
+    Args:
+        ready: the kernel.
+        inputs: a state, data and values like those to come.
+        made: the state and the record that the kernel writes, of one track.
+    """
+
+    def __init__(self, ready: Ready, inputs: tuple[Any, Data, tuple[Tensor, ...]], made: Any) -> None:
+        self.run, self.made = ready, unflattener(made)
+        self._leaves = flattener(inputs)
+        self._fit = guard(flatten(inputs))
+
+    def tensors(self, *inputs: Any) -> tuple[Tensor, ...] | None:
+        """What the kernel reads; None for tensors of another form."""
+        try:
+            leaves = self._leaves(inputs)
+        except (IndexError, TypeError):  # another structure
+            return None
+        return leaves if leaves is not None and self._fit(*leaves) else None
+
+
+class ReadySteps:
+    """All that have been made ready."""
+
+    def __init__(self) -> None:
+        self._known = _Known[ReadyStep]()
+
+    def __call__(
+        self, state: Any, data: Data, values: Sequence[Tensor], zero_dt: bool | None
+    ) -> tuple[Any, Any] | None:
+        """The next state and the record of the step; None where no step is ready.
+
+        Args:
+            state: before the step.
+            data: of the step.
+            values: what the filter holds.
+            zero_dt: whether ``dt`` may be 0, to check what comes with the measurement; None where that is good.
+
+        Raises:
+            ValueError: the time step or the noise has a bad value.
+        """
+        for step in self._known.get(_kind(state, data), ()):
+            tensors = step.tensors(state, data, values)
+            if tensors is not None:
+                if zero_dt is not None:
+                    check_changing(data, zero_dt)
+                made: tuple[Any, Any] = step.made(step.run(tensors))
+                return made
+        return None
+
+    def add(self, step: ReadyStep, state: Any, data: Data) -> None:
+        """Remembers a step."""
+        self._known.add(_kind(state, data), step)
+
+
+def _kind(state: Any, data: Data) -> Hashable:
+    _, _, u, std, noise = data
+    return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
+
+
+@lru_cache(maxsize=64)
+def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
+    with torch.inference_mode(False):
+        return torch.tensor(value, dtype=dtype)
+
+
+def check_changing(data: Data, zero_dt: bool) -> None:
+    """Checks the values that come with each measurement.
+
+    Raises:
+        ValueError: one is bad.
+    """
+    z, dt, _, std, noise = data
+    if noise is not None or not all(x is None or is_ordinary(x, z.dtype) for x in (dt, std)):
+        check_values(Measurements(*data).as_track(), zero_dt)
+
+
+def is_ordinary(x: Time, dtype: torch.dtype) -> bool:
+    """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
+    least, most = _RANGES[dtype]
+    if not isinstance(x, Tensor):
+        return least <= x <= most
+    if x.dim() > 1 or x.numel() > 16:
+        return False
+    return all(least <= value <= most for value in x.reshape(-1).tolist())
 
 
 class ReadyTracks:
@@ -82,7 +187,7 @@ class AllReadyTracks:
     """All that have been made ready."""
 
     def __init__(self) -> None:
-        self._known: dict[Hashable, list[ReadyTracks | WholeTracks]] = {}
+        self.known = _Known[ReadyTracks | WholeTracks]()
         self._calls: Counter[Hashable] = Counter()
 
     def due(self, form: Hashable, steps: int, learns: bool) -> bool:
@@ -110,7 +215,7 @@ class AllReadyTracks:
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
-        known = self._known.get(form, ())
+        known = self.known.get(form, ())
         z, dt, *rest = measurements
         if not known or not isinstance(dt, (Tensor, float, int)):
             return None
@@ -119,15 +224,9 @@ class AllReadyTracks:
         for tracks in known:
             if tracks.fit(*tensors):
                 if not (is_ordinary(dt, z.dtype) and rest[1] is rest[2] is None):
-                    check_values(measurements, f.instants)
+                    check_values(measurements, f.zero_dt)
                 return tracks(f.begin, tensors)
         return None
-
-    def add(self, form: Hashable, tracks: ReadyTracks | WholeTracks) -> None:
-        """Remembers tracks; all others are forgotten when there are too many."""
-        if sum(map(len, self._known.values())) >= _FORMS:
-            self._known, self._calls = {}, Counter()
-        self._known[form] = [tracks, *self._known.get(form, ())]
 
 
 def is_short(steps: int) -> bool:

@@ -1,0 +1,59 @@
+"""Axes that are cleaned as one, and what is known of them: of a batch of rows, some of which are of one track."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
+
+SHORT = 0
+"""Owner of the rows of all tracks that are too short to have values of their own."""
+
+
+class Part(NamedTuple):
+    """Axes that are alike, and what is known of them: those across the ground, or the height."""
+
+    fixes: Fixes
+    """With the variance in units of sigma squared."""
+    levels: Levels
+    sigma: Tensor
+    """``(B,)`` m."""
+    least: Tensor
+    """``(B,)`` m that sigma has at least."""
+    lowest: Tensor
+    """``(B,)`` m, the lowest sigma that a track does not rule out whose estimates are hardly surer than its fixes: the
+    path goes as near to these as it says.  NaN of other tracks."""
+    model: OutlierModel = DEFAULT
+    """How likely outliers are."""
+
+    def at(self, rows: Tensor) -> Part:
+        """Some of the rows."""
+        return Part(
+            Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
+            self.sigma[rows], self.least[rows], self.lowest[rows], self.model.of_rows(lambda x: x[rows]),
+        )  # fmt: skip
+
+    @property
+    def on_line(self) -> Part:
+        """With outliers as likely as before any fix was seen."""
+        return self._replace(model=DEFAULT._replace(reach=self.model.reach))
+
+    @property
+    def scaled(self) -> Fixes:
+        """The fixes with their variance in m^2."""
+        return self.fixes._replace(variance=self.fixes.variance * self.sigma.square())
+
+    @property
+    def period(self) -> Tensor:
+        """Seconds ``(B,)`` between most fixes."""
+        return torch.where(self.fixes.missing, math.nan, self.fixes.elapsed).nanmedian(0).values
+
+
+def summed(values: Tensor, owner: Tensor) -> Tensor:
+    """Values ``(..., B)`` summed over all rows of the same ``owner (B,)``, for each row."""
+    every = values.new_zeros(*values.shape[:-1], int(owner.max()) + 1).index_add(-1, owner, values)
+    return every[..., owner]

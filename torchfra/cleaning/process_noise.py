@@ -1,0 +1,99 @@
+"""The levels of process noise that a kind of target may have, by its hardest acceleration and its largest speed."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchfra.cleaning.closed_form import Levels
+
+_LEAST_DENSITY = 1e-5
+"""Least density of the process noise, m^2/s^3."""
+_LEAST_MOVE = 0.1
+"""How far the least process noise may move a target between two fixes, m."""
+_LEAST_SECONDS = 1.0
+"""Seconds for which a target keeps its hardest acceleration at least, however often it is measured."""
+LONGEST, _SHORTEST = 300.0, 15.0
+"""Mean time that the least and the largest process noise last, s."""
+_LEAST_CHANGE = 0.03
+"""Where fixes come more rarely than any level ends: change of the velocity between two, m/s, from which on levels are
+told apart."""
+_PERIODS = 3.0
+"""Periods that levels last where these are longer: what many levels leave in the mean changes slowly."""
+_WALKS, _APART, _WALK_FIXES = 5, 2.5, 10.0
+"""Levels of a random walk between two fixes, the ratio of the ways by which they move a target, and how many fixes each
+of them lasts."""
+_RARER = 3.0
+"""Log of how much rarer the largest process noise is than the least, before a track has said."""
+_RAREST = -25.0
+"""Log of the least share: of much rarer levels nothing is left of the digits of ``Levels.chain``."""
+
+
+def levels_up_to(
+    acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None
+) -> Levels:  # fmt: skip
+    """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
+
+    Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
+    may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
+    a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
+    would take time-correlated errors for motion, and where they are rarer than any level ends, slow drifts.
+
+    Args:
+        acceleration: the hardest.
+        fastest: ``(B,)`` the largest speed, m/s.
+        period: between fixes.
+        count: number of levels, without those of a random walk.
+        q: density around which levels are likely, m^2/s^3; None if it is to be found.
+    """
+    place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
+    density = _densities(acceleration, fastest, period, place)
+    duration = (LONGEST * (_SHORTEST / LONGEST) ** place).expand_as(density)
+    rarer = -_RARER * place if q is None else -0.5 * (density / max(q, _LEAST_DENSITY)).log10().square()
+    share = _log_shares(rarer, period / duration)
+    levels = Levels(density, share, duration.maximum(_PERIODS * (period - LONGEST)), torch.zeros_like(density))
+    stops = fastest / acceleration  # seconds in which a target stops
+    walking = (period > (stops / 2).clamp_min(_SHORTEST)) & (period <= LONGEST)
+    return _with_walks(levels, fastest * period, period, stops, walking) if q is None and walking.any() else levels
+
+
+def _densities(acceleration: Tensor, fastest: Tensor, period: Tensor, place: Tensor) -> Tensor:
+    """Densities ``(J, B)``, m^2/s^3, from the least to the largest by equal ratios, at ``place (J, 1)`` from 0 to 1.
+
+    The largest changes the velocity within a period by the hardest acceleration, which lasts for a second at least: of
+    a car that is measured 20 times a second that takes many periods.  Over a long period changes are no larger than the
+    speed.  Without that limit a target whose fixes come every two hours could be anywhere after each, and no fix an
+    outlier.
+    """
+    hardest = acceleration.square() * period.clamp_min(_LEAST_SECONDS)
+    top = hardest.minimum(fastest.square() / period).clamp_min(10 * _LEAST_DENSITY)
+    least = (3 * _LEAST_MOVE**2 / period**3).clamp_max(_LEAST_DENSITY)
+    slow = torch.where(period > LONGEST, _LEAST_CHANGE**2 / period, least)
+    return torch.cat([least.unsqueeze(0), (slow * (top / slow) ** place)[1:]])
+
+
+def _log_shares(rarer: Tensor, ended: Tensor) -> Tensor:
+    """Logs ``(J, B)`` of the shares of levels that are as likely as ``rarer`` says, logs too, in a moment.
+
+    In a period in which levels begin and end many times, ``ended (J, B)`` on average, those that begin often are
+    likelier: the hardest of them shapes it.
+    """
+    often = ended.log() - (-torch.expm1(-ended)).log()  # next to 0 where levels last
+    return (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
+
+
+def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor, walking: Tensor) -> Levels:
+    """With levels of a random walk by shares of the ``farthest (B,)`` way, m, of targets that stop in ``stops`` s.
+
+    Those that are not ``walking`` have levels that move nothing.
+    """
+    size = walking * farthest / _APART ** torch.arange(_WALKS).flip(0).unsqueeze(1)
+    walks = torch.where(walking, period / (period + 4 * stops), math.exp(_RAREST))
+    return Levels(
+        torch.cat([levels.q, levels.q[:1].expand_as(size)]),
+        torch.cat([levels.log_share + torch.log1p(-walks), (walks / _WALKS).log().expand_as(size)]),
+        torch.cat([levels.duration, levels.duration[:1].maximum(_WALK_FIXES * period).expand_as(size)]),
+        torch.cat([levels.walk, size.square() / period]),
+    )

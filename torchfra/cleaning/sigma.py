@@ -1,0 +1,164 @@
+"""The standard deviation of fixes, by the likelihood of their tracks."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
+from torchfra.cleaning.parts import SHORT, Part, summed
+from torchfra.cleaning.process_noise import LONGEST
+from torchfra.cleaning.two_filters import Smoothed
+
+LEAST_SIGMA = 0.01
+"""Least standard deviation that is found, m: fixes that repeat have none."""
+_COARSE = 8
+"""Number of standard deviations that are tried at first, each half of the one before."""
+_FINE = 1.2
+"""Ratio of those that are tried later."""
+_PRIOR_EXPONENT = 8.0
+"""Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
+_MOST_OUTLIERS, _COST = 0.12, 20.0
+"""Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
+_HARDLY = 0.6
+"""Share of the standard deviation of its fix above which an estimate is hardly surer."""
+_RATIO = 2.0
+"""Ratio of the lower standard deviations that are tried."""
+_OPEN = 3.0
+"""How much less likely a track may be, in log, with a lower sigma that it does not rule out."""
+_MISFIT_OF_WALKS = 0.2
+"""The same of each of its fixes, where levels of a random walk, of a few sizes only, are certain."""
+_MISFIT, _FORGOTTEN = 0.28, 7200.0
+"""The same of each fix where fixes are rarer than any level ends; and seconds in which targets may forget their
+velocity, to a share of 1 / e."""
+_STEPS, _ROWS = 200, 2
+"""Steps of a row, and rows of a track, from which sigma is found."""
+
+
+def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
+    """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
+    tried = _largest_sigma(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
+    return likeliest_sigma(fixes, levels, owner, tried, model.of_any_offset)
+
+
+def finer_sigma(part: Part, owner: Tensor) -> Tensor:
+    """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
+    factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
+    tried = part.sigma * factors.unsqueeze(1)
+    alone, usual = (
+        likeliest_sigma(part.fixes, part.levels, owner, tried, of) for of in (part.model.of_any_offset, part.model)
+    )
+    return alone.maximum(usual)
+
+
+def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel) -> Tensor:
+    """Of standard deviations ``(G, B)`` that decrease by a factor, the ones ``(B,)`` of the largest likelihood.
+
+    Between them by the parabola through the largest and its neighbours.
+
+    Args:
+        fixes: one after the other, with the variance in units of sigma squared.
+        levels: of the process noise.
+        owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
+        sigma: that are tried.
+        model: about outliers.
+    """
+    log_likelihood, outliers, count = _likelihoods(fixes, levels, owner, sigma, model)
+    too_many = (outliers - _MOST_OUTLIERS * count).clamp_min(0.0)
+    total = log_likelihood - _COST * too_many + _PRIOR_EXPONENT * sigma.log()
+    best = total.argmax(0).clamp(1, len(sigma) - 2)
+    left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
+    bend = (left - 2 * middle + right).clamp_max(-1e-3)  # where likelihoods are level, a parabola has no top
+    place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    return likely
+
+
+def hardly_surer(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
+    """Tracks ``(B,)`` whose estimates are mostly hardly surer than their own fixes, or whose fixes are very rare."""
+    measured = ~part.fixes.missing
+    hardly = measured & (known.belief.pp > _HARDLY**2 * part.scaled.variance)
+    several, every = (summed(of.sum(0).to(part.sigma), owner) for of in (hardly, measured))
+    return (several > 0.5 * every) | (part.period > LONGEST)
+
+
+def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
+    """The lowest standard deviations ``(B,)`` that tracks do not rule out.
+
+    Where what is noise and what is motion can hardly be told apart, a sigma that is too large costs far more than one
+    that is too small: with it the path cuts corners, and without it the path goes through the fixes.
+
+    Args:
+        part: with the levels as they were before the track.
+        owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
+    """
+    tried = part.sigma / _RATIO ** torch.arange(_COARSE).unsqueeze(1)
+    log_likelihood, _, count = _likelihoods(part.fixes, part.levels, owner, tried, part.model.of_any_offset)
+    walks, period = (part.levels.log_share.exp() * (part.levels.walk > 0)).sum(0), part.period
+    misfit = torch.where(period > LONGEST, -_MISFIT * torch.expm1(-period / _FORGOTTEN), _MISFIT_OF_WALKS * walks)
+    open_ = log_likelihood >= log_likelihood.amax(0) - _OPEN - misfit * count
+    last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
+    return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
+
+
+def _likelihoods(
+    fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of standard deviations ``(G, B)`` log-likelihoods, expected outliers and numbers of fixes ``(G, B)``."""
+    count, chosen = len(sigma), _rows_for_sigma(fixes, owner)
+    part = Fixes(*(x[:_STEPS, ..., chosen] for x in fixes))
+    variance = sigma[:, chosen].square() * part.variance.unsqueeze(1)
+
+    def repeated(x: Tensor) -> Tensor:
+        """Values ``(..., B)`` for each of the standard deviations, ``(..., G B)``."""
+        return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
+
+    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
+    rows = model.of_rows(lambda x: repeated(x[chosen]))
+    every = steps(tried, Levels(*(repeated(x[:, chosen]) for x in levels)), rows)
+    log_likelihood, outlier = (
+        torch.stack(x) for x in zip(*((s.log_likelihood, s.outlier) for s in every), strict=True)
+    )
+    measured = (~tried.missing).to(sigma)
+    sums = torch.stack([log_likelihood * measured, outlier * measured, measured]).sum(1).unflatten(-1, (count, -1))
+    by_owner = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[chosen], sums)
+    fit, outliers, number = by_owner[..., owner]
+    return fit, outliers, number
+
+
+def _rows_for_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
+    """Numbers of the rows from which sigma is found: those of each track with the most fixes, and all short tracks."""
+    count = (~fixes.missing[:_STEPS]).sum(0)
+    chosen = []
+    for i in owner.unique():
+        rows = (owner == i).nonzero()[:, 0]
+        most = len(rows) if i == SHORT else _ROWS
+        chosen.append(rows[count[rows].argsort(descending=True, stable=True)[:most]])
+    return torch.cat(chosen)
+
+
+def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
+    """Twice the standard deviation ``(B,)`` that third differences would have if nothing but noise was in them.
+
+    It is in units of the usual standard deviation that the file states, if it states one.
+    """
+    stated = torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
+    third = _third_differences(fixes.z / stated, fixes.gap).square().mean(1).sqrt()
+    most = fixes.gap.new_ones(len(owner))
+    for i in owner.unique():
+        own = third[:, owner == i]
+        if bool((~own.isnan()).any()):
+            most[owner == i] = 2 * own.nanmedian()
+    return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
+
+
+def _third_differences(z: Tensor, gap: Tensor) -> Tensor:
+    """What four fixes in a row have that no parabola in time has, ``(T - 3, d, B)``, as large as the noise of one."""
+    time, count = gap.cumsum(0), max(len(z) - 3, 0)
+    four = torch.stack([time[k : k + count] for k in range(4)])
+    apart = four.unsqueeze(0) - four.unsqueeze(1)
+    weight = 1 / (apart + torch.eye(4, dtype=z.dtype)[..., None, None]).prod(0)
+    weight = weight / weight.square().sum(0).sqrt()
+    return torch.stack([z[k : k + count] * weight[k].unsqueeze(1) for k in range(4)]).sum(0)
