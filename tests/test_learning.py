@@ -7,7 +7,7 @@ import torch
 from conftest import PRESETS, without_acceleration
 
 import torchfra
-from torchfra import presets, scenarios
+from torchfra import hyper, presets, scenarios
 from torchfra.hyper import Hyper, hypers, learnable, named
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.robust import Huber
@@ -310,3 +310,42 @@ def test_shares_without_states_are_of_position_velocity_and_acceleration():
     every, one = (presets.fra(*models, **share).fading.states for share in ({"share": (1, 0.1, 0.1)}, {}))
     assert every == (slice(0, 2), slice(2, 4), slice(4, 6))
     assert one == (slice(0, 2),)
+
+
+# ---------------------------------------------------------------- values within a call
+
+
+def test_a_value_is_computed_once_for_all_steps_of_a_call(make, tracks, monkeypatch):
+    computed = []
+    transform_to = hyper.transform_to
+    monkeypatch.setattr(hyper, "transform_to", lambda constraint: computed.append(1) or transform_to(constraint))
+    counts = []
+    for steps in (2, 5):
+        computed.clear()
+        make("gpb").smooth(tracks.z[:, :steps], tracks.prior, u=tracks.u[:steps])
+        counts.append(len(computed))
+    assert counts[0] == counts[1]
+
+
+def test_a_value_that_changes_between_calls_counts_in_the_next_one(make, tracks):
+    f = make("gpb")
+    before = estimate(f, tracks).mean
+    f.regimes.noise_levels.set(2 * f.regimes.noise_levels())
+    f.sensor.std.set(3 * f.sensor.std())
+    other = make("gpb")
+    other.load_state_dict(f.state_dict())
+    after = estimate(f, tracks).mean
+    assert torch.equal(after, estimate(other, tracks).mean)
+    assert not torch.equal(after, before)
+
+
+@pytest.mark.parametrize("name", ["fra", "gpb"])
+def test_gradients_of_values_computed_once_are_those_of_values_computed_in_every_step(name, make, tracks):
+    f = make(name, learn="all")
+    parameters = list(f.parameters())
+    logs = [
+        f(tracks.z, tracks.prior, u=tracks.u, checkpoint=checkpoint).log_likelihood.sum() for checkpoint in (None, 1)
+    ]
+    once, every = (torch.autograd.grad(log, parameters, allow_unused=True, materialize_grads=True) for log in logs)
+    for one, each in zip(once, every, strict=True):
+        torch.testing.assert_close(one, each, rtol=1e-9, atol=1e-12)

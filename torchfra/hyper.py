@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints, transform_to
 
+from torchfra import tree
+from torchfra.linalg.tracing import is_elementary, is_traced
 from torchfra.numbers import as_numbers
 from torchfra.suggestions import meant
 from torchfra.tables import text_table
@@ -18,6 +23,41 @@ _HALF_OPEN = type(constraints.half_open_interval(0.0, 1.0))
 Value = float | Tensor
 Values = Value | Sequence[float] | Sequence[Sequence[float]]
 M = TypeVar("M", bound=nn.Module)
+F = TypeVar("F", bound=Callable[..., Any])
+_known: ContextVar[dict[Any, Any] | None] = ContextVar("known", default=None)
+
+
+@contextmanager
+def same_values() -> Iterator[None]:
+    """Inside this context no hyperparameter changes, so that what depends on them alone is computed once.
+
+    A part that is computed again for its gradient must not run in it: it would not find what the first run found.
+    """
+    token = _known.set({})
+    try:
+        yield
+    finally:
+        _known.reset(token)
+
+
+def once(method: F) -> F:
+    """A method whose result depends on hyperparameters and on the dtype, device and rank of its argument alone."""
+
+    @wraps(method)
+    def call(module: nn.Module, like: Tensor | None = None) -> Any:
+        known = None if torch.compiler.is_compiling() or is_elementary() else _known.get()
+        if known is None:
+            return method(module, like)
+        form = None if like is None else (like.dtype, like.device, like.dim())
+        key = method, module, form, torch.is_grad_enabled()
+        if key not in known:
+            result = method(module, like)
+            if is_traced(*tree.flatten(result)):  # by a transform that may end inside of the context
+                return result
+            known[key] = result
+        return known[key]
+
+    return call  # type: ignore[return-value]
 
 
 def one_of(**choices: tuple[str, Collection[str]]) -> None:
@@ -137,6 +177,7 @@ class Hyper(nn.Module):
             del self._buffers["raw"]
             self.raw = nn.Parameter(raw)
 
+    @once
     def forward(self, like: Tensor | None = None) -> Tensor:
         """The value in natural units, with the dtype and on the device of ``like`` if that is not None."""
         value: Tensor = transform_to(self.constraint)(self.raw)

@@ -78,6 +78,17 @@ def _logsumexp(book: Expressions, x: Tensor, dim: Any, keepdim: bool = False) ->
     return total if keepdim else torch.squeeze(total, dim)
 
 
+# These two as torch takes them apart, for whose way torch would first load distributed tensors and sympy: a second.
+def _softmax(book: Expressions, x: Tensor, dim: int, half_to_float: bool) -> Tensor:
+    weight = torch.exp(x - torch.amax(x, dim, True))
+    return weight / torch.sum(weight, dim, True)
+
+
+def _log_softmax(book: Expressions, x: Tensor, dim: int, half_to_float: bool) -> Tensor:
+    shifted = x - torch.amax(x, dim, True)
+    return shifted - torch.log(torch.sum(torch.exp(shifted), dim, True))
+
+
 def _norm(book: Expressions, x: Entries, ord: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
     if ord != 2:
         raise unsupported(aten.linalg_vector_norm.default, f"with order {ord}; order 2 can")
@@ -140,6 +151,7 @@ _any, _all = _reduction("or", 0.0), _reduction("and", 1.0)
 REDUCTIONS: dict[Any, Callable[..., Any]] = {
     aten.sum.default: _sum, aten.sum.dim_IntList: _sum, aten.prod.default: _product,
     aten.mean.default: _mean, aten.mean.dim: _mean,
+    aten._softmax.default: _softmax, aten._log_softmax.default: _log_softmax,
     aten.logsumexp.default: _logsumexp, aten.linalg_vector_norm.default: _norm,
     aten.amax.default: _maximum, aten.max.default: _maximum, aten.max.dim: _maximum_and_place,
     aten.argmax.default: _place, aten.amin.default: _minimum, aten.min.default: _minimum,

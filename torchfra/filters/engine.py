@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol
 
 import torch
@@ -10,6 +11,7 @@ import torch
 from torchfra import tree
 from torchfra.filters.records import Kept, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
+from torchfra.hyper import same_values
 from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
@@ -106,7 +108,8 @@ class Interpreted:
     ) -> tuple[Any, Kept]:  # fmt: skip
         """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
-        state, records = over_steps(f.advance, state, frames, checkpoint, truncate)
+        with _constants(checkpoint):
+            state, records = over_steps(f.advance, state, frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         stacked = tree.stack(needed, rank)
         nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))
@@ -128,7 +131,8 @@ class Interpreted:
         """The backward pass."""
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
-        return backward_pass(f, [*earlier, f.last_past(last)], steps, rank, checkpoint, lag, truncate)
+        with _constants(checkpoint):
+            return backward_pass(f, [*earlier, f.last_past(last)], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
         """This engine itself, as it holds nothing of a filter."""
@@ -136,6 +140,11 @@ class Interpreted:
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         return "INTERPRETED"  # the copy of a filter has this very engine
+
+
+def _constants(checkpoint: int | None) -> AbstractContextManager[None]:
+    """``same_values``, where no step runs again for its gradient; ``torch.compile`` finds equal expressions itself."""
+    return same_values() if checkpoint is None and not torch.compiler.is_compiling() else nullcontext()
 
 
 INTERPRETED = Interpreted()

@@ -47,25 +47,27 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     middle, columns = _moments(beliefs, roots, angles)
     if not triangular:
         return Gaussian(middle, torch.cat(columns, -1))
-    zeros = torch.zeros_like(middle).unsqueeze(-1).expand(*middle.shape, middle.shape[-1])
+    zeros = middle.new_zeros(*middle.shape, middle.shape[-1])
     return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
 
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
     """The mean ``(..., n)`` of a mixture, and blocks that side by side are a root of its covariance."""
-    nonzero = roots != 0  # true for NaN, which must show in the result
-    mean = torch.where(nonzero.unsqueeze(-1), beliefs.mean, 0.0)
+    root = roots.unsqueeze(-1)
+    nonzero = root != 0  # true for NaN, which must show in the result
+    mean = torch.where(nonzero, beliefs.mean, 0.0)
     if angles:
         mean = _near_likeliest(mean, roots, angles)
-    if len(roots) == 2:  # one column for both means, as their shares sum to one
-        between = mean[1] - mean[0]
-        middle = mean[0] + roots[1].square().unsqueeze(-1) * between
-        apart = ((roots[0] * roots[1]).unsqueeze(-1) * between).unsqueeze(-1).unsqueeze(0)
+    if len(root) == 2:  # one column for both means, as their shares sum to one
+        (one, other), (first, second) = root.unbind(), mean.unbind()
+        between = second - first
+        middle = first + other.square() * between
+        apart = [(one * other * between).unsqueeze(-1)]
     else:
-        middle = (roots.square().unsqueeze(-1) * mean).sum(0)
-        apart = (roots.unsqueeze(-1) * (mean - middle)).unsqueeze(-1)
-    spread = roots[..., None, None] * torch.where(nonzero[..., None, None], beliefs.scale_tril, 0.0)
-    return middle, [*spread.unbind(), *apart.unbind()]
+        middle = (root.square() * mean).sum(0)
+        apart = list((root * (mean - middle)).unsqueeze(-1).unbind())
+    spread = root.unsqueeze(-1) * torch.where(nonzero.unsqueeze(-1), beliefs.scale_tril, 0.0)
+    return middle, [*spread.unbind(), *apart]
 
 
 def share_roots(log_weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -23,6 +23,7 @@ from torchfra.filters.gpb.hypotheses import (
     estimate,
     from_state,
     merge,
+    moments,
     to_state,
     values_first,
 )
@@ -264,9 +265,8 @@ class GPB(Filter[GPBState]):
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """The Gaussian ``(..., d)`` with the moments of all predictions, of the components that the sensor reads."""
-        read = predicted._replace(belief=self.read(predicted.belief))
-        one = read.merged(OUTLIER, MOTION, BEFORE, angles=self.motion.angles).belief
-        return Gaussian(one.mean[0, 0, 0], one.scale_tril[0, 0, 0])
+        roots, _ = predicted.share_roots(OUTLIER, MOTION, BEFORE)
+        return moments(self.read(predicted.belief), roots, self.motion.angles)
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """The estimates of all steps; the one-step smoothed estimate of a step is that of the next step's info."""

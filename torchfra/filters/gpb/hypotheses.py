@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, share_roots
+from torchfra.gaussian.mixture import largest, matched, share_roots
 from torchfra.gaussian.model import Carried, canonical, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.linalg.batches import broadcast_shapes
@@ -61,11 +61,14 @@ class Hypotheses(NamedTuple):
         Where no hypothesis has any weight all shares are 0, with a gradient of 0.
         """
         log_weight = _in_front(self.log_weight, axes).flatten(0, len(axes) - 1)
-        none = log_weight.amax(0) == -torch.inf
-        roots, total = share_roots(torch.where(none, 0.0, log_weight))
-        roots, total = torch.where(none, 0.0, roots), torch.where(none, -torch.inf, total)
+        top = largest(log_weight, 0)
+        roots = (0.5 * (log_weight - top)).exp()
+        total = roots.square().sum(0)
+        none = total == 0
+        total = torch.where(none, 1.0, total)
+        log_total = torch.where(none, -torch.inf, top + total.log())
         sizes = [self.log_weight.shape[axis] for axis in axes]
-        return roots.unflatten(0, sizes).movedim(tuple(range(len(axes))), axes), _reinserted(total, axes)
+        return _back((roots / total.sqrt()).unflatten(0, sizes), axes), _reinserted(log_total, axes)
 
     def posterior(self) -> Posterior:
         """Probability of each, where weights are prior times likelihood of the measurement."""
@@ -86,8 +89,35 @@ class Hypotheses(NamedTuple):
 
     def of(self, regimes: Sequence[int]) -> Hypotheses:
         """The hypotheses of some regimes."""
-        chosen: Hypotheses = tree.map_tensors(lambda x: torch.stack([x[:, r] for r in regimes], MOTION), self)
+        chosen: Hypotheses = tree.map_tensors(lambda x: taken(x, regimes, MOTION), self)
         return chosen
+
+
+def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
+    """The entries of ``x`` along an axis that have these numbers."""
+    parts = []
+    for first, count, copies in _runs(which):
+        part = x.narrow(axis, first, count)
+        if copies > 1:
+            sizes = [-1] * x.dim()
+            sizes[axis] = copies
+            part = part.expand(sizes)
+        parts.append(part)
+    return parts[0] if len(parts) == 1 else torch.cat(parts, axis)
+
+
+def _runs(which: Sequence[int]) -> list[tuple[int, int, int]]:
+    """Numbers as runs of successive ones, and of copies of one: the first, how many, and how many copies."""
+    runs: list[tuple[int, int, int]] = []
+    for k in which:
+        first, count, copies = runs[-1] if runs else (-1, 0, 0)
+        if (k, count) == (first, 1):
+            runs[-1] = first, 1, copies + 1
+        elif (k, copies) == (first + count, 1):
+            runs[-1] = first, count + 1, 1
+        else:
+            runs.append((k, 1, 1))
+    return runs
 
 
 def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int] = ()) -> Gaussian:
@@ -99,18 +129,26 @@ def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence
         axes: the axes to merge over; they have size 1 afterwards.
         angles: components of a state that are angles, as in ``gaussian.moment_match``.
     """
+    return Gaussian(*(_reinserted(x, axes) for x in _merged(belief, roots, axes, angles)))
+
+
+def _merged(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int]) -> Gaussian:
+    """``merge`` without the axes that it has merged over."""
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
     mean = belief.mean.expand(*batch, -1)
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
-    first = [_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch))]
-    one = matched(Gaussian(*first[:2]), first[2], angles)
-    return Gaussian(*(_reinserted(x, axes) for x in one))
+    mean, root, roots = (_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch)))
+    return matched(Gaussian(mean, root), roots, angles)
+
+
+def moments(belief: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:
+    """The Gaussian ``(..., n)`` with the moments of all hypotheses, by square ``roots`` of their probabilities."""
+    return _merged(belief, roots, (OUTLIER, MOTION, BEFORE), angles)
 
 
 def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
-    """The Gaussian ``(..., n)`` with the moments of all hypotheses, by square ``roots`` of their probabilities."""
-    one = merge(belief, roots, (OUTLIER, MOTION, BEFORE), motion.angles)
-    return canonical(motion, Gaussian(one.mean[0, 0, 0], one.scale_tril[0, 0, 0]))
+    """``moments``, with angles in the range that the motion uses."""
+    return canonical(motion, moments(belief, roots, motion.angles))
 
 
 def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
@@ -212,7 +250,14 @@ def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
 
 def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
     """Moves axes in front of all others, in this order."""
-    return x.movedim(tuple(axes), tuple(range(len(axes))))
+    first = tuple(range(len(axes)))
+    return x if tuple(axes) == first else x.movedim(tuple(axes), first)
+
+
+def _back(x: Tensor, axes: Sequence[int]) -> Tensor:
+    """The inverse of ``_in_front``."""
+    first = tuple(range(len(axes)))
+    return x if tuple(axes) == first else x.movedim(first, tuple(axes))
 
 
 def _reinserted(x: Tensor, axes: Sequence[int]) -> Tensor:

@@ -14,7 +14,7 @@ from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import mean_durations
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
-from torchfra.hyper import Hyper, Value, Values, one_given
+from torchfra.hyper import Hyper, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
@@ -262,6 +262,7 @@ class Outliers(nn.Module):
         log_ratio = reduce(torch.add, ratios) if ratios else None
         return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
 
+    @once
     def _noise(self, mean: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
         """Sizes ``(1 + C, ...)`` of the noise, the first of no outlier, logs ``(C, ...)`` of shares, and offsets."""
         rank = mean.dim() - 1

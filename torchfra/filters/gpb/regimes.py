@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints
 
-from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, values_first
+from torchfra import tree
+from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
 from torchfra.filters.markov import mean_durations, over_seconds, rates
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Carried
-from torchfra.hyper import Hyper, Values, one_given
+from torchfra.hyper import Hyper, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.numbers import as_numbers
@@ -114,10 +115,10 @@ class Regimes(nn.Module):
         """The number of beliefs, ``S``."""
         self.belief_of = tuple(motions + r for r in range(separate_levels)) + self.motion_of[separate_levels:]
         """The number of each regime's belief."""
-        self.regimes_of = tuple(
-            tuple(r for r, k in enumerate(self.belief_of) if k == belief) for belief in range(self.beliefs)
-        )
-        """The numbers of each belief's regimes."""
+        self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
+        """The numbers of the first belief's regimes."""
+        self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
+        """The number of the only regime of each other belief."""
         others = (self.level_count,) * (motions - 1)
         by_kind = (*range(self.level_count), *others, *range(self.level_count + 1, kinds))
         self.kind_of = by_kind if self.by_kind else tuple(range(count))
@@ -141,6 +142,7 @@ class Regimes(nn.Module):
 
     # ------------------------------------------------------------ the Markov chain
 
+    @once
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1)
@@ -154,13 +156,12 @@ class Regimes(nn.Module):
         It is the stationary distribution of the chain: restart probability times mean duration, normalised.  If a
         regime that may begin is absorbing, the chain is in an absorbing regime from the first step on.
         """
-        rank, restart = like.dim() - 1, self.restart_distribution(like)
+        restart = self.restart_distribution(like)
         if self.durations is not None:
-            weight = restart * self._by_regime(self.durations(like), rank)
+            weight = restart * self._by_regime(self.durations(like), like.dim() - 1)
             stationary: Tensor = weight / weight.sum(0)
             return stationary
-        assert self.self_transition is not None
-        end = 1 - self._by_regime(self.self_transition(like), rank)
+        end = 1 - self._stay(like)
         absorbing = (end == 0) & (restart > 0)
         weight = torch.where(absorbing.any(0), torch.where(absorbing, restart, 0.0), safe_divide(restart, end))
         return weight / weight.sum(0)
@@ -177,13 +178,22 @@ class Regimes(nn.Module):
             dt: ``(...)`` seconds.
             measured: ``(...)`` bool, whether the step has a measurement.
         """
-        assert self.self_transition is not None
-        stay, restart = self._by_regime(self.self_transition(like), like.dim() - 1), self.restart_distribution(like)
-        other = torch.tensor([k > 0 for k in self.motion_of], device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
-        others = torch.where(other, restart, 0.0)
-        share = others.sum(0)
+        stay, restart = self._stay(like), self.restart_distribution(like)
+        others, share = self._other_motions(like)
         stay = torch.where(measured, stay, 1 - (1 - stay) * share)
         return torch.where(dt == 0, 1.0, stay), torch.where(measured, restart, safe_divide(others, share))
+
+    @once
+    def _stay(self, like: Tensor) -> Tensor:
+        """Self-transition probabilities ``(R, ...)`` of a step, for ``like (R, ...)``."""
+        return self._by_regime(self.self_transition(like), like.dim() - 1)  # type: ignore[misc]  # there is one
+
+    @once
+    def _other_motions(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """The restart distribution without the first motion's regimes, ``(R, ...)``, and its sum ``(...)``."""
+        other = torch.tensor([k > 0 for k in self.motion_of], device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
+        others = torch.where(other, self.restart_distribution(like), 0.0)
+        return others, others.sum(0)
 
     def continuous(self, like: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
         """Transition probabilities over ``dt (...)`` seconds of a chain in continuous time, for ``like (R, ...)``.
@@ -313,27 +323,33 @@ class Regimes(nn.Module):
 
     def per_regime(self, x: Tensor, axis: int = MOTION) -> Tensor:
         """Values of the ``S`` beliefs along an axis, repeated for each regime of a belief: ``R`` along that axis."""
-        return torch.stack([x.select(axis, belief) for belief in self.belief_of], axis)
+        return taken(x, self.belief_of, axis)
 
     def by_belief(self, weight: Tensor) -> Tensor:
         """Weights ``(1, R, 2, ...)`` of regimes summed for each belief, ``(1, S, 2, ...)``."""
-        return torch.stack([sum(weight[:, r] for r in regimes) for regimes in self.regimes_of], MOTION)  # type: ignore[misc]
+        return self._per_belief(weight, MOTION, lambda x: x.sum(MOTION, keepdim=True))
 
     def log_by_belief(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
-        each = [torch.stack([log_weight.select(axis, r) for r in regimes], axis) for regimes in self.regimes_of]
-        return torch.stack([log_sum(x, axis) for x in each], axis)
+        return self._per_belief(log_weight, axis, lambda x: log_sum(x, axis).unsqueeze(axis))
 
     def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
         """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``."""
-        beliefs = [every.of(regimes).merged(MOTION, BEFORE, angles=angles) for regimes in self.regimes_of]
-        belief = Gaussian(*(torch.cat(x, MOTION) for x in zip(*(one.belief for one in beliefs), strict=True)))
-        return Hypotheses(belief, torch.cat([one.log_weight for one in beliefs], MOTION))
+        first = every.of(self.of_first).merged(MOTION, BEFORE, angles=angles)
+        if not self.of_others:
+            return first
+        others = every.of(self.of_others).merged(BEFORE, angles=angles)
+        both: Hypotheses = tree.map_tensors(lambda *parts: torch.cat(parts, MOTION), first, others)
+        return both
+
+    def _per_belief(self, x: Tensor, axis: int, combine: Callable[[Tensor], Tensor]) -> Tensor:
+        """Values of regimes along an axis as those of beliefs: all regimes of the first belief are combined."""
+        first = combine(taken(x, self.of_first, axis))
+        return torch.cat([first, taken(x, self.of_others, axis)], axis) if self.of_others else first
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
         """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` with ``rank`` dimensions behind the first."""
-        values = values_first(kinds, rank)
-        return torch.stack([values[kind] for kind in self.kind_of])
+        return taken(values_first(kinds, rank), self.kind_of, 0)
 
     def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
         """Values ``(1, R, 2, ...)`` from those ``(1, 1 or more, 2, ...)`` of manoeuvres and jumps, and all others."""

@@ -8,6 +8,7 @@ from functools import reduce
 import torch
 
 from torchfra.gaussian.inputs import Frame
+from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
@@ -24,16 +25,16 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
         compare: compares the measurement with a belief by the belief's points.
         belief: ``(..., n)`` predicted.
     """
-    mean, root = belief
-    both = compare(Gaussian(mean.expand(2, *mean.shape), torch.stack([root, NEAR * root])))
-    slope, rest = (reduce(torch.add, x[0].square().unbind(-1), x.new_zeros(())) for x in (both.slope, both.rest))
+    wide = compare(belief)
+    slope, rest = (reduce(torch.add, x.square().unbind(-1), x.new_zeros(())) for x in (wide.slope, wide.rest))
     blind = slope < BLIND * (slope + rest)
-    some = blind.any()  # hardly ever: in kernels the points nearby are then not computed
-    (wide, near), spread = both.residual, both.spread
-    steep = torch.where(blind.unsqueeze(-1), spread[1] / NEAR, spread[0])
-    return Whitened(
-        torch.where(some, torch.where(blind, near, wide), wide), torch.where(some, steep, spread[0]), both.reads
-    )
+    some = blind.any()  # hardly ever: the points nearby are then not computed, in kernels neither
+    if not is_traced(some) and not some:
+        return wide
+    near = compare(Gaussian(belief.mean, NEAR * belief.scale_tril))
+    steep = torch.where(blind.unsqueeze(-1), near.spread / NEAR, wide.spread)
+    residual = torch.where(blind, near.residual, wide.residual)
+    return Whitened(torch.where(some, residual, wide.residual), torch.where(some, steep, wide.spread), wide.reads)
 
 
 def compare_linear(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
