@@ -167,7 +167,7 @@ def test_a_saved_state_of_another_manager_is_refused():
     values = Targets(plane()).saved(Targets(plane()).init())
     with pytest.raises(ValueError, match="values: expected a state of"):
         Targets(plane(), confirmation=MOfN(2, 3)).restored(values)
-    with pytest.raises(ValueError, match="values: expected format 3, received None"):
+    with pytest.raises(ValueError, match="values: expected format 4, received None"):
         Targets(plane()).restored({})
 
 
