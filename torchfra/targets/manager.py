@@ -272,7 +272,7 @@ class Targets(nn.Module):
         located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
             excess, explained, mapped = self._mapped(state, scan, filter, number, located, association)
-            gained = gained - explained
+            gained = gained - explained if _maps(filter) else torch.zeros_like(gained)
         track = _aged(state.track, log_missed, density, gained, unseen / own, scan.dt[scene])
         if self.visibility is not None and track.visible is not None:
             track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
