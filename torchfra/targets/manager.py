@@ -295,7 +295,8 @@ class Targets(nn.Module):
             everyone = joined(everyone, self.filter.init(newborn.belief))
         confirmed, deleted = self.confirmation(track)
         if self.merging is not None:
-            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, track)
+            there = track._replace(confirmed=track.confirmed & ~deleted)  # an ended target has no parts
+            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, there)
         ended, found = state.ended, (confirmed & ~track.confirmed)[~deleted]
         if self.stitching is not None and ended is not None:
             over = lost(after, was, was.confirmed & gone & ~merged), lost(everyone, track, track.confirmed & deleted)
