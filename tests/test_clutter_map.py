@@ -128,6 +128,20 @@ def test_bearings_alone_say_more_of_targets_and_begin_none():
     assert len(seen.clutter.weight) <= len(state.clutter.weight)
 
 
+def test_beside_a_map_scores_are_of_sensors_from_which_the_map_learns():
+    """A camera sees land again and again too, and no map says so."""
+    camera = presets.jpda(ConstantVelocity(1.0), Bearings(0.05, count=1), clutter=Clutter(extent=[6.3], rate=0.5))
+    z, ferry = scans(7)[:3, :1], torch.tensor([0.0, -80.0]).double()
+    for clutter_map, same in ((ClutterMap(2.0), True), (None, False)):
+        targets = manager(sensors={"camera": camera}, clutter_map=clutter_map)
+        state = targets.init()
+        for scan in z:
+            state = targets.step(state, scan)
+        off = state.belief.mean[0, :2] - ferry
+        seen = targets.step(state, torch.atan2(off[0], off[1]).reshape(1, 1), dt=0.0, sensor="camera", u=ferry)
+        assert bool(seen.track.score[0] == state.track.score[0]) == same
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [

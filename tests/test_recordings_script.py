@@ -476,12 +476,15 @@ def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
 
 
 def harbour(folder, steps=40, change=lambda detections, boats: None):
-    """A boat that passes, with a buoy beside it, seen from a ferry by radar, by lidar once it is near."""
+    """A boat that passes, with a buoy beside it, seen from a ferry by radar, by lidar once it is near.
+
+    What the radar sees is where things were half a turn before.
+    """
     rng, detections, boats = np.random.default_rng(0), [], []
     for k in range(2 * steps):
         ferry, boat, buoy = np.array([5.0, 0.5 * k]), np.array([30.0, -100.0 + 3.0 * k]), np.array([60.0, 40.0])
         radar, near = k % 2 == 0, np.linalg.norm(boat - ferry) < 70
-        seen = [boat, buoy] if radar else [boat] if near else []
+        seen = [boat - 0.84 * np.array([0.0, 3.0]), buoy] if radar else [boat] if near else []
         z = np.array([x - ferry + (2.0 if radar else 0.5) * rng.standard_normal(2) for x in seen]).reshape(-1, 2)
         detections.append(
             {"sensorID": 2 if radar else 1, "time": 1000.0 + k, "ownshipPosition": ferry.tolist(),
@@ -508,6 +511,17 @@ def test_the_boat_is_followed_and_the_buoy_is_not(tmp_path):
         assert found.figures["followed"] > 0.7
         assert found.figures["followed_seen"] == found.figures["followed"]
         assert found.figures["switches"] == found.figures["false_per_minute"] == 0
+
+
+def test_scans_of_the_radar_are_older_than_their_times_say(tmp_path, monkeypatch):
+    scene = autoferry.read(harbour(tmp_path))
+
+    def behind():
+        return float((scene.truth - autoferry.follow("radar", scene).mean)[0, 20:, 1].mean())  # the boat goes east
+
+    assert abs(behind()) < 0.5
+    monkeypatch.setitem(autoferry.AGE, autoferry.RADAR, 0.0)
+    assert behind() == pytest.approx(0.84 * 3.0, abs=0.5)
 
 
 def test_scans_of_a_boat_that_nobody_measures_count_as_not_seen(tmp_path):

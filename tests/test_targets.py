@@ -12,7 +12,7 @@ from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Stacked
-from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
+from torchfra.targets import SPRT, Deletion, Existence, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.types import Gaussian
 
@@ -167,7 +167,7 @@ def test_a_saved_state_of_another_manager_is_refused():
     values = Targets(plane()).saved(Targets(plane()).init())
     with pytest.raises(ValueError, match="values: expected a state of"):
         Targets(plane(), confirmation=MOfN(2, 3)).restored(values)
-    with pytest.raises(ValueError, match="values: expected format 3, received None"):
+    with pytest.raises(ValueError, match="values: expected format 4, received None"):
         Targets(plane()).restored({})
 
 
@@ -231,6 +231,18 @@ def test_no_target_begins_beside_a_confirmed_one_within_its_extent_and_confirmed
     _, z = moving([(-60, 0, 5, 0), (0, -60, 0, 5)], 24)
     crossing = run(Targets(f, birth=TwoPoint(20.0), merging=Merging(extent=20.0)), z)
     assert crossing[-1].identity.tolist() == [0, 1]
+
+
+def test_a_target_that_ends_in_a_scan_forbids_no_birth_beside_it_in_that_scan():
+    _, z = moving([(0.0, 0.0, 1.0, 0.0), (60.0, 0.0, 0.0, 0.0)], 40)
+    z[:8, 1] = math.nan
+    z[8:, 0] = math.nan
+    targets = Targets(plane(), birth=OnePoint(2.0), confirmation=Existence(confirmed=0.9, deleted=0.05),
+                      merging=Merging(extent=100.0))  # fmt: skip
+    states = run(targets, z)
+    assert states[7].identity.tolist() == [0]
+    end = next(state for state in states[8:] if 0 not in state.track.identity)
+    assert len(end.track.identity) == 1
 
 
 def test_a_target_of_one_scene_is_no_part_of_one_in_another():

@@ -17,7 +17,7 @@ from torchfra.association.gates import Candidates
 from torchfra.filters.scans.scan import Scan
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
-from torchfra.targets import Deletion, Existence, FieldOfView, OnePoint, Targets, TwoPoint, Visibility, collect
+from torchfra.targets import Deletion, Existence, FieldOfView, MOfN, OnePoint, Targets, TwoPoint, Visibility, collect
 from torchfra.targets.visibility import Chains
 
 CHAINS = {None: Visibility(20.0, 8.0), "other": Visibility(30.0, 15.0)}
@@ -106,6 +106,36 @@ def test_a_target_that_is_hidden_for_a_while_is_kept_and_one_that_has_ended_is_n
     for _ in range(200):
         state = targets.step(state, nothing)
     assert len(state.identity) == 0
+
+
+def test_a_sensor_that_seldom_sees_targets_does_not_delete_what_another_sees():
+    """A scan of the own sensor in six; the other one has a tenth of its detection and sees nothing."""
+    z = torch.stack([50.0 + 3.0 * torch.arange(6.0)] * 2, -1).double().reshape(6, 1, 2)
+    nothing = torch.full((1, 2), math.nan).double()
+    for detection, there in ((0.09, True), (0.9, False)):
+        f, other = (plane(detection=x) for x in (0.9, detection))
+        targets = Targets(
+            f, birth=TwoPoint(9.0), confirmation=MOfN(1, 1), deletion=Deletion(3), sensors={"other": other}
+        )
+        state = targets.init()
+        for scan in z:
+            for _ in range(5):
+                state = targets.step(state, nothing, dt=0.1, sensor="other")
+            state = targets.step(state, scan, dt=0.5)
+        assert (state.track.identity.tolist() == [0]) == there
+
+
+def test_misses_by_a_sensor_from_which_a_target_is_hidden_soon_count_no_more():
+    z = torch.stack([50.0 + 3.0 * torch.arange(4.0)] * 2, -1).double().reshape(4, 1, 2)
+    nothing, missed = torch.full((1, 2), math.nan).double(), []
+    for visibility in (None, {None: Visibility(60.0, 600.0)}):
+        targets = Targets(plane(), birth=OnePoint(4.0), deletion=Deletion(50), visibility=visibility)
+        state = states_of(targets, z)[-1]
+        for _ in range(10):
+            state = targets.step(state, nothing)
+        missed.append(float(state.track.misses[0]))
+    assert missed[0] == 10
+    assert missed[1] < 2
 
 
 def test_a_target_is_visible_to_the_sensor_that_found_it_and_to_others_as_often_as_any():

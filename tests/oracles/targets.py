@@ -25,6 +25,7 @@ class Target:
     best: float = 0.0
     confirmed: bool = False
     history: list[Array] = field(default_factory=list)
+    misses: float = 0.0
     since: float = 0.0
     lived: float = 0.0
     gone: float = 0.0
@@ -44,7 +45,7 @@ def manage(
     """
     one, none, H, hide = np.eye(2), np.zeros((2, 2)), np.eye(2, 4), hide or {}
     targets: list[Target] = []
-    number, shown = 0, []
+    number, shown, own_PD = 0, [], PD
     waiting: dict[int, list[Free]] = {0: [], 1: []}  # of each sensor, measurements from which targets may begin
     seen: list[tuple[Array, float, int]] = []  # of the map: a position, its weight, the sensor
     claims: list[tuple[Array, float, int, Target]] = []  # of the map: what a target has claimed while it was tentative
@@ -118,6 +119,8 @@ def manage(
             target.score, target.visible[sensor] = score - explained[t], 1 - hidden[t]
             target.best = max(target.best, target.score)
             target.hits.append(hit)
+            times = math.log(1 - visible[t] * PD * PG) / math.log(1 - own_PD * PG)
+            target.misses = 0.0 if hit else target.misses + times
         claimed = beta
         if "lifetime" in confirm:
             claimed = beta / (1 + np.exp([-t.score for t in targets]))
@@ -201,8 +204,8 @@ def update(target: Target, z: Array, beta: Array, missed: float, H: Array, R: Ar
 
 
 def ends(target: Target, misses: int | None, drop: float | None) -> bool:
-    """Missed so often in a row, or a score that has fallen too far."""
-    return (misses is not None and not any(target.hits[-misses:])) or (
+    """Missed so improbably often in a row, or a score that has fallen too far."""
+    return (misses is not None and target.misses >= misses) or (
         drop is not None and target.score - target.best < math.log(drop)
     )
 

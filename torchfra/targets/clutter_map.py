@@ -61,6 +61,7 @@ class ClutterMap(nn.Module):
     that sensor that was no confirmed target's, over the number of its scans.  It enters the scores of targets, and so
     their confirmation and deletion: what stays where it is, is explained by the map as well as by a target, and is not
     confirmed; what moves leaves its own measurements behind.  Which measurement is whose is decided without the map.
+    Scans of a sensor that does not measure every direction leave scores as they are: what recurs in them is not known.
 
     The newest measurement that a target began with, and those that it has claimed while it was tentative, are to
     that target no cloud of clutter, but one thing that stays: one kernel at their mean.  With the weight ``w_k`` of

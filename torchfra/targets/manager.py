@@ -34,7 +34,7 @@ from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.targets.visibility import Visibility, check_visibility
 from torchfra.types import Gaussian
 
-FORMAT = 3
+FORMAT = 4
 """Version of saved states."""
 
 
@@ -59,7 +59,8 @@ class Targets(nn.Module):
         free: probability that a measurement is no target's above which it may begin one.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
-            counts as one for confirmation and deletion; targets begin from the scans of each sensor that ``locates``.
+            counts as one for confirmation, and a miss by its own probability (see ``Deletion``); targets begin from the
+            scans of each sensor that ``locates``.
         views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
             been missed, whatever the ``detection`` of the sensor.
         lag: seconds that a scan may come late; the scans of so long, and the states before them, are kept.
@@ -137,7 +138,7 @@ class Targets(nn.Module):
         nothing = torch.zeros(0, dtype=dtype, device=device)
         none = torch.zeros(0, dtype=torch.int64, device=device)
         hits = none.bool().reshape(0, self.confirmation.window)
-        track = Track(none, none, none.bool(), hits, none, none, *[nothing] * 5)
+        track = Track(none, none, none.bool(), hits, none, *[nothing] * 6)
         if self.visibility is not None:
             track = track._replace(visible=self.visibility.first(nothing, 0))
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
@@ -266,12 +267,13 @@ class Targets(nn.Module):
         exists = self.confirmation.exists(state.track.score)
         after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists, seen)
         miss = log_miss(filter.detection, filter.gate, log_missed)
-        gained = (miss if seen is None else log_unseen(miss, seen)) - log_missed
+        unseen = miss if seen is None else log_unseen(miss, seen)
+        gained, own = unseen - log_missed, log_miss(self.filter.detection, self.filter.gate, log_missed)
         located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
             excess, explained, mapped = self._mapped(state, scan, filter, number, located, association)
-            gained = gained - explained
-        track = _aged(state.track, log_missed, density, gained, scan.dt[scene])
+            gained = gained - explained if _maps(filter) else torch.zeros_like(gained)
+        track = _aged(state.track, log_missed, density, gained, unseen / own, scan.dt[scene])
         if self.visibility is not None and track.visible is not None:
             track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
         if sensor in self.views:
@@ -293,7 +295,8 @@ class Targets(nn.Module):
             everyone = joined(everyone, self.filter.init(newborn.belief))
         confirmed, deleted = self.confirmation(track)
         if self.merging is not None:
-            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, track)
+            there = track._replace(confirmed=track.confirmed & ~deleted)  # an ended target has no parts
+            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, there)
         ended, found = state.ended, (confirmed & ~track.confirmed)[~deleted]
         if self.stitching is not None and ended is not None:
             over = lost(after, was, was.confirmed & gone & ~merged), lost(everyone, track, track.confirmed & deleted)
@@ -455,7 +458,9 @@ def _around(filter: JPDA, other: JPDA) -> JPDA:
     return other
 
 
-def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor, dt: Tensor) -> Track:
+def _aged(
+    track: Track, log_missed: Tensor, density: Tensor, gained: Tensor, miss: Tensor, dt: Tensor
+) -> Track:  # fmt: skip
     """Targets after one more scan.
 
     Args:
@@ -463,12 +468,13 @@ def _aged(track: Track, log_missed: Tensor, density: Tensor, gained: Tensor, dt:
         log_missed: ``(N,)`` log probability that each was missed, given the scan.
         density: ``(N,)`` each one's share of the log density of the scan.
         gained: ``(N,)`` what the scan adds to the score.
+        miss: a number or ``(N,)`` by which a miss counts: see ``Track.misses``.
         dt: ``(N,)`` seconds since the last one.
     """
     hit, score = log_missed < math.log(0.5), track.score + gained
     return track._replace(
         hits=torch.cat([hit.unsqueeze(-1), track.hits[:, :-1]], -1), age=track.age + 1,
-        misses=torch.where(hit, 0, track.misses + 1), score=score, best=torch.maximum(track.best, score),
+        misses=torch.where(hit, 0.0, track.misses + miss.detach()), score=score, best=torch.maximum(track.best, score),
         density=density, since=torch.where(hit, 0.0, track.since + dt), lived=track.lived + dt,
     )  # fmt: skip
 
@@ -488,7 +494,7 @@ def _begun(newborn: Newborn, confirmation: Confirmation, next_identity: Tensor) 
     hits = (torch.arange(confirmation.window, device=scene.device) < newborn.hits).expand(len(identity), -1)
     nothing = torch.zeros_like(score)
     begun = Track(
-        identity, newborn.scene, zero.bool(), hits, zero + newborn.hits, zero, score, score, nothing, nothing,
+        identity, newborn.scene, zero.bool(), hits, zero + newborn.hits, nothing, score, score, nothing, nothing,
         newborn.lived,
     )  # fmt: skip
     return begun, next_identity + count

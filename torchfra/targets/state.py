@@ -25,7 +25,8 @@ class Track(NamedTuple):
     age: Tensor
     """Scans since the birth, including those of the birth."""
     misses: Tensor
-    """Scans in a row in which each was missed."""
+    """Misses of each in a row, in those of the filter's own sensor: one by another counts by the log of its probability
+    for a target that is there, and less where the target may be hidden from the sensor."""
     score: Tensor
     """Log odds of the target's existence; for rules without a probability at the birth, the log likelihood ratio of the
     scans since then."""
