@@ -199,6 +199,35 @@ def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal():
         assert error(one, truth, slice(None)) < SIGMA
 
 
+def test_a_balloon_that_bursts_falls_from_where_it_was():
+    rng, time = np.random.default_rng(2), 4.0 * np.arange(160)
+    height = 26_000.0 + np.where(time < 320, 5.0 * time, 1600 - 37.0 * (time - 320) + 0.03 * (time - 320) ** 2)
+    truth = np.stack([20.0 * time, 5.0 * time, height], 1)
+    (one,) = clean_tracks([Recording("sonde", time, truth + 6.0 * rng.standard_normal(truth.shape), None, {})])
+    assert (one.flag != "outlier").all()
+    assert error(one, truth, slice(None)) < 6.0
+
+
+@pytest.mark.parametrize("sigma", [0.001, 0.05])
+def test_noise_below_a_centimetre_is_found_of_metres_that_are_written_as_finely(sigma):
+    rng, time = np.random.default_rng(0), np.arange(300) / 100
+    truth = np.stack([0.4 * time, 0.02 * np.sin(2 * time)], 1)
+    wrong = np.arange(300) % 60 == 59
+    z = truth + sigma * rng.standard_normal(truth.shape) + 40 * sigma * wrong[:, None]
+    (one,) = clean_tracks([Recording("crane", time, z, None, {})])
+    assert one.found.sigma == pytest.approx(sigma, rel=0.15)
+    np.testing.assert_array_equal(one.flag == "outlier", wrong)
+
+
+def test_rounded_metres_have_no_less_noise_than_their_rounding():
+    time = np.arange(200) / 10
+    walked = np.stack([1.3 * time, 0.0 * time], 1)
+    (fine,) = clean_tracks([Recording("fine", time, walked.round(2), None, {})])
+    (stands,) = clean_tracks([Recording("stands", time, np.zeros_like(walked), None, {})])
+    assert fine.found.sigma >= 0.01 / np.sqrt(12)
+    assert stands.found.sigma == pytest.approx(0.01)
+
+
 def error(one, truth, at):
     """Root mean square of both axes together, which is 1.4 sigma of the fixes themselves."""
     return np.sqrt(np.square(one.position - truth)[at].sum(1).mean())

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
+from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.correlation import lasting_errors, widened
 from torchfra.cleaning.flags import flags
@@ -92,7 +92,7 @@ def clean_tracks(
             if stamps_are_off(recording, kind):
                 mended[i] = in_place(recording, kind)
     placed = [mended[i][0] if i in mended else recording for i, recording in enumerate(recordings)]
-    coarse = [step_of_heights(recording) for recording in recordings]
+    coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in recordings]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
         part, steps, late = zip(*[(placed[i], coarse[i], i in mended) for i in group], strict=True)
@@ -146,7 +146,7 @@ def check_settings(
 
 
 def _cleaned(
-    recordings: Sequence[Recording], *, coarse: Sequence[float], moved: Sequence[bool], name: str,
+    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], moved: Sequence[bool], name: str,
     bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool = False,
     fallback: Fallback | None = None,
 ) -> list[Cleaned]:  # fmt: skip

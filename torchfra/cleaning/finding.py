@@ -14,8 +14,8 @@ from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
 _COARSE, _FINE = 8, 1.2
 """Standard deviations that are tried at first, each half of the one before; and the ratio of those tried later."""
-LEAST_SIGMA = 0.01
-"""Least standard deviation that is found, m: fixes that repeat have none."""
+_LEAST_SIGMA = 1e-4
+"""Least standard deviation that is tried, m: fixes that repeat have none."""
 _LARGER = 8.0
 """Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
 _MANY, _COST = 0.12, 20.0
@@ -179,7 +179,7 @@ def likeliest(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model:
     left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
     bend = (left - 2 * middle + right).clamp_max(-1e-3)
     place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
-    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(_LEAST_SIGMA)
     return likely
 
 
@@ -257,7 +257,7 @@ def _rough(fixes: Fixes, owner: Tensor) -> Tensor:
         own = third[:, owner == i]
         if bool((~own.isnan()).any()):
             most[owner == i] = 2 * own.nanmedian()
-    return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
+    return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
 def _third_differences(z: Tensor, gap: Tensor) -> Tensor:

@@ -73,14 +73,16 @@ class Answer(NamedTuple):
     """Of each part what the filter was run with."""
 
 
-def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]) -> list[Answer]:
+def answers(
+    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
+) -> list[Answer]:
     """Tracks of the same dimensions, cleaned.
 
     Args:
         tracks: steps of each.
         kinds: name of the kind of each.
         settings: what they are cleaned with.
-        coarse: metres between the heights that each can tell.
+        coarse: the least sigma that may be found of each, and metres between the heights that it can tell.
     """
     seen = [steps.at(steps.measured) for steps in tracks]
     rows, parts = _parts(seen, kinds, settings, coarse)
@@ -95,7 +97,7 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, c
 
 
 def _parts(
-    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]
+    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
 ) -> tuple[list[Row], list[Part]]:
     """Rows of tracks, and what is known of their axes at first."""
     rows = _rows(tracks)
@@ -106,11 +108,11 @@ def _parts(
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
         levels, fixes = levels_up_to(most, fastest, period, count, settings.q), _fixes(z, gap, std, axes)
-        least = torch.zeros_like(most)
-        if parts:  # the error of a rounded height is even within half a step to either side
-            rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
-            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         told = None if settings.sigma is None else torch.full_like(most, settings.sigma)
+        least = torch.tensor([coarse[row.track][0] if told is None else 0.0 for row in rows], dtype=torch.float64)
+        if parts:  # the error of a rounded height is even within half a step to either side
+            rounded = torch.tensor([coarse[row.track][1] / math.sqrt(12) for row in rows], dtype=torch.float64)
+            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
         sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if told is None else told
         sigma = sigma.maximum(least)
