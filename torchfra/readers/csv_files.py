@@ -115,7 +115,7 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     Raises:
         ValueError: they tell a unit of lengths that nobody else does.
     """
-    asked, lines = {*options.columns().values()}, _LINE.findall(rows.head)[:_ABOVE]
+    asked, lines = {*options.columns().values()}, _lines(rows.head, _ABOVE)
 
     def tells(line: str) -> bool:
         """Whether it is a header that names places, or all columns that are asked for."""
@@ -138,6 +138,11 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     return header
 
 
+def _lines(text: str, count: int) -> list[str]:
+    """The first lines of a text, with their ends."""
+    return list(islice(io.StringIO(text, newline=""), count))
+
+
 def _is_row(line: str, options: ReadOptions) -> bool:
     """Whether it is a row of numbers, as of a file without a header."""
     cells = max((_split(line, sign) for sign in ([options.sign] if options.sign else _likely(line))), key=len)
@@ -146,7 +151,7 @@ def _is_row(line: str, options: ReadOptions) -> bool:
 
 def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list[str]]:
     """Leaves out lines beneath the header that have words where the rows have positions; returns their cells."""
-    lines = _LINE.findall(rows.head)[: 1 + _BENEATH]
+    lines = _lines(rows.head, 1 + _BENEATH)
     names, *several = [
         [cell.strip() for cell in next(csv.reader([line], delimiter=sign), [])] for line in lines or [""]
     ]

@@ -70,20 +70,29 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
     records = parsed if isinstance(parsed, list) else [parsed]
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    records = [_flat(record) for record in records]
+    records = _flat(records)
     names = list(dict.fromkeys(name for record in records for name in record))
     return names, len(records), lambda name: [record.get(name) for record in records]
 
 
-def _flat(record: dict[str, Any], depth: int = 2) -> dict[str, Any]:
-    """A record with the values of objects inside it by both names, such as ``coords.latitude``."""
-    if not depth or not any(isinstance(value, dict) for value in record.values()):
-        return record
-    flat: dict[str, Any] = {}
-    for name, value in record.items():
-        inner = _flat(value, depth - 1) if isinstance(value, dict) else None
-        flat |= {name: value} if inner is None else {f"{name}.{key}": cell for key, cell in inner.items()}
-    return flat
+def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]:
+    """Records in which the values of what is an object wherever it is there have both names: ``coords.latitude``."""
+    names = {name for record in records for name, value in record.items() if isinstance(value, dict)}
+    names -= {
+        name
+        for record in records
+        for name in names & record.keys()
+        if not (record[name] is None or isinstance(record[name], dict))
+    }
+    if not names or not depth:
+        return records
+    flat = list[dict[str, Any]]()
+    for record in records:
+        own = {name: value for name, value in record.items() if name not in names}
+        for name in record.keys() & names:
+            own |= {f"{name}.{key}": value for key, value in (record[name] or {}).items()}
+        flat.append(own)
+    return _flat(flat, depth - 1)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -124,7 +124,9 @@ def read_table(
         table = read(UTF_8)
     except (EOFError, gzip.BadGzipFile, zlib.error, UnicodeDecodeError) as error:
         refused = f"expected UTF-8 text or a complete gzip file of it, received neither ({error})"
-        if not isinstance(error, UnicodeDecodeError) or not _is_text(path, max_bytes):
+        if not isinstance(error, UnicodeDecodeError):
+            raise ValueError(refused) from error
+        if not _is_text(path, max_bytes):
             raise ValueError(_known_otherwise(path, max_bytes) or refused) from error
         try:
             table = read(_WESTERN)
