@@ -99,7 +99,7 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
         for sign in signs:
             names = _split(comment.lstrip(' \t"#%/'), sign)
             first_row = _split(line_of_names, sign)
-            if names[0] == "GPST" and len(names) == len(first_row) - 1:  # of RTKLIB, for two columns
+            if names[:1] == ["GPST"] and len(names) == len(first_row) - 1:  # of RTKLIB, for two columns
                 names = ["date", *names]
                 comment = sign.join(names) + "\n"
             if is_header(names) and not is_header(first_row) and len(names) == len(first_row):
