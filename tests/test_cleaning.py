@@ -497,6 +497,18 @@ def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(peri
     assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(z - path).sum(1).mean())
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_where_targets_stop_between_fixes_the_path_goes_through_the_fixes(seed):
+    rng = np.random.default_rng(seed)
+    legs = [
+        [(0.0, 0.0)] * 4 + [tuple(30.0 * rng.standard_normal(2))] * 3 for _ in range(17)
+    ]  # rests, and 10 s of flight
+    path = 10.0 * np.cumsum(np.concatenate(legs), 0)
+    z = path + 0.3 * rng.standard_normal(path.shape)
+    (cleaned,) = clean_tracks([Recording("quadcopter", 10.0 * np.arange(len(path)), z, None, {})], bank="vehicle")
+    assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(z - path).sum(1).mean())
+
+
 @track
 def a_ship_that_goes_straight():
     rng, time = np.random.default_rng(7), 7200.0 * np.arange(60)

@@ -20,10 +20,11 @@ _LARGER = 8.0
 """Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
 _MANY, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
-_HARDLY, _OPEN, _MISFIT, _LOWER = 0.6, 3.0, 0.2, 2.0
+_HARDLY, _OPEN, _MISFIT, _MISFIT_STOPS, _LOWER = 0.6, 3.0, 0.2, 0.17, 2.0
 """The share of the standard deviation of its fix above which an estimate is hardly surer; how much less likely a track
 may be, in log, with a lower sigma that it does not rule out, and each of its fixes as far as levels of a random walk,
-of a few sizes, are for it; and the ratio of those that are tried."""
+of a few sizes, are for it, or where there are none though targets may stop between fixes; and the ratio of those that
+are tried."""
 _UNSURE, _FORGOTTEN = 0.28, 7200.0
 """The same of a fix where fixes are rarer than any level ends; and seconds in which targets may forget their velocity,
 to a share of 1 / e."""
@@ -73,6 +74,8 @@ class Part(NamedTuple):
     lowest: Tensor
     """``(B,)`` m, the lowest sigma that a track does not rule out whose estimates are hardly surer than its fixes: the
     path goes as near to these as it says.  NaN of other tracks."""
+    stops: Tensor
+    """``(B,)`` whether targets may stop between two fixes (``may_stop``)."""
     model: OutlierModel = DEFAULT
     """How likely outliers are."""
 
@@ -80,7 +83,8 @@ class Part(NamedTuple):
         """Some of the rows."""
         return Part(
             Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
-            self.sigma[rows], self.least[rows], self.lowest[rows], self.model.of_rows(lambda x: x[rows]),
+            self.sigma[rows], self.least[rows], self.lowest[rows], self.stops[rows],
+            self.model.of_rows(lambda x: x[rows]),
         )  # fmt: skip
 
     @property
@@ -125,7 +129,7 @@ def levels_up_to(
     share = (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
     levels = Levels(density, share, duration.maximum(_GAPS * (period - _LASTING[0])), torch.zeros_like(density))
     turns = fastest / acceleration  # seconds in which a target stops
-    walking = (period > (turns / 2).clamp_min(_LASTING[1])) & (period <= _LASTING[0])
+    walking = may_stop(acceleration, fastest, period) & (period > _LASTING[1])
     return _with_walks(levels, fastest * period, period, turns, walking) if q is None and walking.any() else levels
 
 
@@ -142,6 +146,11 @@ def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, turns: Tensor,
         torch.cat([levels.duration, levels.duration[:1].maximum(_STAYS * period).expand_as(size)]),
         torch.cat([levels.walk, size.square() / period]),
     )
+
+
+def may_stop(acceleration: Tensor, fastest: Tensor, period: Tensor) -> Tensor:
+    """Whether targets ``(B,)`` may come, go and rest between two fixes: as ``levels_up_to`` says of its arguments."""
+    return (period > (fastest / acceleration / 2).clamp_min(_LASTING[1] / 2)) & (period <= _LASTING[0])
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
@@ -192,7 +201,8 @@ def _lowest(part: Part, begun: Levels, owner: Tensor) -> Tensor:
     tried = part.sigma / _LOWER ** torch.arange(_COARSE).unsqueeze(1)
     fit, _, seen = _fits(part.fixes, begun, owner, tried, part.model.of_any_offset)
     walks, period = (begun.log_share.exp() * (begun.walk > 0)).sum(0), _period(part)
-    misfit = torch.where(period > _LASTING[0], -_UNSURE * torch.expm1(-period / _FORGOTTEN), _MISFIT * walks)
+    often = torch.where(walks > 0, _MISFIT * walks, _MISFIT_STOPS * part.stops)
+    misfit = torch.where(period > _LASTING[0], -_UNSURE * torch.expm1(-period / _FORGOTTEN), often)
     open_ = fit >= fit.amax(0) - _OPEN - misfit * seen
     last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)

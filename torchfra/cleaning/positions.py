@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Used
-from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to
+from torchfra.cleaning.finding import SHORT, Part, estimated, first_sigma, fitted, levels_up_to, may_stop
 from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.ladder import DEFAULT, Fixes, Levels
 from torchfra.cleaning.two_filters import Smoothed
@@ -116,7 +116,8 @@ def _parts(
         model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
         sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if told is None else told
         sigma = sigma.maximum(least)
-        parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), model))
+        stops = may_stop(most, fastest, period)
+        parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), stops, model))
     return rows, parts
 
 
@@ -134,7 +135,8 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
             fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
-        more.append(Part(fixes, levels, part.sigma[first], part.least[first], part.lowest[first], model))
+        of_tracks = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))
+        more.append(Part(fixes, levels, *of_tracks, model))
     return every, more
 
 
