@@ -497,16 +497,19 @@ def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(peri
     assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(z - path).sum(1).mean())
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_where_targets_stop_between_fixes_the_path_goes_through_the_fixes(seed):
-    rng = np.random.default_rng(seed)
-    legs = [
-        [(0.0, 0.0)] * 4 + [tuple(30.0 * rng.standard_normal(2))] * 3 for _ in range(17)
-    ]  # rests, and 10 s of flight
-    path = 10.0 * np.cumsum(np.concatenate(legs), 0)
-    z = path + 0.3 * rng.standard_normal(path.shape)
-    (cleaned,) = clean_tracks([Recording("quadcopter", 10.0 * np.arange(len(path)), z, None, {})], bank="vehicle")
-    assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(z - path).sum(1).mean())
+@pytest.mark.parametrize("sigma", [0.3, 3.0])
+def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes(sigma):
+    rng, speed, course, place, path = np.random.default_rng(3), 5.0, 0.0, np.zeros(2), []
+    while len(path) < 12_000:  # tenths of a second
+        wanted, rate = (rng.uniform(0, 15), 0.0) if rng.random() < 0.6 else (speed, rng.choice([-1, 1]) * 0.9)
+        for _ in range(int(rng.uniform(20, 100) if rate == 0 else rng.uniform(6, 35))):
+            speed, course = speed + np.clip(wanted - speed, -0.8, 0.8), course + 0.1 * rate
+            place = place + 0.1 * speed * np.array([np.cos(course), np.sin(course)])
+            path.append(place)
+    truth = np.array(path)[:12_000:100]
+    z = truth + sigma * rng.standard_normal(truth.shape)
+    (cleaned,) = clean_tracks([Recording("quadcopter", 10.0 * np.arange(len(z)), z, None, {})])
+    assert error(cleaned, truth, slice(None)) < 1.1 * np.sqrt(np.square(z - truth).sum(1).mean())
 
 
 @track
