@@ -99,7 +99,8 @@ class Part(NamedTuple):
 
 
 def levels_up_to(
-    acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None
+    acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None,
+    steady: Tensor | float = math.inf,
 ) -> Levels:  # fmt: skip
     """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
 
@@ -114,7 +115,8 @@ def levels_up_to(
     Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
     may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
     a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
-    would take errors that last for motion, and where they are rarer than any level ends, slow drifts.
+    would take errors that last for motion; and of those that are rarer than ``steady (B,)`` s, the slow drifts of
+    animals.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     held = acceleration.square() * period.clamp_min(_HELD)
@@ -129,7 +131,7 @@ def levels_up_to(
     share = (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
     levels = Levels(density, share, duration.maximum(_GAPS * (period - _LASTING[0])), torch.zeros_like(density))
     turns = fastest / acceleration  # seconds in which a target stops
-    walking = may_stop(acceleration, fastest, period) & (period > _LASTING[1])
+    walking = may_stop(acceleration, fastest, period, steady) & (period > _LASTING[1])
     return _with_walks(levels, fastest * period, period, turns, walking) if q is None and walking.any() else levels
 
 
@@ -148,9 +150,9 @@ def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, turns: Tensor,
     )
 
 
-def may_stop(acceleration: Tensor, fastest: Tensor, period: Tensor) -> Tensor:
+def may_stop(acceleration: Tensor, fastest: Tensor, period: Tensor, steady: Tensor | float = math.inf) -> Tensor:
     """Whether targets ``(B,)`` may come, go and rest between two fixes: as ``levels_up_to`` says of its arguments."""
-    return (period > (fastest / acceleration / 2).clamp_min(_LASTING[1] / 2)) & (period <= _LASTING[0])
+    return (period > (fastest / acceleration / 2).clamp_min(_LASTING[1] / 2)) & (period <= steady)
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:

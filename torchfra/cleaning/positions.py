@@ -104,10 +104,11 @@ def _parts(
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
     fastest = torch.tensor([KINDS[kinds[row.track]].fastest for row in rows], dtype=torch.float64)
+    steady = torch.tensor([KINDS[kinds[row.track]].steady for row in rows], dtype=torch.float64)
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
-        levels, fixes = levels_up_to(most, fastest, period, count, settings.q), _fixes(z, gap, std, axes)
+        levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
         told = None if settings.sigma is None else torch.full_like(most, settings.sigma)
         least = torch.tensor([coarse[row.track][0] if told is None else 0.0 for row in rows], dtype=torch.float64)
         if parts:  # the error of a rounded height is even within half a step to either side
@@ -116,7 +117,7 @@ def _parts(
         model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
         sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if told is None else told
         sigma = sigma.maximum(least)
-        stops = may_stop(most, fastest, period)
+        stops = may_stop(most, fastest, period, steady)
         parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), stops, model))
     return rows, parts
 
