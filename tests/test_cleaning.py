@@ -487,7 +487,7 @@ def test_a_gull_that_rests_between_its_flights_tells_sigma_and_its_outliers():
 
 
 @pytest.mark.parametrize("sigma", [0.3, 5.0])
-@pytest.mark.parametrize("period", [5.0, 20.0, 300.0])
+@pytest.mark.parametrize("period", [5.0, 20.0, 300.0, 900.0, 1800.0])
 def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(period, sigma):
     rng = np.random.default_rng(4)
     course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians from fix to fix

@@ -136,8 +136,8 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
             fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
-        of_tracks = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))
-        more.append(Part(fixes, levels, *of_tracks, model))
+        sigma, least, lowest, stops = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))
+        more.append(Part(fixes, levels, sigma, least, lowest, stops, model))
     return every, more
 
 
