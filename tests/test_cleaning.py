@@ -199,6 +199,35 @@ def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal():
         assert error(one, truth, slice(None)) < SIGMA
 
 
+def test_a_balloon_that_bursts_falls_from_where_it_was():
+    rng, time = np.random.default_rng(2), 4.0 * np.arange(160)
+    height = 26_000.0 + np.where(time < 320, 5.0 * time, 1600 - 37.0 * (time - 320) + 0.03 * (time - 320) ** 2)
+    truth = np.stack([20.0 * time, 5.0 * time, height], 1)
+    (one,) = clean_tracks([Recording("sonde", time, truth + 6.0 * rng.standard_normal(truth.shape), None, {})])
+    assert (one.flag != "outlier").all()
+    assert error(one, truth, slice(None)) < 6.0
+
+
+@pytest.mark.parametrize("sigma", [0.001, 0.05])
+def test_noise_below_a_centimetre_is_found_of_metres_that_are_written_as_finely(sigma):
+    rng, time = np.random.default_rng(0), np.arange(300) / 100
+    truth = np.stack([0.4 * time, 0.02 * np.sin(2 * time)], 1)
+    wrong = np.arange(300) % 60 == 59
+    z = truth + sigma * rng.standard_normal(truth.shape) + 40 * sigma * wrong[:, None]
+    (one,) = clean_tracks([Recording("crane", time, z, None, {})])
+    assert one.found.sigma == pytest.approx(sigma, rel=0.15)
+    np.testing.assert_array_equal(one.flag == "outlier", wrong)
+
+
+def test_rounded_metres_have_no_less_noise_than_their_rounding():
+    time = np.arange(200) / 10
+    walked = np.stack([1.3 * time, 0.0 * time], 1)
+    (fine,) = clean_tracks([Recording("fine", time, walked.round(2), None, {})])
+    (stands,) = clean_tracks([Recording("stands", time, np.zeros_like(walked), None, {})])
+    assert fine.found.sigma >= 0.01 / np.sqrt(12)
+    assert stands.found.sigma == pytest.approx(0.01)
+
+
 def error(one, truth, at):
     """Root mean square of both axes together, which is 1.4 sigma of the fixes themselves."""
     return np.sqrt(np.square(one.position - truth)[at].sum(1).mean())
@@ -458,7 +487,7 @@ def test_a_gull_that_rests_between_its_flights_tells_sigma_and_its_outliers():
 
 
 @pytest.mark.parametrize("sigma", [0.3, 5.0])
-@pytest.mark.parametrize("period", [5.0, 20.0, 300.0])
+@pytest.mark.parametrize("period", [5.0, 20.0, 300.0, 900.0, 1800.0])
 def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(period, sigma):
     rng = np.random.default_rng(4)
     course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians from fix to fix
@@ -466,6 +495,21 @@ def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(peri
     z = path + sigma * rng.standard_normal(path.shape)
     (cleaned,) = clean_tracks([Recording("drone", period * np.arange(100), z, None, {})])
     assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(z - path).sum(1).mean())
+
+
+@pytest.mark.parametrize("sigma", [0.3, 3.0])
+def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes(sigma):
+    rng, speed, course, place, path = np.random.default_rng(3), 5.0, 0.0, np.zeros(2), []
+    while len(path) < 12_000:  # tenths of a second
+        wanted, rate = (rng.uniform(0, 15), 0.0) if rng.random() < 0.6 else (speed, rng.choice([-1, 1]) * 0.9)
+        for _ in range(int(rng.uniform(20, 100) if rate == 0 else rng.uniform(6, 35))):
+            speed, course = speed + np.clip(wanted - speed, -0.8, 0.8), course + 0.1 * rate
+            place = place + 0.1 * speed * np.array([np.cos(course), np.sin(course)])
+            path.append(place)
+    truth = np.array(path)[:12_000:100]
+    z = truth + sigma * rng.standard_normal(truth.shape)
+    (cleaned,) = clean_tracks([Recording("quadcopter", 10.0 * np.arange(len(z)), z, None, {})])
+    assert error(cleaned, truth, slice(None)) < 1.1 * np.sqrt(np.square(z - truth).sum(1).mean())
 
 
 @track

@@ -69,7 +69,9 @@ def test_headers_in_other_languages_are_read_as_programs_there_write_them(write,
 def test_what_is_no_text_at_all_is_no_western_text_either(write):
     with pytest.raises(ValueError, match="expected UTF-8 text or a complete gzip file of it, received neither"):
         read(write(b"t,x,y\x00\n0,1,\xff\n"))
-    with pytest.raises(ValueError, match=r"expected UTF-8 .*; as cp1252: expected a number in data row 1, column y"):
+    with pytest.raises(
+        ValueError, match=r"expected a number in data row 1, column y, .*no UTF-8, and was read as cp1252"
+    ):
         read(write(b"t,x,y\n0,1,\xff\n"))
 
 

@@ -119,16 +119,16 @@ POINT = '<trkpt lat="{}" lon="8"><time>2020-09-13T12:26:40Z</time></trkpt>'
 
 
 @pytest.mark.parametrize(("name", "text", "said"), [
-    ("a.gpx", gpx(head=BOMB), "expected GPX or KML without <!DOCTYPE>"),
-    ("a.gpx", gpx()[:-20], "expected GPX or KML, received other text"),
+    ("a.gpx", gpx(head=BOMB), "expected GPX, KML or TCX without <!DOCTYPE>"),
+    ("a.gpx", gpx()[:-20], "expected GPX, KML or TCX, received other text"),
     ("a.gpx", gpx(POINT.format("1_0") * 2), "expected a number as lat, received '1_0'"),
     ("a.gpx", gpx(POINT.format("inf") * 2), "expected a number as lat, received 'inf'"),
     ("a.gpx", gpx(POINT.format("91") * 2), "expected degrees within .* in data row 1, column latitude, received 91"),
     ("a.gpx", gpx('<trkpt lat="1" lon="8"/>' * 3), "expected GPX with times, received 3 points without any"),
     ("a.gpx", gpx(" "), "expected GPX with tracks, received none"),
     ("a.gpx", gpx("<extensions>" + "<a>" * 200_000 + "</a>" * 200_000 + "</extensions>"), "within at most 64 others"),
-    ("a.xml", "<html></html>", "expected GPX or KML, received other XML"),
-    ("a.kml", kml().replace("</kml>", ""), "expected GPX or KML, received other text"),
+    ("a.xml", "<html></html>", "expected GPX, KML or TCX, received other XML"),
+    ("a.kml", kml().replace("</kml>", ""), "expected GPX, KML or TCX, received other text"),
     ("a.kml", kml().replace("<gx:coord>", "<other>", 1).replace("</gx:coord>", "</other>", 1),
      "expected a time for each of 5 places of a track, received 6"),
     ("a.kml", "<kml><Placemark><LineString><coordinates>1,2 3,4</coordinates></LineString></Placemark></kml>",

@@ -289,7 +289,7 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.json", "7", "expected a list of records"),
         ("a.json", "[" * 100_000, "expected"),
         ("a.csv", 't,x,y\n0,1,"2\n1,2,3\n', "expected CSV"),
-        ("a.csv", b"t,x,y\n0,1,\xff\n", "expected UTF-8 text"),
+        ("a.csv", b"t,x,y\n0,1,\xff\n", "no UTF-8, and was read as cp1252"),
         ("a.csv", "t,x\n0,1\n", "missing y, received t, x"),
         ("a.csv", "time,lat\n0,1\n", "missing longitude, received time, lat"),
         ("a.csv", "hello\nworld\n", f"{HEADERS}; received hello"),

@@ -10,11 +10,15 @@ from oracles.basics import Array
 
 
 def believed(gain: Array, lost: Array, rare: float, least: int) -> Array:
-    """Where the first is, of ``(T,)``: all of a stretch, none of it, or up to a step inside, at ``-rare``."""
+    """Where the first is, of ``(T,)``: all of a stretch, none of it, or up to a step inside, at ``-rare``.
+
+    Inside both sides have ``least`` steps of the stretch, or one has one less where the stretch is as short as that.
+    """
     first = np.zeros(len(gain), bool)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     for begin, end in ends.reshape(-1, 2):
-        inside = range(begin + least, end - least + 1)
+        inside = [k for k in range(begin, end) if min(k - begin, end - k) >= least - (end - begin < 2 * least)]
+        inside = inside if end - begin >= 2 * least - 1 else []
         worth = [
             gain[begin:k].sum() + (0.0 if k in {begin, end} else rare if k in inside else -np.inf)
             for k in range(begin, end + 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,6 +19,9 @@ _MOST_STEPS = 10**7
 """Of a grid between fixes."""
 _COARSEST = 31.0
 """Metres between the heights that a transponder can tell, at most: 100 ft."""
+_LEAST, _FINEST = 0.01, 1e-4
+"""Standard deviation across the ground that fixes have at least, m: of degrees, whose last digit is often as coarse,
+and of metres with many digits."""
 _SHORT, _MOST_FIXES = 100, 100_000
 """Fixes by which tracks of one batch may always differ, and those of all in a batch."""
 
@@ -82,6 +86,21 @@ def step_of_heights(recording: Recording) -> float:
     gaps = np.diff(np.unique(heights.round(3)))
     step = float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
     return step if step <= _COARSEST else 0.0
+
+
+def least_sigma(recording: Recording) -> float:
+    """The least standard deviation that may be found of a recording across the ground, m, or as a factor.
+
+    Of metres it is that of their rounding.
+    """
+    if recording.sigma is not None or recording.origin is not None:
+        return _LEAST
+    ground = recording.position[np.isfinite(recording.position).all(1), :2]
+    for digits in range(4):
+        scaled = ground * 10.0**digits
+        if np.isclose(scaled, np.rint(scaled), rtol=0, atol=1e-4).all():
+            return min(10.0**-digits / math.sqrt(12), _LEAST)
+    return _FINEST
 
 
 def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:

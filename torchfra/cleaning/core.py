@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from torchfra.cleaning.batches import Steps, groups, step_of_heights, steps_of
+from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_heights, steps_of
 from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.correlation import lasting_errors, widened
 from torchfra.cleaning.flags import flags
@@ -92,7 +92,7 @@ def clean_tracks(
         _clean_batch, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt, compile=compile,
         fallback=fallback,
     )  # fmt: skip
-    coarse = [step_of_heights(recording) for recording in measured]
+    coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
     done: dict[int, Cleaned] = {}
     for group in groups(placed):
         batch = [placed[i] for i in group]
@@ -164,13 +164,13 @@ def check_settings(
 
 
 def _clean_batch(
-    recordings: Sequence[Recording], *, coarse: Sequence[float], moved: Sequence[bool], name: str,
+    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], moved: Sequence[bool], name: str,
     bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
     """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
 
-    Of each, ``coarse`` is how many metres lie between the heights that it can tell, and ``moved`` whether fixes were
-    moved in time: then how large their errors are is known.
+    Of each, ``coarse`` is the least sigma that may be found of it, and how many metres lie between the heights that it
+    can tell; ``moved`` is whether fixes were moved in time: then how large their errors are is known.
     """
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ class Kind(NamedTuple):
     """The same in height, m/s^2."""
     fastest: float
     """Speed up to which a target may be of this kind, m/s; no process noise changes its velocity by more in a step."""
+    steady: float = math.inf
+    """Seconds between fixes from which on it may keep a slow course, although it could stop between them."""
     lasting: float = 0.3
     """Probability that errors of its fixes last for 10 to 40 s, as those of reflections do, before a track has said."""
 
@@ -28,8 +31,8 @@ KINDS = {
     "ship": Kind(0.5, 0.5, 30.0),
     "vehicle": Kind(6.0, 2.0, 60.0),
     "aircraft": Kind(10.0, 2.0, 1000.0, lasting=0.1),
-    "marine": Kind(1.0, 1.0, 4.0),
-    "animal": Kind(5.0, 2.0, 10.0),
+    "marine": Kind(1.0, 1.0, 4.0, steady=1000.0),
+    "animal": Kind(5.0, 2.0, 10.0, steady=1000.0),
     "bird": Kind(10.0, 3.0, 30.0),
 }
 """By name.  What swims or dives is marine, and an animal may be any."""

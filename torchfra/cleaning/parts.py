@@ -27,6 +27,8 @@ class Part(NamedTuple):
     lowest: Tensor
     """``(B,)`` m, the lowest sigma that a track does not rule out whose estimates are hardly surer than its fixes: the
     path goes as near to these as it says.  NaN of other tracks."""
+    stops: Tensor
+    """``(B,)`` whether targets may stop between two fixes (``may_stop``)."""
     model: OutlierModel = DEFAULT
     """How likely outliers are."""
 
@@ -34,7 +36,8 @@ class Part(NamedTuple):
         """Some of the rows."""
         return Part(
             Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
-            self.sigma[rows], self.least[rows], self.lowest[rows], self.model.of_rows(lambda x: x[rows]),
+            self.sigma[rows], self.least[rows], self.lowest[rows], self.stops[rows],
+            self.model.of_rows(lambda x: x[rows]),
         )  # fmt: skip
 
     @property

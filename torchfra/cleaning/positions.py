@@ -18,7 +18,7 @@ from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels
 from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.parts import SHORT, Part
-from torchfra.cleaning.process_noise import levels_up_to
+from torchfra.cleaning.process_noise import levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
@@ -76,14 +76,16 @@ class Answer(NamedTuple):
     """Of each part what the filter was run with."""
 
 
-def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]) -> list[Answer]:
+def answers(
+    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
+) -> list[Answer]:
     """Tracks of the same dimensions, cleaned.
 
     Args:
         tracks: steps of each.
         kinds: name of the kind of each.
         settings: what they are cleaned with.
-        coarse: metres between the heights that each can tell.
+        coarse: the least sigma that may be found of each, and metres between the heights that it can tell.
     """
     seen = [steps.at(steps.measured) for steps in tracks]
     rows, parts = _parts(seen, kinds, settings, coarse)
@@ -98,26 +100,28 @@ def answers(tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, c
 
 
 def _parts(
-    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[float]
+    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
 ) -> tuple[list[Row], list[Part]]:
     """Rows of tracks, and what is known of their axes at first."""
     rows = _rows(tracks)
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
     fastest = torch.tensor([KINDS[kinds[row.track]].fastest for row in rows], dtype=torch.float64)
+    steady = torch.tensor([KINDS[kinds[row.track]].steady for row in rows], dtype=torch.float64)
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
-        levels, fixes = levels_up_to(most, fastest, period, count, settings.q), _fixes(z, gap, std, axes)
-        least = torch.zeros_like(most)
-        if parts:  # the error of a rounded height is even within half a step to either side
-            rounded = torch.tensor([coarse[row.track] / math.sqrt(12) for row in rows], dtype=torch.float64)
-            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
+        levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
         given = None if settings.sigma is None else torch.full_like(most, settings.sigma)
+        least = torch.tensor([coarse[row.track][0] if given is None else 0.0 for row in rows], dtype=torch.float64)
+        if parts:  # the error of a rounded height is even within half a step to either side
+            rounded = torch.tensor([coarse[row.track][1] / math.sqrt(12) for row in rows], dtype=torch.float64)
+            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
         sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if given is None else given
         sigma = sigma.maximum(least)
-        parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), model))
+        stops = may_stop(most, fastest, period, steady)
+        parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), stops, model))
     return rows, parts
 
 
@@ -135,7 +139,8 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
             fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
-        more.append(Part(fixes, levels, part.sigma[first], part.least[first], part.lowest[first], model))
+        sigma, least, lowest, stops = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))
+        more.append(Part(fixes, levels, sigma, least, lowest, stops, model))
     return every, more
 
 

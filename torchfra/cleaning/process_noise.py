@@ -32,14 +32,15 @@ _RAREST = -25.0
 
 
 def levels_up_to(
-    acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None
+    acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None,
+    steady: Tensor | float = math.inf,
 ) -> Levels:  # fmt: skip
     """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
 
     Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
     may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
     a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
-    would take time-correlated errors for motion, and where they are rarer than any level ends, slow drifts.
+    would take time-correlated errors for motion, and of those rarer than ``steady``, the slow drifts of animals.
 
     Args:
         acceleration: the hardest.
@@ -47,6 +48,7 @@ def levels_up_to(
         period: between fixes.
         count: number of levels, without those of a random walk.
         q: density around which levels are likely, m^2/s^3; None if it is to be found.
+        steady: ``(B,)`` s between fixes from which on a target may keep a slow course.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     density = _densities(acceleration, fastest, period, place)
@@ -55,8 +57,13 @@ def levels_up_to(
     share = _log_shares(rarer, period / duration)
     levels = Levels(density, share, duration.maximum(_PERIODS * (period - LONGEST)), torch.zeros_like(density))
     stops = fastest / acceleration  # seconds in which a target stops
-    walking = (period > (stops / 2).clamp_min(_SHORTEST)) & (period <= LONGEST)
+    walking = may_stop(acceleration, fastest, period, steady) & (period > _SHORTEST)
     return _with_walks(levels, fastest * period, period, stops, walking) if q is None and walking.any() else levels
+
+
+def may_stop(acceleration: Tensor, fastest: Tensor, period: Tensor, steady: Tensor | float = math.inf) -> Tensor:
+    """Whether targets ``(B,)`` may come, go and rest between two fixes: as ``levels_up_to`` says of its arguments."""
+    return (period > (fastest / acceleration / 2).clamp_min(_SHORTEST / 2)) & (period <= steady)
 
 
 def _densities(acceleration: Tensor, fastest: Tensor, period: Tensor, place: Tensor) -> Tensor:

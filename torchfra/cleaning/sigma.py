@@ -12,8 +12,8 @@ from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.two_filters import Smoothed
 
-LEAST_SIGMA = 0.01
-"""Least standard deviation that is found, m: fixes that repeat have none."""
+_LEAST_SIGMA = 1e-4
+"""Least standard deviation that is tried, m: fixes that repeat have none."""
 _COARSE = 8
 """Number of standard deviations that are tried at first, each half of the one before."""
 _FINE = 1.2
@@ -28,8 +28,9 @@ _RATIO = 2.0
 """Ratio of the lower standard deviations that are tried."""
 _OPEN = 3.0
 """How much less likely a track may be, in log, with a lower sigma that it does not rule out."""
-_MISFIT_OF_WALKS = 0.2
-"""The same of each of its fixes, where levels of a random walk, of a few sizes only, are certain."""
+_MISFIT_OF_WALKS, _MISFIT_OF_STOPS = 0.2, 0.17
+"""The same of each of its fixes, where levels of a random walk, of a few sizes only, are certain; and where there are
+none though targets may stop between fixes."""
 _MISFIT, _FORGOTTEN = 0.28, 7200.0
 """The same of each fix where fixes are rarer than any level ends; and seconds in which targets may forget their
 velocity, to a share of 1 / e."""
@@ -72,7 +73,7 @@ def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, 
     left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
     bend = (left - 2 * middle + right).clamp_max(-1e-3)  # where likelihoods are level, a parabola has no top
     place = best + (0.5 * (left - right) / bend).clamp(-1.0, 1.0)
-    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(LEAST_SIGMA)
+    likely: Tensor = (sigma[0] * (sigma[1] / sigma[0]) ** place).clamp_min(_LEAST_SIGMA)
     return likely
 
 
@@ -97,7 +98,8 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
     tried = part.sigma / _RATIO ** torch.arange(_COARSE).unsqueeze(1)
     log_likelihood, _, count = _likelihoods(part.fixes, part.levels, owner, tried, part.model.of_any_offset)
     walks, period = (part.levels.log_share.exp() * (part.levels.walk > 0)).sum(0), part.period
-    misfit = torch.where(period > LONGEST, -_MISFIT * torch.expm1(-period / _FORGOTTEN), _MISFIT_OF_WALKS * walks)
+    often = torch.where(walks > 0, _MISFIT_OF_WALKS * walks, _MISFIT_OF_STOPS * part.stops)
+    misfit = torch.where(period > LONGEST, -_MISFIT * torch.expm1(-period / _FORGOTTEN), often)
     open_ = log_likelihood >= log_likelihood.amax(0) - _OPEN - misfit * count
     last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
@@ -151,7 +153,7 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
         own = third[:, owner == i]
         if bool((~own.isnan()).any()):
             most[owner == i] = 2 * own.nanmedian()
-    return most.clamp_min(LEAST_SIGMA * 2.0**_COARSE / 4)
+    return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
 def _third_differences(z: Tensor, gap: Tensor) -> Tensor:

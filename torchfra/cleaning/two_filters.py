@@ -114,7 +114,8 @@ def _lost(
     each such stretch that filter is lost by which the fixes are less likely.  Where the target itself jumps or turns
     back at once, the first filter is right until then and the second from then on.  So the first is believed up to the
     step that makes the fixes likeliest and the second after it, if that beats either alone by more than it is rare.
-    Both sides have a few steps of the stretch, or else the last outlier of a burst would be a jump.
+    Both sides have three steps of the stretch, or one has two if there are five, or else the last outlier of a burst
+    would be a jump.
 
     A filter that begins is sure of nothing, so that it contradicts the other as it does thereafter; and two that agree
     for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
@@ -171,8 +172,11 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
     gain = gain * lost
     total = gain.cumsum(0)
     base = torch.zeros_like(total).scatter_add(0, stretch, (total - gain) * begins).gather(0, stretch)
-    some = none.expand(_BEGUN, -1)
-    inside = torch.cat([some[1:], lost])[: len(lost)] & lost & torch.cat([lost, some])[_BEGUN:]
+    some, count = none.expand(_BEGUN, -1), len(lost)
+    around = torch.cat([some, lost, some, none])
+    b3, b2, b1, _, _, a2, a3, a4 = (around[i : i + count] for i in range(8))
+    short = (b2 & ~b3 & a2 & ~a3) | (b1 & ~b2 & a3 & ~a4)  # a stretch of five steps has three on one side
+    inside = lost & ((b2 & a3) | short)
     prior = torch.where(ends, 0.0, torch.where(inside, rare, -torch.inf))
     likelier = total - base + prior  # than by the second alone
     most = torch.full_like(total, -torch.inf).scatter_reduce(0, stretch, likelier, "amax").gather(0, stretch)

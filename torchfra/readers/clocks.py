@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import listed
-from torchfra.readers.spelling import PARTS, found, plain, unit
+from torchfra.readers.spelling import PARTS, found, name_words, plain, unit
 from torchfra.readers.spelling import SINCE_1970 as DATED
 from torchfra.readers.times import (
     CLOCK,
@@ -22,6 +23,7 @@ from torchfra.readers.times import (
     GPS,
     PER_SECOND,
     SINCE_1970,
+    SPLIT,
     form_of,
     is_clock,
     per_second,
@@ -42,6 +44,15 @@ _DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab":
 _HALF_DAY = 43_200.0
 _OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
 """Names of what of the week of GPS has passed."""
+_UTC = re.compile("utc|gmt|zulu", re.IGNORECASE)
+"""In the name of a column of times."""
+_SECONDS = {"s", "sec", "secs", "second", "seconds"}
+_PARTS_OF_SECONDS = {
+    "ms": "ms", "msec": "ms", "msecs": "ms", "millisec": "ms",
+    "us": "us", "usec": "us", "usecs": "us", "microsec": "us",
+    "ns": "ns", "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns",
+}  # fmt: skip
+"""Last words of names of columns with whole seconds, and with parts of one."""
 FRAMES = {"frame", "frameid", "frames", "framenumber"}
 """Names of numbers of frames, which tell the time by how many a second has."""
 
@@ -67,7 +78,15 @@ class Clock:
             return f"week of GPS and {'ms' if self.form == 'gps_ms' else 'seconds'} of it"
         if self.form in DAY_OF_1970:
             return _DAYS_SAID[self.form]
+        if self.form in SPLIT:
+            return f"seconds{' since 1970' if self.since_1970 else ''} and {_unit_said(self.form.split()[1])}"
         return "ISO text" if self.kind.form == "iso" else "times of the day" if is_clock(self.form) else self.form
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it may be put forward and back with the seasons: text that names no zone."""
+        utc = any(_UTC.search(column) for column in self.columns) or self.form.endswith(("Z", "UTC", "GMT"))
+        return "%" in self.form and not utc and not re.search(r"[+-][0-9]{2}:?(?:[0-9]{2})?$", self.form)
 
     @property
     def column(self) -> str:
@@ -125,16 +144,18 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
     """
     _check_parts(head, options)
     if options.time is not None:
-        return _dated(_clock(options.time, head, options), head), []
+        return _dated(_clock(options.time, head, options), head, options), []
     candidates, clocks, refusals = found(head.names, "time"), list[Clock](), list[ValueError]()
     for name in candidates:
         try:
-            clocks.append(_dated(_clock(name, head, options), head))
+            clocks.append(_dated(_clock(name, head, options), head, options))
         except ValueError as error:
             refusals.append(error)
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: clock.doubt)
+    if refusals and best.form == "seconds" and not len(_values(head.cells(best.columns[0]))):
+        raise refusals[0]
     moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
     finest = max(clocks, key=lambda clock: moments[clock])
     if moments[finest] > _FINER * moments[best]:
@@ -170,6 +191,8 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
             f"column {name}: expected times, received numbers of frames: say how many a second has, such as "
             "--time-format 25fps"
         )
+    if (split := _split_clock(name, head)) is not None:
+        return split
     values = _values(some)
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
@@ -224,6 +247,24 @@ def _gps_clock(week: str, name: str, form: str) -> Clock:
     return Clock((week, name), replace(_text_kind(form, "2300 345600.0"), joined=(week, name)), form, True)
 
 
+def _split_clock(name: str, head: Head) -> Clock | None:
+    """A column of whole seconds and one of what of a second has passed, as robots write them; None of other columns."""
+    *first, last = name_words(name) or [""]
+    if last not in _SECONDS:
+        return None
+    for other in head.names:
+        *front, part = name_words(other) or [""]
+        unit = _PARTS_OF_SECONDS.get(part)
+        if front != first or unit is None:
+            continue
+        whole, rest = (_values(head.cells(column)) for column in (name, other))
+        if len(rest) == len(whole) and (whole % 1 == 0).all() and ((rest >= 0) & (rest < SINCE_1970[unit])).all():
+            form, since_1970 = f"s {unit}", bool(len(whole) and whole[0] >= YEAR_1980)
+            kind = replace(_text_kind(form, "1717402500 100000000"), joined=(name, other))
+            return Clock((name, other), kind, form, since_1970)
+    return None
+
+
 def _numeric(name: str, values: NDArray[np.float64], options: ReadOptions) -> Clock:
     """The unit of numbers: by the end of the name, or by their size since 1970; or else seconds since a start."""
     fitting, early = {}, np.abs(values) < YEAR_1980
@@ -257,7 +298,12 @@ def _guess(values: NDArray[np.float64]) -> str:
 
 
 def days_of(values: NDArray[np.float64], name: str) -> str:
-    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" of other numbers."""
+    """The ``time_format`` of numbers of days, all of dates from 1980 to 2050; "" of other numbers.
+
+    Those of two decimals or fewer are no days, which have some of a second, but seconds of the day.
+    """
+    if np.isclose(100 * values, np.rint(100 * values), rtol=0, atol=1e-6).all():
+        return ""
     for form, zero in DAY_OF_1970.items():
         named = form == "mjd" or "mjd" not in name.lower()
         if named and len(values) and values.min() > zero + 3652 and values.max() < zero + 29_220:
@@ -283,7 +329,7 @@ def _unit_kind(form: str, since_1970: bool) -> Kind:
     return Kind(f"{_unit_said(form)} since 1970", limit=_YEAR_2286 * count, per_unit=count, between=smaller)
 
 
-def _dated(clock: Clock, head: Head) -> Clock:
+def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
     """A clock of the day together with the column of its date, if there is one."""
     if not is_clock(clock.form):
         return clock
@@ -292,6 +338,13 @@ def _dated(clock: Clock, head: Head) -> Clock:
         together = [*filter(None, joined(head.cells, columns))]
         if date not in clock.columns and (dated := _text_clock(columns, together, _is_danish(head))):
             return dated
+    unread = [date for date in found(head.names, "date") if "dat" in plain(date) and date not in clock.columns]
+    text = next((cell for date in unread for cell in head.cells(date) if isinstance(cell, str) and cell.strip()), "")
+    if text and options.time is None:
+        raise ValueError(
+            f"column {unread[0]}: expected dates such as 2024-05-06, received {text[:40]!r} beside times of the day in "
+            f"{clock.column}: --time {clock.column} takes these alone, which must be less than a day apart"
+        )
     return clock
 
 
@@ -300,7 +353,7 @@ def _is_danish(head: Head) -> bool:
     return "typeofmobile" in map(plain, head.names)
 
 
-def _values(cells: Sequence[Any]) -> NDArray[np.float64]:
+def _values(cells: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
     """The cells that hold numbers, as numbers."""
     values = []
     for cell in cells:

@@ -25,6 +25,11 @@ DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
+_GROUPED = re.compile(r"[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+|[+-]?[0-9]{1,3}(?:['\u2019][0-9]{3})+(?:\.[0-9]*)?")
+"""A number whose thousands are parted, as spreadsheets write it: by commas, where a point shows what they are not."""
+_GROUPED_BEFORE_COMMA = re.compile(r"[+-]?[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+,[0-9]+")
+_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[., \u00a0\u202f][0-9]{3})+")
+_PARTING = re.compile(r"[,.'\u2019 \u00a0\u202f]")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 short = _SHORT.repr
@@ -101,6 +106,8 @@ def number(value: Any) -> float:
         value = value.strip(" \t\r\n")
         if value.lower() in ("", "nan", "-nan"):
             return math.nan
+        if _GROUPED.fullmatch(value):
+            value = re.sub("[,'\u2019]", "", value)
         if not DECIMAL.fullmatch(value):
             raise ValueError
     elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -136,6 +143,8 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
     def refused(i: int, advice: str = "") -> ValueError:
         where = f"in data row {first + i + 1}, column {name}"
         cell = cells[i].item() if isinstance(cells[i], np.generic) else cells[i]
+        if isinstance(cell, str) and _THOUSANDS.fullmatch(cell.strip()):
+            advice = ", whose sign may part thousands or decimals: write it without, or say --decimal"
         return ValueError(f"expected {kind.said} {where}, received {short(cell)}{advice}")
 
     values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
@@ -176,6 +185,9 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
     def plain(cell: Any) -> float:
         if isinstance(cell, str) and kind.decimal == ",":
+            whole, _, part = cell.strip(" \t\r\n").rpartition(",")
+            if _GROUPED_BEFORE_COMMA.fullmatch(f"{whole},{part}"):
+                cell = f"{_PARTING.sub('', whole)},{part}"
             cell = cell.replace(".", "_").replace(",", ".")
         with suppress(ValueError):
             return number(cell)

@@ -16,7 +16,7 @@ from torchfra.readers.columns import Cells, Head, number
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
-from torchfra.readers.spelling import is_header
+from torchfra.readers.spelling import RARER_UNITS, UNITS, is_header, places_in
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -25,6 +25,12 @@ UTF_8 = "utf-8-sig"
 _GUESSED_FROM = 100
 """Rows of which it is guessed what their columns hold."""
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
+_ABOVE, _BENEATH = 100, 2
+"""Lines before a header, and of units beneath it, that loggers write."""
+_LENGTH = re.compile(r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|feet|mm|cm|km)\b", re.IGNORECASE)
+"""A unit of lengths besides metres, in a line before the header."""
+_WORDS = re.compile(r"(?!-?nan$)(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
+"""A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
 def csv_sheet(
@@ -45,16 +51,22 @@ def csv_sheet(
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
+    above = _leave_out_above(rows, options) if options else 0
     sign = _begin(rows, options or ReadOptions())
     said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
     said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
+    said += [f"lines before the header left out: {above}"] if above else []
     try:
         if _numbered(rows, sign, options, headers):
             said.append("no header: columns by their numbers")
+        beneath = _leave_out_beneath(rows, sign, options) if options else []
         rows.start(sign)
         names = _header(rows.first(), headers)
     except csv.Error as error:
         raise _no_csv(error) from error
+    if beneath:
+        names = _with_units(names, beneath[0])
+        said.append(f"lines of units beneath the header: {len(beneath)}")
     return Sheet(names, _parts(rows, names, repairs), tuple(said), commas=sign != ",")
 
 
@@ -87,11 +99,81 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
         for sign in signs:
             names = _split(comment.lstrip(' \t"#%/'), sign)
             first_row = _split(line_of_names, sign)
+            if names[:1] == ["GPST"] and len(names) == len(first_row) - 1:  # of RTKLIB, for two columns
+                names = ["date", *names]
+                comment = sign.join(names) + "\n"
             if is_header(names) and not is_header(first_row) and len(names) == len(first_row):
                 rows.head = comment.lstrip(" \t#%/") + text
                 return sign
     rows.head = text
     return next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])
+
+
+def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
+    """Leaves out the lines that a logger writes before the header, such as its version; returns their number.
+
+    Raises:
+        ValueError: they tell a unit of lengths that nobody else does.
+    """
+    asked, lines = {*options.columns().values()}, _lines(rows.head, _ABOVE)
+
+    def tells(line: str) -> bool:
+        """Whether it is a header that names places, or all columns that are asked for."""
+        signs = [options.sign] if options.sign else _likely(line)
+        named = [_split(line.lstrip(" \t%#/"), sign) for sign in signs]
+        return any(asked <= {*names} if asked else is_header(names) for names in named if len(names) > 1)
+
+    first = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
+    header = next((i for i, line in enumerate(lines) if tells(line)), 0)
+    if header <= first or _is_row(lines[first], options):
+        return 0
+    above = lines[:header]
+    units = [line for line in above if "unit" in line.lower() and _LENGTH.search(line)]
+    if units and not options.units:
+        found = _LENGTH.search(units[0])
+        raise ValueError(
+            f"a line before the header says {found and found[0]} of lengths: say it by --units, such as mm"
+        )
+    rows.head = rows.head[sum(map(len, above)) :]
+    return header
+
+
+def _lines(text: str, count: int) -> list[str]:
+    """The first lines of a text, with their ends."""
+    return list(islice(io.StringIO(text, newline=""), count))
+
+
+def _is_row(line: str, options: ReadOptions) -> bool:
+    """Whether it is a row of numbers, as of a file without a header."""
+    cells = max((_split(line, sign) for sign in ([options.sign] if options.sign else _likely(line))), key=len)
+    return sum(map(_is_number, filter(None, cells))) > len(cells) / 2
+
+
+def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list[str]]:
+    """Leaves out lines beneath the header that have words where the rows have positions; returns their cells."""
+    lines = _lines(rows.head, 1 + _BENEATH)
+    names, *several = [
+        [cell.strip() for cell in next(csv.reader([line], delimiter=sign), [])] for line in lines or [""]
+    ]
+    asked = options.columns()
+    places = [asked[role] for role in ("x", "y", "latitude", "longitude") if role in asked] or places_in(names)
+    at = [names.index(place) for place in places if place in names]
+    words = []
+    for cells in several:
+        if len(cells) != len(names) or not at or not all(_WORDS.fullmatch(cells[i].strip("[]()")) for i in at):
+            break
+        words.append(cells)
+    start = sum(map(len, lines[1 : 1 + len(words)]))
+    if words:
+        rows.head = lines[0] + rows.head[len(lines[0]) + start :]
+    return words
+
+
+def _with_units(names: list[str], units: list[str]) -> list[str]:
+    """Names with the units beneath them, where these are some."""
+    known = {*UNITS, *RARER_UNITS}
+    return [f"{name} ({unit})" if name and unit.strip("[]()").lower() in known else name
+            for name, unit in zip(names, units, strict=True)]  # fmt: skip
 
 
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
@@ -142,9 +224,18 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
 
     try:
         for cells in rows.parts(len(names), mended):
+            _empty_headers(cells, names)
             yield len(cells) // len(names), partial(_cells, cells, place)
     except csv.Error as error:
         raise _no_csv(error) from error
+
+
+def _empty_headers(cells: list[str], names: list[str]) -> None:
+    """Empties rows that are the header again, as of files that were joined to one."""
+    width = len(names)
+    for row, cell in enumerate(cells[::width]):
+        if cell.strip() == names[0] and [one.strip() for one in cells[row * width : (row + 1) * width]] == names:
+            cells[row * width : (row + 1) * width] = [""] * width
 
 
 def _no_csv(error: csv.Error) -> ValueError:
@@ -159,7 +250,9 @@ def _header(row: list[str], headers: str) -> list[str]:
     if len(names) == 1:
         raise ValueError(f"{headers}; received {listed(names)}")
     if twice := repeated(names):
-        raise ValueError(f"expected every column once, received several named {twice}")
+        raise ValueError(
+            f"expected every column once, received several named {twice}: give each a name of its own in the header"
+        )
     return names
 
 

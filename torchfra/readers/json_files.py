@@ -1,4 +1,4 @@
-"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what receivers of aircraft write."""
+"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what phones and receivers of aircraft write."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from typing import Any
 
 from torchfra.readers.columns import Cells, short
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
+from torchfra.readers.times import seconds_of
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
+_AXES = ("latitude", "longitude")
+_MINUTES = "durationMinutesOffsetFromStartTime"
+"""Of a place since its segment of a phone's timeline began."""
 _TRACE = ("second", "lat", "lon", "alt_baro")
 """What a row of a trace begins with: seconds since the file's, degrees, and feet."""
 
@@ -32,6 +36,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
     if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
         return _geojson_sheet(parsed)
     if (sheet := _readsb_sheet(parsed)) is not None:
+        return sheet
+    if (sheet := _timeline_sheet(parsed)) is not None:
         return sheet
     names, rows, cells = _columns(parsed)
     return Sheet(names, [(rows, cells)] if names else [], json=True)
@@ -64,8 +70,29 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
     records = parsed if isinstance(parsed, list) else [parsed]
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
+    records = _flat(records)
     names = list(dict.fromkeys(name for record in records for name in record))
     return names, len(records), lambda name: [record.get(name) for record in records]
+
+
+def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]:
+    """Records in which the values of what is an object wherever it is there have both names: ``coords.latitude``."""
+    names = {name for record in records for name, value in record.items() if isinstance(value, dict)}
+    names -= {
+        name
+        for record in records
+        for name in names & record.keys()
+        if not (record[name] is None or isinstance(record[name], dict))
+    }
+    if not names or not depth:
+        return records
+    flat = list[dict[str, Any]]()
+    for record in records:
+        own = {name: value for name, value in record.items() if name not in names}
+        for name in record.keys() & names:
+            own |= {f"{name}.{key}": value for key, value in (record[name] or {}).items()}
+        flat.append(own)
+    return _flat(flat, depth - 1)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -121,6 +148,42 @@ def _places(coordinates: Any, properties: dict[str, Any], depth: int, number: in
         axes = dict(zip(("longitude", "latitude", "altitude"), place, strict=False))
         records.append(({"time": times[i]} if depth else {}) | shared | axes)
     return records
+
+
+# ---------------------------------------------------------------- where a phone has been
+
+
+def _timeline_sheet(parsed: Any) -> Sheet | None:
+    """The places along the ways in ``Timeline.json``, as Google Maps exports it on a phone; None of other content.
+
+    With Android segments stand under ``semanticSegments`` and places have times; with iOS they are the list itself, and
+    places have minutes since their segment began.
+    """
+    segments = parsed.get("semanticSegments") if isinstance(parsed, dict) else parsed
+    if not isinstance(segments, list) or not all(isinstance(one, dict) for one in segments):
+        return None
+    ways = [(one, one["timelinePath"]) for one in segments if isinstance(one.get("timelinePath"), list)]
+    if not ways:
+        return None
+    columns: dict[str, list[Any]] = {"time": [], "latitude": [], "longitude": []}
+    for segment, places in ways:
+        for place in places:
+            point = str(place.get("point", "")) if isinstance(place, dict) else ""
+            parts = point.removeprefix("geo:").replace("\u00b0", "").split(",")
+            if len(parts) != len(_AXES):
+                raise ValueError(f"expected a point such as 47.1, 8.2 in timelinePath, received {short(place)}")
+            time = place["time"] if "time" in place else _after(segment.get("startTime"), place.get(_MINUTES))
+            for name, cell in zip(columns, (time, *map(str.strip, parts)), strict=True):
+                columns[name].append(cell)
+    return points_sheet(columns, ("Timeline of a phone: places along its ways",))
+
+
+def _after(start: Any, minutes: Any) -> int:
+    """Ms since 1970, some minutes after a time."""
+    try:
+        return round(1000 * (seconds_of(str(start), "iso") + 60 * float(minutes)))
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"expected startTime and {_MINUTES}, received {short(start)} and {short(minutes)}") from None
 
 
 # ---------------------------------------------------------------- receivers of aircraft

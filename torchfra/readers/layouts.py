@@ -158,6 +158,8 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
         some, pairs = {*degrees, *metres}, (("latitude", "longitude"), ("x", "y"))
         missing = [role for pair in pairs if some & {*pair} for role in pair if role not in some]
         lacking = f"missing {listed(missing)}, " if missing else ""
+        if not missing and {"altitude", "z"} & some:
+            lacking = "missing x, y (of what only goes up and down: columns x and y of 0), "
         raise ValueError(f"{HEADERS}; {lacking}received {listed(names)}{looks_like(head)}")
     return degrees
 
@@ -304,7 +306,8 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:
     """Whether a coordinate or a time is written as 1,5 and none as 1.5."""
     cells = [str(cell) for name in (*columns.values(), *found(head.names, "time")) for cell in head.cells(name)]
-    return any(cell.strip().replace(",", "", 1).lstrip("+-").isdigit() and "," in cell for cell in cells)
+    parted = re.compile(r"[+-]?(?:[0-9]*|[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+),[0-9]*")
+    return any(parted.fullmatch(cell.strip()) for cell in cells)
 
 
 def _with_points(head: Head) -> Callable[[str], list[Any]]:

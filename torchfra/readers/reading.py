@@ -15,7 +15,7 @@ from torchfra.readers.layouts import Layout, layout_of
 from torchfra.readers.options import ReadOptions, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
-from torchfra.readers.sanity import possible
+from torchfra.readers.sanity import check_metres, possible
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
 
@@ -134,6 +134,8 @@ def _recordings(
         origin = _origin(targets[0], origin)
     origins = [_origin(target, None) if layout.degrees and apart else origin for target in targets]
     recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
+    if not layout.degrees and not chosen.options.units:
+        check_metres(recordings, layout)
     good = recordings if chosen.options.time_format else possible(recordings, layout)
     return sorted(good, key=lambda recording: recording.name)
 

@@ -23,6 +23,11 @@ _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
 
 
+_SEASONS, _YEAR, _HOUR, _CLOSE = 1.0, 366 * 86_400.0, 3600.0, 0.5
+"""How often a year clocks are put back by an hour, in seconds, and how far the step to that row may be from the usual
+one."""
+
+
 def plural(word: str) -> str:
     """Several of ``Source.word``."""
     return word if word == "aircraft" else f"{word}s"
@@ -119,6 +124,7 @@ class _Columns:
             self.marked |= column(role) == 1
         self.may_be_held = layout.source.word == "aircraft"
         self.dated, self.unread = layout.clock.since_1970, layout.unread
+        self.clock = layout.clock
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
         """Which of the rows of a target to keep, in order of time, and the count of the repairs."""
@@ -136,6 +142,7 @@ class _Columns:
         if self.dated:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
         time = self.time[index]
+        self._check_season(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
         index = index[np.argsort(time, kind="stable")]
         self._check_same_times(index)
@@ -146,6 +153,20 @@ class _Columns:
         for column in (self.first, self.second, self.update):
             moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
         return keep(index, moved, "held positions dropped"), repairs
+
+    def _check_season(self, time: Array, index: NDArray[np.intp]) -> None:
+        """Refuses times of a clock that is put back by an hour while rows go on."""
+        steps = np.diff(time)
+        back = np.flatnonzero(steps < 0)
+        if not self.clock.is_local or not 0 < len(back) <= _SEASONS * (time.max() - time.min()) / _YEAR + 1:
+            return
+        usual = np.median(steps)
+        if (np.abs(steps[back] + _HOUR - usual) < _CLOSE * usual + 1).all():
+            raise ValueError(
+                f"expected times that go on, received one {-steps[back[0]] / 60:.3g} minutes before that of the row "
+                f"before in data row {index[back[0] + 1] + 1}, {self.clock.column}, as of a clock that is put back an "
+                "hour at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
+            )
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
         """Refuses rows of several targets in one: many have the time of another row and another position."""

@@ -22,6 +22,11 @@ _FASTEST_SHIP = 150.0
 """Speed that half of the steps of a ship stay below, m/s; numbers of aircraft of search and rescue begin with
 ``_RESCUE``."""
 _RESCUE = "111"
+_LARGEST, _OFF_THE_ORIGIN = np.array([180.0, 90.0]), 1.0
+"""Degrees of longitude and latitude, and how far from 0 most of the earth is."""
+_AS_DEGREES, _ROUNDED, _FAR = (2e-6, 5e-3), 1e-3, 5.0
+"""Degrees a second of what moves by 0.2 to 500 m/s; what is left of rounding, in the fourth decimal; and how many steps
+a target goes that does not rest."""
 _ACROSS = 30.0
 """Speeds are means over so many seconds, so that noise does not count."""
 _USUAL = (0.05, 1000.0)
@@ -43,6 +48,31 @@ def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]
     good = [recording for recording in recordings if recording not in wrong]
     good[0].repairs[f"{plural(layout.source.word)} of impossible speed dropped"] = len(wrong)
     return good
+
+
+def check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
+    """Refuses x and y that are degrees of longitude and latitude, as maps of the world export them.
+
+    They have five decimals or more, are no larger than degrees, and move as slowly as nothing does whose path is told
+    from their noise.
+
+    Raises:
+        ValueError: they are.
+    """
+    x, y = layout.columns["x"], layout.columns["y"]
+    for recording in recordings:
+        place = recording.position[np.isfinite(recording.position).all(1), :2]
+        if len(place) < _MANY or layout.source.unit != 1 or (np.abs(place).max(0) > _LARGEST).any():
+            return
+        fine = np.abs(1e4 * place - np.rint(1e4 * place)).max(1) > _ROUNDED
+        moved, steps = np.ptp(place, 0).max(), np.abs(np.diff(place, axis=0)).max(1)
+        lies = np.abs(np.median(place, 0)).max() > _OFF_THE_ORIGIN and moved > _FAR * np.median(steps)
+        if not (lies and fine.mean() > 0.5 and _AS_DEGREES[0] < speed_across(recording) < _AS_DEGREES[1]):
+            return
+    raise ValueError(
+        f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: say --lat {y} "
+        f"--lon {x}; or --units m if they are metres"
+    )
 
 
 def _impossible(recording: Recording) -> str:
@@ -84,7 +114,9 @@ def _speed(recording: Recording) -> float:
 def _guess(recording: Recording, layout: Layout) -> str:
     """What the times may be instead, and what to do."""
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
-    now = per_second(form) or (1e3 if form == "iso" else 1.0)
+    now = per_second(form)
+    if not now:  # text, whose unit nobody can mistake
+        return f"if it is right, --time-format '{form}' takes it; or say the unit of positions (--units)"
     if form == "seconds" and (days := days_of(recording.time, column)):
         return f"column {column} looks like days of {days}: use --time-format {days}"
     likely = []

@@ -27,9 +27,12 @@ NAMES = {
              "gpstime", "itow", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
+             "timegmt", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
+             "timeofday", "secondsofday", "tod", "sod",
              "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
-    "date": ("date", "day", "dateutc", "datum", "tag", "jour", "fecha", "dia"),
+    "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "datum",
+             "tag", "jour", "fecha", "dia"),
     "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert", "ost", "este"),
     "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert", "nord", "norte"),
     "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
@@ -51,8 +54,8 @@ NAMES = {
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
               "hacc", "eph", "hdop"),
-    "sigma_x": ("sigmax", "stdx", "sigmaeast"), "sigma_y": ("sigmay", "stdy", "sigmanorth"),
-    "sigma_z": ("sigmaz", "stdz", "sigmaup"),
+    "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
+    "sigma_z": ("sigmaz", "stdz", "sigmaup", "sdu"),
     "argos_class": ("argoslc", "lc", "locationclass"),
     "semi_major": ("argossemimajor", "errorsemimajoraxis", "smaj"),
     "semi_minor": ("argossemiminor", "errorsemiminoraxis", "smin"),
@@ -62,7 +65,8 @@ NAMES = {
 }  # fmt: skip
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
 _IN_FRONT = {
-    "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coordinate", "utm", "enu",
+    "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coords", "coordinate", "utm",
+    "enu", "pose", "point", "transform", "translation", "header",
 }  # fmt: skip
 _BEHIND = {"utm", "enu"}
 _ELAPSED = {"t", "time", "elapsed", "elapsedtime", "timeelapsed", "timesinceboot", "zeit", "temps", "tiempo"}
@@ -92,7 +96,7 @@ COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uui
 
 def plain(name: str) -> str:
     """A name in small letters without signs, its unit and such words as "gps" in front."""
-    words = _words(name)
+    words = name_words(name)
     while len(words) > 1 and (words[-1] in UNITS or _is_rarer(words)):
         words.pop()
     if len(words) > 1 and words[-1] in _BEHIND and "".join(words[:-1]) in _KNOWN:
@@ -102,9 +106,8 @@ def plain(name: str) -> str:
 
 def _bare(words: list[str]) -> list[str]:
     """Without words that stand in front of what is known."""
-    while len(words) > 1 and words[0] in _IN_FRONT and "".join(words[1:]) in _KNOWN:
-        words = words[1:]
-    return words
+    front = next((i for i, word in enumerate(words) if word not in _IN_FRONT), len(words) - 1)
+    return next((words[i:] for i in range(front, 0, -1) if "".join(words[i:]) in _KNOWN), words)
 
 
 def _is_rarer(words: list[str]) -> bool:
@@ -120,7 +123,7 @@ def unit(name: str, *, asked: bool = False) -> str | None:
         name: of a column.
         asked: whether it is known from elsewhere that it is a length or a time, whatever it is called.
     """
-    words = _words(name)
+    words = name_words(name)
     if "".join(words) == "itow":  # the time of the GPS week, as receivers of u-blox give it
         return "ms"
     if len(words) > 1:
@@ -137,14 +140,20 @@ def found(names: Iterable[str], role: str) -> list[str]:
     return [name for *_, name in sorted(ranked)]
 
 
+def places_in(names: Iterable[str]) -> list[str]:
+    """Names of columns that say where something was: latitudes and longitudes, or else x and y; empty without them."""
+    every = list(names)
+    pairs = (("latitude", "longitude"), ("x", "y"))
+    several = ([found(every, role)[:1] for role in pair] for pair in pairs)
+    return next(([*first, *second] for first, second in several if first and second), [])
+
+
 def is_header(names: Iterable[str]) -> bool:
     """Whether names of columns say where something was."""
-    names = list(names)
-    pairs = (("x", "y"), ("latitude", "longitude"))
-    return any(all(found(names, role) for role in pair) for pair in pairs)
+    return bool(places_in(names))
 
 
-def _words(name: str) -> list[str]:
+def name_words(name: str) -> list[str]:
     """The words of a name, which signs or capitals part: "TimeUS" and "time [us]" are both "time" and "us".
 
     Letters stand without their marks.

@@ -20,11 +20,13 @@ from torchfra.readers.arrow_files import arrow_sheet, is_arrow
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
 from torchfra.readers.columns import Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import UTF_8, csv_sheet
+from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.spelling import found, plain
+from torchfra.readers.vbo_files import is_vbo, vbo_sheet
 from torchfra.readers.xml_files import xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
@@ -37,6 +39,15 @@ HEADERS = (
 _WESTERN = "cp1252"
 """What text is that older programs for Windows have written in western Europe, if it is no UTF-8."""
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_NO_TEXTS = (
+    (b"PK\x03\x04", 0, "a zip archive, as .xlsx and .kmz are: save the sheet as CSV, or unpack it"),
+    (b".FIT", 8, "FIT of a watch: export GPX, TCX or CSV"),
+    (b"#ROSBAG", 0, "a bag of ROS: export its topic as CSV, such as by rostopic echo -p"),
+    (b"SQLite format 3", 0, "a data base of SQLite: export its table as CSV"),
+    (b"MATLAB", 0, "a file of Matlab: write a table as CSV"),
+    (b"\xb5b", 0, "UBX of a receiver: convert it to NMEA or CSV"),
+)
+"""How other files begin, after so many bytes, and what to do with them."""
 _HEAD = 1000
 """Rows that are looked at before all are read."""
 _PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location"}
@@ -91,6 +102,10 @@ def read_table(
     def sheet_of(file: io.BufferedReader, encoding: str) -> Sheet:
         """The rows of a file by its ending, or else by how it begins."""
         start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
+        if is_vbo(start, suffix):
+            return vbo_sheet(file, max_bytes)
+        if is_igc(start, suffix):
+            return igc_sheet(file, max_bytes)
         if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
@@ -109,12 +124,14 @@ def read_table(
         table = read(UTF_8)
     except (EOFError, gzip.BadGzipFile, zlib.error, UnicodeDecodeError) as error:
         refused = f"expected UTF-8 text or a complete gzip file of it, received neither ({error})"
-        if not isinstance(error, UnicodeDecodeError) or not _is_text(path, max_bytes):
+        if not isinstance(error, UnicodeDecodeError):
             raise ValueError(refused) from error
+        if not _is_text(path, max_bytes):
+            raise ValueError(_known_otherwise(path, max_bytes) or refused) from error
         try:
             table = read(_WESTERN)
         except ValueError as other:
-            raise ValueError(f"{refused}; as {_WESTERN}: {other}") from other
+            raise ValueError(f"{other} (the text is no UTF-8, and was read as {_WESTERN})") from other
     if repairs is None and not table.rows:
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     return table
@@ -124,6 +141,14 @@ def _is_text(path: Path, max_bytes: int) -> bool:
     """Whether a file begins as one of text: without signs that only machines read."""
     with open_bounded(path, max_bytes) as file:
         return not _NO_TEXT.search(file.peek(1))
+
+
+def _known_otherwise(path: Path, max_bytes: int) -> str:
+    """What a file is that is no text, and how to make one of it; "" of unknown ones."""
+    with open_bounded(path, max_bytes) as file:
+        start = file.peek(1)
+    known = (said for sign, at, said in _NO_TEXTS if start[at:].startswith(sign))
+    return next((f"expected text, received {said}" for said in known), "")
 
 
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:

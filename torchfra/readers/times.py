@@ -16,6 +16,8 @@ PER_SECOND = {**SINCE_1970, "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86
 """Those and the units of numbers that count since some start only."""
 DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0}
 """Which day the first of 1970 is, where numbers are days of Excel, modified Julian days or those of Matlab."""
+SPLIT = {"s ms": 1e3, "s us": 1e6, "s ns": 1e9}
+"""Whole seconds, and parts of a second in a column of their own: how many of these a second has."""
 GPS = {"gps": 1.0, "gps_ms": 1e3}
 """Weeks of GPS and what of the week has passed, in seconds or ms: units in a second."""
 FORMS = (*PER_SECOND, *DAY_OF_1970, *GPS, "iso")
@@ -45,6 +47,11 @@ _OTHER = re.compile(
     r"(?P<a>[0-9]{1,4})(?P<sign>[-/.])(?P<b>[0-9]{1,2})(?P=sign)(?P<c>[0-9]{4}|[0-9]{1,2})(?P<between>[T ])"
     r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?"
 )
+_NAMED = re.compile(
+    r"[0-9]{1,2}(?P<sign>[-/ ]?)(?P<month>[A-Za-z]{3,9})(?P=sign)(?P<year>[0-9]{4}|[0-9]{2})(?P<between>[T ])"
+    r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?"
+)
+"""A date with the English name of its month."""
 _UTC = r"(?: ?Z| ?UTC| ?GMT|\+00:00)?"
 _USUAL = re.compile(
     rf"(?:(?:[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}[T ][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}(?:\.[0-9]{{1,6}})?{_UTC})?\n)*"
@@ -94,7 +101,7 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
 
 def _is_plain(text: str) -> bool:
     """Whether it is a time without a zone."""
-    return any(form.fullmatch(text) for form in (_ISO, _OTHER, _CLOCK))
+    return any(form.fullmatch(text) for form in (_ISO, _OTHER, _NAMED, _CLOCK))
 
 
 def _form_with_zone(texts: list[str], first: re.Match[str], day_first: bool) -> tuple[str, str] | None:
@@ -119,7 +126,12 @@ def is_clock(form: str) -> bool:
 
 
 def _form_of_dates(texts: list[str], day_first: bool) -> str | None:
-    """The form of dates with their parts in another order."""
+    """The form of dates with their parts in another order, or with the names of months."""
+    named = [match for text in texts if (match := _NAMED.fullmatch(text))]
+    if 2 * len(named) > len(texts):
+        month = "%B" if max(len(one["month"]) for one in named) > 3 else "%b"
+        sign, year = named[0]["sign"], "%Y" if len(named[0]["year"]) == 4 else "%y"
+        return f"%d{sign}{month}{sign}{year}{named[0]['between']}%H:%M{':%S' if named[0]['second'] else ''}"
     found = [match for text in texts if (match := _OTHER.fullmatch(text))]
     if 2 * len(found) < len(texts):
         return None
@@ -154,6 +166,9 @@ def seconds_of(text: str, form: str) -> float:
         week, passed = map(float, text.split())
         gps = _GPS_START + _WEEK * week + passed / GPS[form]
         return gps - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), gps, side="right"))
+    if form in SPLIT:
+        whole, part = map(float, text.split())
+        return whole + part / SPLIT[form]
     bare = form.replace(".%f", "")
     pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
@@ -207,6 +222,9 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         since = time + np.searchsorted(_LEAPS, time, side="right") - _GPS_START
         of_week = _numbers(since % _WEEK * GPS[form], 6, GPS[form])
         return [f"{week:.0f} {passed}" for week, passed in zip(since // _WEEK, of_week, strict=True)]
+    if form in SPLIT:
+        halves = zip(*np.divmod(np.rint(time * 1e6), 1e6), strict=True)
+        return [f"{seconds:.0f} {passed * SPLIT[form] / 1e6:.0f}" for seconds, passed in halves]
     micro = np.rint(time * 1e6).astype(np.int64)
     digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
     form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" else form.replace(".%f", "")

@@ -1,4 +1,4 @@
-"""Tracks in XML: GPX and KML.  Neither needs entities, so that a file that defines some is refused."""
+"""Tracks in XML: GPX, KML and TCX.  None needs entities, so that a file that defines some is refused."""
 
 from __future__ import annotations
 
@@ -21,17 +21,23 @@ _DEEPEST = 64
 
 
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The points of GPX or KML.
+    """The points of GPX, KML or TCX.
 
     Raises:
-        ValueError: neither, or it defines entities.
+        ValueError: none of these, or it defines entities.
         ImportError: gpxpy is needed and not installed.
     """
     text = re.sub(r"^\s*<\?xml[^>]*\?>", "", whole_text(file, max_bytes, "XML"))
     root = _checked_root(text)
-    if root not in ("gpx", "kml"):
-        raise ValueError("expected GPX or KML, received other XML")
-    return _gpx_sheet(text) if root == "gpx" else _kml_sheet(text)
+    if root == "gpx":
+        return _gpx_sheet(text)
+    if root not in ("kml", "TrainingCenterDatabase"):
+        raise ValueError("expected GPX, KML or TCX, received other XML")
+    try:
+        tree = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
+    return _kml_sheet(tree) if root == "kml" else _tcx_sheet(tree)
 
 
 def _checked_root(text: str) -> str:
@@ -51,13 +57,13 @@ def _checked_root(text: str) -> str:
         depth -= 1
 
     def refuse(*_: object) -> None:
-        raise ValueError("expected GPX or KML without <!DOCTYPE>, received one that has it")
+        raise ValueError("expected GPX, KML or TCX without <!DOCTYPE>, received one that has it")
 
     parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = begin, end, refuse
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise ValueError(f"expected GPX or KML, received other text ({error})") from error
+        raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
     return root[0]
 
 
@@ -87,12 +93,20 @@ def _gpx_sheet(text: str) -> Sheet:
     return _timed(rows, (f"GPX: {len(gpx.tracks)} track{'s' * (len(gpx.tracks) != 1)}{left_out}",), "GPX")
 
 
-def _kml_sheet(text: str) -> Sheet:
+def _tcx_sheet(root: ElementTree.Element) -> Sheet:
+    """The points of activities and courses of TCX, as watches write it; some have no position."""
+    rows, tracks = list[Point](), [one for one in root.iter() if _tag(one) in ("Activity", "Course")]
+    for track in tracks:
+        label = next((one.text or "" for one in track if _tag(one) in ("Id", "Name")), "").strip()
+        for point in (one for one in track.iter() if _tag(one) == "Trackpoint"):
+            cells = {_tag(part): (part.text or "").strip() for part in point.iter()}
+            place = [cells.get(name, "") for name in ("Time", "LatitudeDegrees", "LongitudeDegrees", "AltitudeMeters")]
+            rows.append((*place, label if len(tracks) > 1 else "", None))
+    return _timed(rows, (f"TCX: {len(tracks)} activit{'ies' if len(tracks) != 1 else 'y'}",), "TCX")
+
+
+def _kml_sheet(root: ElementTree.Element) -> Sheet:
     """Tracks of the extension gx, and placemarks with a point and a time."""
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise ValueError(f"expected KML, received other text ({error})") from error
     rows, lines = list[Point](), 0
     for number, placemark in enumerate(one for one in root.iter() if _tag(one) == "Placemark"):
         parts = list(placemark.iter())

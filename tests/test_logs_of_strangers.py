@@ -1,0 +1,359 @@
+"""Files of loggers, watches, phones and robots are read as their makers mean them, or refused with what to do."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+
+from torchfra.readers import read
+
+START = datetime(2024, 6, 3, 8, 15, tzinfo=timezone.utc)
+ROWS = 40
+LATITUDES = 50.0 + np.arange(ROWS) / 1e4
+LONGITUDES = 7.0 + np.arange(ROWS) / 1e4
+PLACES = list(zip(LATITUDES, LONGITUDES, strict=True))
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(lines, name="a.csv"):
+        path = tmp_path / name
+        path.write_text(lines if isinstance(lines, str) else "\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
+def moments(seconds=1.0):
+    return [START + timedelta(seconds=seconds * i) for i in range(ROWS)]
+
+
+def assert_in_place(track, seconds=1.0):
+    """Of a track of degrees."""
+    assert np.diff(track.time) == pytest.approx(seconds)
+    assert track.origin[:2] == pytest.approx((50, 7))
+    assert track.position[-1, :2] == pytest.approx([279.4, 433.8], abs=1)
+
+
+# ---------------------------------------------------------------- lines around the header
+
+
+RACE = [
+    "This file is created using RaceChrono v8.0.4", "Format,3", 'Session title,"Ring"', "Note,", "",
+    "timestamp,lap_number,elapsed_time,accuracy,altitude,bearing,latitude,longitude,speed",
+    "unix time,,s,m,m,deg,deg,deg,m/s",
+    ",,,100: gps,100: gps,100: gps,100: gps,100: gps,100: gps",
+]  # fmt: skip
+
+
+def test_lines_before_the_header_and_units_beneath_it_are_left_out_and_said(write):
+    rows = [f"{START.timestamp() + i},1,{i},1.5,600,10,{lat},{lon},40" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write([*RACE, *rows]))
+    assert_in_place(track)
+    assert track.row.tolist() == list(range(ROWS))
+    assert {"lines before the header left out: 5", "lines of units beneath the header: 2"} <= {*track.source.said}
+
+
+def test_units_beneath_the_header_count(write):
+    (track,) = read(write(["Time,X,Y", "s,mm,mm", *(f"{i},{1000 * i},0" for i in range(ROWS))]))
+    assert track.position[:2, 0].tolist() == [0, 1]
+
+
+def test_a_first_row_without_a_position_is_no_row_of_units(write):
+    (track,) = read(write(["t,x,y", "0,nan,nan", *(f"{i},{i},0" for i in range(1, ROWS))]))
+    assert track.repairs == {"rows without position dropped": 1}
+    assert track.row[0] == 1
+
+
+def test_columns_that_are_asked_for_tell_the_header(write):
+    rows = ["Trajectories", "100", "sample,Sub Frame,ax,ay", *(f"{i},0,{i},0" for i in range(ROWS))]
+    (track,) = read(write(rows), time="sample", x="ax", y="ay")
+    assert len(track.time) == ROWS
+
+
+MOTIVE = ["Format Version,1.23,Length Units,Millimeters", ",,Type,Rigid Body", "Frame,Time (Seconds),X,Y,Z"]
+
+
+def test_a_unit_before_the_header_is_asked_for(write):
+    path = write([*MOTIVE, *(f"{i},{i / 100},{1000 * i},0,0" for i in range(300))])
+    with pytest.raises(ValueError, match=r"line before the header says Millimeters of lengths: say it by --units"):
+        read(path)
+    assert read(path, units="mm")[0].position[1, 0] == 1
+
+
+def test_columns_of_one_name_are_refused_with_what_to_do(write):
+    lines = ["Trajectories", "100", "Frame,Sub Frame,X,Y,Z,X,Y,Z", *(f"{i},0,1,2,3,4,5,6" for i in range(ROWS))]
+    with pytest.raises(ValueError, match=r"several named X, Y, Z: give each a name of its own in the header"):
+        read(write(lines))
+
+
+def test_headers_in_the_middle_of_files_that_were_joined_are_no_rows(write):
+    rows = [f"{i},{i},0" for i in range(ROWS)]
+    (track,) = read(write(["time,x, y", *rows[:20], "time,x, y", *rows[20:]]))
+    assert len(track.time) == ROWS
+    assert track.repairs == {"rows without time dropped": 1}
+    assert track.row[20] == 21
+
+
+# ---------------------------------------------------------------- robots
+
+
+def test_topics_of_ros_are_read_by_the_comment_that_names_them(write):
+    names = "%time,field.header.seq,field.header.stamp,field.pose.pose.position.x,field.pose.pose.position.y,"
+    names += "field.pose.pose.orientation.x,field.pose.pose.orientation.y"
+    stamps = [round(moment.timestamp()) * 10**9 for moment in moments()]
+    (track,) = read(write([names, *(f"{stamp},{i},{stamp},{i},{2 * i},0,1" for i, stamp in enumerate(stamps))]))
+    assert track.position[1].tolist() == [1, 2]
+    assert track.time[0] == START.timestamp()
+
+
+@pytest.mark.parametrize(("names", "count"), [
+    ("secs,nsecs", 1e9), ("header.stamp.sec,header.stamp.nanosec", 1e9), ("stamp_sec,stamp_usec", 1e6),
+])  # fmt: skip
+def test_seconds_and_what_of_one_has_passed_are_one_time(write, names, count):
+    times = [(1_717_402_500 + i // 10, round(i % 10 / 10 * count)) for i in range(ROWS)]
+    (track,) = read(write([f"{names},x,y", *(f"{s},{part},{i},0" for i, (s, part) in enumerate(times))]))
+    assert np.diff(track.time) == pytest.approx(0.1, rel=1e-5)
+    assert track.source.written(track.time[1:2]) == [f"1717402500 {count / 10:.0f}"]
+
+
+# ---------------------------------------------------------------- watches, cars and phones
+
+
+def test_a_watch_writes_laps_and_pauses(write):
+    points = [
+        f"<Trackpoint><Time>{moment:%Y-%m-%dT%H:%M:%S.000Z}</Time><Position><LatitudeDegrees>{lat}</LatitudeDegrees>"
+        f"<LongitudeDegrees>{lon}</LongitudeDegrees></Position><AltitudeMeters>12.5</AltitudeMeters></Trackpoint>"
+        for moment, (lat, lon) in zip(moments(), PLACES, strict=True)
+    ]
+    pause = "<Trackpoint><Time>2024-06-03T09:00:00.000Z</Time></Trackpoint>"
+    laps = "".join(f"<Lap><Track>{''.join(lap)}</Track></Lap>" for lap in (points[:20], points[20:], [pause]))
+    schema = "http://www.garmin.com/xmlschemas/TrainingCenterDatabase/v2"
+    activity = f'<Activity Sport="Running"><Id>2024-06-03T08:15:00Z</Id>{laps}</Activity>'
+    text = f'<TrainingCenterDatabase xmlns="{schema}"><Activities>{activity}</Activities></TrainingCenterDatabase>'
+    (track,) = read(write(text, "run.tcx"))
+    assert_in_place(track)
+    assert track.origin[2] == 12.5
+    assert track.repairs == {"rows without position dropped": 1}
+
+
+VBOX = (
+    "File created on 03/06/2024 @ 08:15\n\n[header]\nsatellites\n\n[column names]\nsats time lat long velocity height\n"
+)
+
+
+def test_a_racing_car_counts_minutes_and_west(write):
+    rows = [
+        f"012 {moment:%H%M%S}.00 {lat * 60:+012.6f} {-lon * 60:+012.6f} 144.0 +0600.0"
+        for moment, (lat, lon) in zip(moments(), PLACES, strict=True)
+    ]
+    (track,) = read(write([VBOX, "[data]", *rows], "lap.vbo"))
+    assert_in_place(track)
+    assert track.origin[2] == 600
+    with pytest.raises(ValueError, match="time, lat, long and height in data row 2, received '012 08"):
+        read(write([VBOX, "[data]", rows[0], rows[1].replace("08150", "0815X"), *rows[2:]], "lap.vbo"))
+    with pytest.raises(ValueError, match=r"expected VBOX with \[column names\] and \[data\], missing time, lat, long"):
+        read(write("[header]\n", "lap.vbo"))
+
+
+def test_a_phone_tells_where_it_has_been(write):
+    places = [
+        {
+            "point": f"{lat:.6f}\u00b0, {lon:.6f}\u00b0",
+            "time": (moment + timedelta(hours=2)).isoformat()[:-6] + "+02:00",
+        }
+        for moment, (lat, lon) in zip(moments(60), PLACES, strict=True)
+    ]
+    segments = [{"timelinePath": places[:20]}, {"visit": {}}, {"timelinePath": places[20:]}]
+    (track,) = read(write(json.dumps({"semanticSegments": segments, "userLocationProfile": {}}), "Timeline.json"))
+    assert_in_place(track, 60)
+    assert track.time[0] == START.timestamp()
+
+
+def test_another_phone_counts_minutes_since_a_segment_began(write):
+    places = [
+        {"point": f"geo:{lat:.6f},{lon:.6f}", "durationMinutesOffsetFromStartTime": str(i)}
+        for i, (lat, lon) in enumerate(PLACES)
+    ]
+    segment = {"startTime": START.isoformat(), "timelinePath": places}
+    (track,) = read(write(json.dumps([segment]), "location-history.json"))
+    assert_in_place(track, 60)
+    assert track.time[0] == START.timestamp()
+    with pytest.raises(ValueError, match="expected startTime and durationMinutesOffsetFromStartTime, received None"):
+        read(write(json.dumps([{"timelinePath": places}]), "a.json"))
+    with pytest.raises(ValueError, match=r"a point such as 47\.1, 8\.2 in timelinePath, received 'here'"):
+        read(write(json.dumps([{"timelinePath": ["here"]}]), "a.json"))
+
+
+def test_objects_within_records_are_columns(write):
+    records = [
+        {"timestamp": round(1000 * moment.timestamp()), "coords": {"latitude": lat, "longitude": lon, "accuracy": 5}}
+        for moment, (lat, lon) in zip(moments(), PLACES, strict=True)
+    ]
+    (track,) = read(write(json.dumps(records), "phone.json"))
+    assert_in_place(track)
+    assert track.sigma[0] == pytest.approx(3.3, abs=0.1)
+
+
+def test_a_glider_flies_on_after_midnight(write):
+    start = datetime(2024, 6, 3, 23, 59, 50, tzinfo=timezone.utc)
+    fixes = [
+        f"B{start + timedelta(seconds=i):%H%M%S}{int(lat):02}{round(lat % 1 * 60000):05}N"
+        f"{int(lon):03}{round(lon % 1 * 60000):05}EA0100000{500 + i}" for i, (lat, lon) in enumerate(PLACES)
+    ]  # fmt: skip
+    (track,) = read(write(["AXXX001", "HFDTEDATE:030624,01", *fixes, "LXXXsome words"], "flight.igc"))
+    assert_in_place(track)
+    assert track.time[0] == start.timestamp()
+    assert track.origin[2] == 500
+    with pytest.raises(ValueError, match=r"expected IGC with a date \(HFDTE\) and fixes \(B\)"):
+        read(write(["AXXX001", *fixes], "flight.igc"))
+
+
+def test_altitudes_of_a_glider_are_by_pressure_where_it_has_no_others(write):
+    fixes = [f"B1000{i:02}5000000N007{10 * i:05}WV0100000000" for i in range(ROWS)]
+    (track,) = read(write(["AXXX001", "HFDTE030624", *fixes], "flight.igc"))
+    assert track.origin == pytest.approx((50, -7, 1000))
+
+
+def test_what_rtklib_writes_has_one_name_for_date_and_time(write):
+    names = "%  GPST       latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    rows = [f"{moment:%Y/%m/%d %H:%M:%S}.000   {lat} {lon} 400.0 1 12 0.005 0.004 0.01"
+            for moment, (lat, lon) in zip(moments(), PLACES, strict=True)]  # fmt: skip
+    (track,) = read(write(["% program   : RTKPOST", "%", names, *rows], "a.pos"))
+    assert_in_place(track)
+    assert track.sigma[0].tolist() == [0.004, 0.005, 0.01]
+
+
+@pytest.mark.parametrize(("start", "said"), [
+    (b"PK\x03\x04", r"a zip archive, as \.xlsx and \.kmz are: save the sheet as CSV"),
+    (b"\x0e\x10\x5d\x08\x64\x00\x00\x00.FIT", "FIT of a watch: export GPX"), (b"#ROSBAG V2.0", "a bag of ROS: export"),
+    (b"SQLite format 3", "a data base"), (b"MATLAB 5.0", "a file of Matlab"),
+    (b"\xb5b\x01\x07", "UBX of a receiver: convert it"),
+])  # fmt: skip
+def test_what_is_no_text_is_called_by_its_name(tmp_path, start, said):
+    path = tmp_path / "track.bin"
+    path.write_bytes(start + b"\x00\xff" * 100)
+    with pytest.raises(ValueError, match=f"expected text, received {said}"):
+        read(path)
+
+
+# ---------------------------------------------------------------- degrees that are called x and y
+
+
+def test_degrees_that_are_called_x_and_y_are_no_metres(write):
+    rng = np.random.default_rng(0)
+    places = np.array(PLACES) + 3e-5 * rng.standard_normal((ROWS, 2))
+    rows = [f"{i},{lon:.7f},{lat:.7f}" for i, (lat, lon) in enumerate(places)]
+    path = write(["time,X,Y", *rows])
+    with pytest.raises(
+        ValueError, match=r"metres in X and Y, .* looks like degrees .*: say --lat Y --lon X; or --units m"
+    ):
+        read(path)
+    assert_in_place_nearly(read(path, lat="Y", lon="X")[0])
+    assert read(path, units="m")[0].origin is None
+
+
+def assert_in_place_nearly(track):
+    assert track.origin[:2] == pytest.approx((50, 7), abs=2e-4)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.01, 1.0])
+def test_metres_are_no_degrees_however_fine_they_are(write, step):
+    rng = np.random.default_rng(1)
+    places = (20.0, 30.0) + np.arange(ROWS)[:, None] * step + 1e-4 * rng.standard_normal((ROWS, 2))
+    (track,) = read(write(["time,x,y", *(f"{i},{x:.7f},{y:.7f}" for i, (x, y) in enumerate(places))]))
+    assert track.origin is None
+
+
+# ---------------------------------------------------------------- dates
+
+
+@pytest.mark.parametrize("form", ["%d-%b-%Y", "%d %B %Y", "%d%b%y"])
+def test_months_may_have_names(write, form):
+    rows = [f"{moment:{form}},{moment:%H:%M:%S},{i},0" for i, moment in enumerate(moments(7200))]
+    (track,) = read(write(["Date (UTC),Time (UTC),x,y", *rows]))
+    assert track.time[0] == START.timestamp()
+    assert np.diff(track.time) == pytest.approx(7200)
+    assert track.source.written(track.time[:1]) == [f"{START:{form} %H:%M:%S}"]
+
+
+def test_a_date_that_is_not_understood_is_not_left_out(write):
+    path = write(["Date,Time,x,y", *(f"2024/{i} (Mo),12:00:00,{i},0" for i in range(1, ROWS))])
+    with pytest.raises(
+        ValueError, match=r"column Date: expected dates .* received '2024/1 \(Mo\)' beside times of the"
+    ):
+        read(path)
+
+
+@pytest.mark.parametrize("names", ["LMT_Date,LMT_Time", "Local Date,Local Time"])
+def test_a_collar_whose_clock_is_put_back_is_refused(write, names):
+    utc = [datetime(2024, 10, 26, 20, tzinfo=timezone.utc) + timedelta(minutes=30 * i) for i in range(ROWS)]
+    change = datetime(2024, 10, 27, 1, tzinfo=timezone.utc)
+    local = [moment + timedelta(hours=2 if moment < change else 1) for moment in utc]
+    rows = [
+        f"{moment:%d.%m.%Y},{moment:%H:%M:%S},{lat},{lon}" for moment, (lat, lon) in zip(local, PLACES, strict=True)
+    ]
+    with pytest.raises(ValueError, match=r"30 minutes before .* data row 11, .* put back an hour .*: write UTC"):
+        read(write([f"{names},lat,lon", *rows]))
+    (track,) = read(write(["UTC_Date,UTC_Time,lat,lon", *(
+        f"{moment:%d.%m.%Y},{moment:%H:%M:%S},{lat},{lon}" for moment, (lat, lon) in zip(utc, PLACES, strict=True)
+    )]))  # fmt: skip
+    assert_in_place(track, 1800)
+
+
+def test_a_local_time_that_only_goes_backwards_is_put_in_order(write):
+    rows = [f"{moment:%Y-%m-%d %H:%M:%S},{i},0" for i, moment in enumerate(moments(1800))]
+    assert len(read(write(["time,x,y", *reversed(rows)]))[0].time) == ROWS
+
+
+def test_seconds_of_the_day_are_not_taken_for_days(write):
+    rows = [f"{30_000 + 4 * i},{16 + i / 10},{11 - i / 10}" for i in range(ROWS)]
+    assert np.diff(read(write(["time_of_day,x,y", *rows]))[0].time) == pytest.approx(4)
+    with pytest.raises(ValueError, match=r"looks like --time plot_time --x x_nm --y y_nm --units nmi$"):
+        read(write(["plot_time,x_nm,y_nm", *rows]))
+
+
+# ---------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize(("number", "sign"), [
+    ("1.234,50", ";"), ("1 234,50", ";"), ("1\u202f234,50", ";"), ("1'234,50", ";"),
+    ('"1,234.50"', ","), ("1'234.50", ","), ("1\u2019234.50", ","),
+])  # fmt: skip
+def test_thousands_that_are_parted_are_read_where_the_decimals_show_it(write, number, sign):
+    decimal = "," if sign == ";" else "."
+    rows = [f"{i}{sign}{i}{decimal}25{sign}{number}" for i in range(ROWS)]
+    (track,) = read(write([sign.join("txy"), *rows]))
+    assert track.position[1].tolist() == [1.25, 1234.5]
+
+
+@pytest.mark.parametrize("number", ["1,234", "1.23,4.5", "12,34.5", "1,2345.6", "1,,234.5", "1234,567.8"])
+def test_other_groups_are_no_numbers(write, number):
+    with pytest.raises(ValueError, match="expected a number in data row 2, column y"):
+        read(write(["t,x,y", "0,1,2", f'1,2,"{number}"', "2,3,4"]))
+
+
+def test_what_may_be_thousands_or_decimals_is_refused_as_such(write):
+    with pytest.raises(ValueError, match=r"received '1,234', whose sign may part thousands or decimals"):
+        read(write(["t,x,y", "0,1,2", '1,2,"1,234"', "2,3,4.5"]))
+
+
+# ---------------------------------------------------------------- what is no track on the ground
+
+
+def test_a_lift_is_told_what_to_add(write):
+    with pytest.raises(ValueError, match=r"missing x, y \(of what only goes up and down: columns x and y of 0\)"):
+        read(write(["time_s,height_m", *(f"{i},{i}" for i in range(ROWS))]))
+
+
+def test_a_satellite_may_be_as_fast_as_it_is(write):
+    angles = 7612 / 6878e3 * 10 * np.arange(ROWS)
+    rows = [f"{moment:%Y-%m-%dT%H:%M:%SZ},{6878 * np.cos(a)},{6878 * np.sin(a)},0"
+            for moment, a in zip(moments(10), angles, strict=True)]  # fmt: skip
+    path = write(["epoch,x_km,y_km,z_km", *rows])
+    with pytest.raises(ValueError, match=r"7.61 km/s as the median .*; if it is right, --time-format 'iso' takes it"):
+        read(path)
+    assert len(read(path, time_format="iso")[0].time) == ROWS

@@ -1,0 +1,54 @@
+"""Flights of gliders as IGC, which flight recorders write."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, timezone
+from itertools import accumulate, pairwise
+from typing import Any
+
+from torchfra.readers.sheets import Sheet, points_sheet, whole_text
+
+_FIX = re.compile(
+    r"B([0-9]{2})([0-9]{2})([0-9]{2})([0-9]{2})([0-9]{5})([NS])([0-9]{3})([0-9]{5})([EW])([AV])"
+    r"([0-9-][0-9]{4})([0-9-][0-9]{4})"
+)
+"""Time of the day, latitude and longitude in degrees and thousandths of minutes, altitudes by pressure and by GNSS."""
+_DATE = re.compile(r"HFDTE(?:DATE:)? *([0-9]{6})")
+_DAY, _HALF = 86_400, 43_200
+
+
+def is_igc(start: bytes, suffix: str) -> bool:
+    """Whether a file is one, by how it begins or its ending."""
+    return suffix == ".igc" or (start[:1] == b"A" and b"\nHFDTE" in start)
+
+
+def igc_sheet(file: Any, max_bytes: int) -> Sheet:
+    """The fixes of a flight: ms since 1970, degrees, and metres by GNSS, or by pressure where no fix has others.
+
+    Source: FAI, Technical Specification for IGC-Approved Flight Recorders, A4.1.
+
+    Raises:
+        ValueError: no date, or no fixes.
+    """
+    text = whole_text(file, max_bytes, "IGC")
+    fixes = [fix.groups() for line in text.splitlines() if (fix := _FIX.match(line))]
+    if (date := _DATE.search(text)) is None or not fixes:
+        raise ValueError("expected IGC with a date (HFDTE) and fixes (B), received none")
+    start = datetime.strptime(date[1], "%d%m%y").replace(tzinfo=timezone.utc).timestamp()
+    clock = [3600 * int(hours) + 60 * int(minutes) + int(seconds) for hours, minutes, seconds, *_ in fixes]
+    midnights = accumulate(int(now < before - _HALF) for before, now in pairwise(clock[:1] + clock))
+    times = [start + seconds + _DAY * nights for seconds, nights in zip(clock, midnights, strict=True)]
+    columns: dict[str, list[Any]] = {
+        "timestamp": [round(1000 * seconds) for seconds in times],
+        "latitude": [_degrees(*fix[3:6]) for fix in fixes],
+        "longitude": [_degrees(*fix[6:9]) for fix in fixes],
+    }
+    by_gnss = [int(fix[11]) if fix[9] == "A" else None for fix in fixes]
+    columns["altitude"] = by_gnss if any(by_gnss) else [int(fix[10]) for fix in fixes]
+    return points_sheet(columns, (f"IGC: altitudes by {'GNSS' if any(by_gnss) else 'pressure'}",))
+
+
+def _degrees(degrees: str, minutes: str, side: str) -> float:
+    """Degrees, below 0 in the south and the west."""
+    return (-1 if side in "SW" else 1) * (int(degrees) + int(minutes) / 60_000)
