@@ -31,7 +31,7 @@ class Regimes(NamedTuple):
     """Levels of process noise, each of one motion, and jumps of the position after the prediction of one of them."""
 
     motions: list[int]  # of each level
-    levels: list[float]  # factors on Q
+    levels: list[Any]  # factors on Q, or matrices (n,n) by which its entries are multiplied
     jumps: list[float]  # factors on the covariance of the home level's predicted position, times its NIS per element
     chain: Array  # (R,R), [i, j] = P(now j | was i), levels first
     silent: Array  # (R,R) the same in a step without any measurement

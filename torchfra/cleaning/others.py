@@ -103,12 +103,15 @@ def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
 
 
 def _calm_first(f: GPB, weights: Tensor) -> Tensor:
-    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above, others, jumps."""
+    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above, others, jumps.
+
+    A climb is calm but for the vertical noise, which is the stated one.
+    """
     regimes, levels = f.regimes, f.regimes.noise_levels()
-    sizes = regimes.level_count, regimes.motions - 1, regimes.manoeuvre_count, regimes.jump_count
-    own, others, manoeuvres, jumps = weights.split(sizes, -1)
+    counts = regimes.climb_count, regimes.manoeuvre_count, regimes.jump_count
+    own, others, climbs, manoeuvres, jumps = weights.split((regimes.level_count, regimes.motions - 1, *counts), -1)
     calm, agile = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
-    agile = agile + manoeuvres.sum(-1, keepdim=True)
+    calm, agile = calm + climbs.sum(-1, keepdim=True), agile + manoeuvres.sum(-1, keepdim=True)
     return torch.cat([calm, agile, others, jumps.sum(-1, keepdim=True)], -1)
 
 

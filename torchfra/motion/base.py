@@ -151,6 +151,15 @@ class Motion(nn.Module):
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 
+    @property
+    def vertical(self) -> tuple[int, ...]:
+        """Components along the third axis, ``z``, ``vz`` and ``az``; none if the state has no ``z`` and ``vz``."""
+        kinds = self.kinds[self.position] + self.kinds[self.velocity]
+        if kinds != ("position",) * 3 + ("velocity",) * 3:
+            return ()
+        accelerations = [i for i, kind in enumerate(self.kinds) if kind == "acceleration"]
+        return (*range(self.size)[self.position][2:], *range(self.size)[self.velocity][2:], *accelerations[2:3])
+
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` that ``x (..., n)`` becomes after ``dt (...)`` seconds, without process noise.
 

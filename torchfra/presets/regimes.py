@@ -41,6 +41,23 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
 """Values for each word of ``manoeuvres``: those of ``"some"`` were searched, but for the calm level's self-transition
 probability, which is as large as covariances of turning targets allow; the others are made from them by hand."""
 
+IN_SPACE: dict[str, dict[str, Any]] = {
+    "none": MANOEUVRES["none"],
+    "some": {
+        "noise_levels": (0.00612, 1.0, 142.0), "separate_levels": 1,
+        "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.9862, 0.9612, 0.0619),
+        "restart": (0.0346, 0.0729, 0.00136, 0.8911376, 2.4e-06),
+    },
+    "hard": {
+        "noise_levels": (0.00612, 1.0, 142.0), "separate_levels": 1,
+        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.9862, 0.9612, 0.1, 0.0619),
+        "restart": (0.0346, 0.0729, 0.00136, 0.8910376, 0.0001, 2.4e-06),
+    },
+}  # fmt: skip
+"""The values beside climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
+
 OUTLIER_TRANSITION = ((0.99852, 0.00148), (0.9141, 0.0859))
 
 
@@ -57,6 +74,7 @@ def gpb(
     self_transition: Values | None = None,
     restart: Values | None = None,
     durations: Values | None = None,
+    climbs: bool | None = None,
     outlier_transition: Values | None = None,
     outlier_durations: Values | None = None,
     outlier_sizes: Values = (8.77, 54.1, 1230.0, 21000.0),
@@ -96,6 +114,9 @@ def gpb(
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
         durations: instead of ``self_transition``, mean seconds until a regime ends, in the same order: ``filters.GPB``.
+        climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
+            level, with its probabilities, and defaults ``IN_SPACE`` in this file.  None is True for a motion in space
+            (``Motion.vertical``) if none of the arguments between ``manoeuvres`` and this one is given.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
             block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
         outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
@@ -115,7 +136,8 @@ def gpb(
 
     Raises:
         ValueError: motions of different states, an unknown word for ``manoeuvres``, probabilities that do not sum to
-            one, or blocks of the sensor that do not hold each element once.
+            one, ``climbs`` of a motion that is not in space, or blocks of the sensor that do not hold each element
+            once.
 
     Example:
         >>> motion, sensor = torchfra.motion.ConstantVelocity(q=1.0), torchfra.sensors.Position(std=2.0)
@@ -138,12 +160,16 @@ def gpb(
         "noise_levels": noise_levels, "separate_levels": separate_levels, "manoeuvre_factors": manoeuvre_factors,
         "jump_factors": jump_factors, "self_transition": self_transition, "durations": durations, "restart": restart,
     }  # fmt: skip
-    values = MANOEUVRES[manoeuvres] | {name: x for name, x in arguments.items() if x is not None}
+    given = {name: x for name, x in arguments.items() if x is not None}
+    if climbs and not models.vertical:
+        raise ValueError(f"climbs: expected a motion with a height and its rate, received {models.describe()}")
+    climbs = bool(models.vertical) and not given if climbs is None else climbs
+    values = (IN_SPACE if climbs else MANOEUVRES)[manoeuvres] | given
     if durations is not None:
         values["self_transition"] = self_transition
     if separate_levels is None and as_numbers(values["noise_levels"], "noise_levels").shape[-1:].numel() <= 1:
         values["separate_levels"] = 0  # the only level
-    regimes = Regimes(count, **values)
+    regimes = Regimes(count, **values, vertical=models.vertical if climbs else ())
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
     outliers = Outliers(

@@ -1,4 +1,4 @@
-"""Regimes of a motion: levels of its process noise, the other motions of a bank, manoeuvres and jumps."""
+"""Regimes of a motion: levels of its process noise, the other motions of a bank, climbs, manoeuvres and jumps."""
 
 from __future__ import annotations
 
@@ -40,20 +40,27 @@ class Switching(NamedTuple):
 
 
 class Regimes(nn.Module):
-    """The Markov chain of a step's regime: levels of process noise, the motions of a bank, manoeuvres and jumps.
+    """The Markov chain of a step's regime: levels of process noise, motions of a bank, climbs, manoeuvres and jumps.
 
-    There are ``R = L + (K - 1) + M + J`` regimes, in this order.  The first motion has ``L`` levels of process noise,
-    each other motion of a bank is one regime.  In each of ``M`` manoeuvres the process noise of the first motion's last
-    level is multiplied in proportion to the normalised innovation squared; in each of ``J`` jumps the covariance of the
-    predicted position is.  A regime goes on with its self-transition probability, or for its mean duration; then the
-    next one is drawn from the restart distribution.  The chain starts from its stationary distribution.  Values are by
-    kind, ``(..., L + 1 + M + J)``: each level, any other motion, each manoeuvre, each jump; so they fit banks of any
-    size.  For three or more motions they may be by regime instead, ``(..., R)``: levels of process noise that keep
-    beliefs of their own, for one, are a bank of one motion at several ``q``.
+    There are ``R = L + (K - 1) + C + M + J`` regimes, in this order.  The first motion has ``L`` levels of process
+    noise, each other motion of a bank is one regime, as are ``C`` climbs (below).  In each of ``M`` manoeuvres the
+    process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
+    each of ``J`` jumps the covariance of the predicted position is.  A regime goes on with its self-transition
+    probability, or for its mean duration; then the next one is drawn from the restart distribution.  The chain starts
+    from its stationary distribution.  Values are by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
+    manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
+    ``(..., R - C)``: levels of process noise that keep beliefs of their own, for one, are a bank of one motion at
+    several ``q``.
 
     The levels of a motion share a belief, but for the lowest ``separate_levels``, which keep beliefs of their own:
     while a target moves as calmly as such a level says, the belief becomes as sure as that.  So there are
-    ``S = K + separate_levels`` beliefs: of each motion, then of these levels.
+    ``S = K + separate_levels + C`` beliefs: of each motion, of these levels, then of climbs.
+
+    If ``vertical`` components are given, each separate level has a climb beside it, so ``C`` is ``separate_levels``,
+    else 0.  In a climb the vertical process noise is the stated one and all other noise that of the level: a target
+    that flies on calmly may yet climb, and a sensor of precise ranges or range rates and coarse elevations shows the
+    one at once and the other late.  A climb has a belief of its own, and the level's self-transition probability; the
+    two share its entry of the restart distribution.
 
     Tensors of regimes have the axes of ``Hypotheses``.
 
@@ -65,11 +72,12 @@ class Regimes(nn.Module):
         self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``.
         durations: instead of these, mean seconds by kind or regime until one ends: a Markov chain in continuous time.
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
-            theirs evenly.
+            theirs evenly, and a level with its climb.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations a
             manoeuvre is the less likely the larger it is, as a single large innovation is rather an outlier.
         separate_levels: the number of lowest levels with beliefs of their own, fewer than all.
+        vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
 
     Raises:
         ValueError: shapes that do not go together, values that are out of their range or do not sum to one, or not one
@@ -84,7 +92,7 @@ class Regimes(nn.Module):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
-        separate_levels: int = 0,
+        separate_levels: int = 0, vertical: Sequence[int] = (),
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -109,20 +117,27 @@ class Regimes(nn.Module):
         for name, value in ((sojourn, stay), ("restart", begin)):
             if value.shape[-1:] != (kinds if self.by_kind else count,):
                 raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
-        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (kinds - self.level_count - 1)
+        self.vertical, self.climb_count = tuple(vertical), separate_levels if vertical else 0
+        wild = self.manoeuvre_count + self.jump_count
+        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + wild)
         """The number of each regime's motion."""
-        self.beliefs = motions + separate_levels
+        self.beliefs = motions + separate_levels + self.climb_count
         """The number of beliefs, ``S``."""
-        self.belief_of = tuple(motions + r for r in range(separate_levels)) + self.motion_of[separate_levels:]
+        separate, climbs = range(motions, motions + separate_levels), range(motions + separate_levels, self.beliefs)
+        self.belief_of = (
+            *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * wild
+        )  # fmt: skip
         """The number of each regime's belief."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
         """The numbers of the first belief's regimes."""
         self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
         """The number of the only regime of each other belief."""
-        others = (self.level_count,) * (motions - 1)
-        by_kind = (*range(self.level_count), *others, *range(self.level_count + 1, kinds))
-        self.kind_of = by_kind if self.by_kind else tuple(range(count))
+        others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - wild)
+        last = (kinds if self.by_kind else count) - wild
+        self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + wild))
         """The index of each regime's values."""
+        self.sharing = tuple(float(self.kind_of.count(kind)) for kind in self.kind_of)
+        """The number of regimes that share each regime's entry of the restart distribution."""
         self.noise_levels = Hyper(levels, event_dim=1, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
@@ -135,19 +150,13 @@ class Regimes(nn.Module):
             self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name=sojourn)
         self.restart = Hyper(begin, constraints.simplex, event_dim=1, name="restart")
 
-    @property
-    def sharing(self) -> int:
-        """The number of other motions that share one entry of the restart distribution."""
-        return self.motions - 1 if self.by_kind else 1
-
     # ------------------------------------------------------------ the Markov chain
 
     @once
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1)
-        others = torch.tensor([float(self.sharing) if k else 1.0 for k in self.motion_of]).to(odds)
-        odds = odds / others.reshape(-1, *(1,) * (odds.dim() - 1))
+        odds = odds / torch.tensor(self.sharing).to(odds).reshape(-1, *(1,) * (odds.dim() - 1))
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
     def initial_distribution(self, like: Tensor) -> Tensor:
@@ -169,9 +178,9 @@ class Regimes(nn.Module):
     def discrete(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
         """Self-transition probabilities and restart distribution, both ``(R, ...)``, of a chain that counts steps.
 
-        No level, manoeuvre or jump begins in a step without a measurement; otherwise their posterior probabilities
-        would decay over a gap.  Other motions may begin: the longer a gap, the less is known of the motion.  Over 0
-        seconds every regime goes on.
+        No level, climb, manoeuvre or jump begins in a step without a measurement; otherwise their posterior
+        probabilities would decay over a gap.  Other motions may begin: the longer a gap, the less is known of the
+        motion.  Over 0 seconds every regime goes on.
 
         Args:
             like: ``(R, ...)``.
@@ -198,7 +207,7 @@ class Regimes(nn.Module):
     def continuous(self, like: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
         """Transition probabilities over ``dt (...)`` seconds of a chain in continuous time, for ``like (R, ...)``.
 
-        All motions but the first have the same rates, so the chain over kinds is enough.
+        Regimes of one kind have the same rates, so the chain over kinds is enough.
 
         Returns:
             ``(R, ...)`` probability that a regime does not end within the step, and ``(R now, R was, ...)`` probability
@@ -211,10 +220,7 @@ class Regimes(nn.Module):
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
         ended = (over_seconds(rates(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(0.0)
-        each = [
-            ended[..., kind] / (self.sharing if motion else 1)
-            for kind, motion in zip(self.kind_of, self.motion_of, strict=True)
-        ]
+        each = [ended[..., kind] / sharing for kind, sharing in zip(self.kind_of, self.sharing, strict=True)]
         return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])
 
     def switch(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Switching:
@@ -299,7 +305,7 @@ class Regimes(nn.Module):
         return self._noise_factors(carried.mean, nis) * self.per_regime(carried.process_noise)
 
     def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
-        """Factors ``(1, R, 2, ..., 1, 1)`` on the root of the process noise of each regime's motion."""
+        """Factors ``(1, R, 2, ..., n or 1, 1)`` on the root of the process noise of each regime's motion."""
         rank = nis.dim() - 2
         levels = values_first(self.noise_levels(mean), rank).unsqueeze(0)
         manoeuvres = []
@@ -308,8 +314,18 @@ class Regimes(nn.Module):
             factors = values_first(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
             manoeuvres = [levels[:, -1:] * factors.clamp(1.0, LARGEST_FACTOR)]
         others = [torch.ones_like(levels[:, :1])] * (self.motions - 1)
-        every = torch.cat([levels, *others, *manoeuvres, *[levels[:, -1:]] * self.jump_count], MOTION)
-        return every.sqrt()[..., None, None]
+        climbs = [levels[:, : self.climb_count]]
+        every = torch.cat([levels, *others, *climbs, *manoeuvres, *[levels[:, -1:]] * self.jump_count], MOTION)
+        factors = every.sqrt()[..., None, None]
+        if not self.climb_count:
+            return factors
+        first = self.level_count + self.motions - 1
+        climbing = range(first, first + self.climb_count)
+        stated = torch.tensor(
+            [[r in climbing and i in self.vertical for i in range(mean.shape[-1])] for r in range(len(self.motion_of))],
+            device=mean.device,
+        )
+        return torch.where(stated.reshape(len(stated), *(1,) * (every.dim() - 2), -1, 1), 1.0, factors)
 
     def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: those of the position in a jump."""
@@ -348,7 +364,7 @@ class Regimes(nn.Module):
         return torch.cat([first, taken(x, self.of_others, axis)], axis) if self.of_others else first
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
-        """Values by kind ``(..., L + 1 + M + J)`` as ``(R, ...)`` with ``rank`` dimensions behind the first."""
+        """Values by kind or regime as ``(R, ...)`` with ``rank`` dimensions behind the first."""
         return taken(values_first(kinds, rank), self.kind_of, 0)
 
     def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
@@ -356,5 +372,5 @@ class Regimes(nn.Module):
         batch = jumps.shape[2:]
         manoeuvres = manoeuvres.expand(1, self.manoeuvre_count, *batch)
         jumps = jumps.expand(1, self.jump_count, *batch)
-        rest = jumps.new_full((1, self.level_count + self.motions - 1, *batch), others)
+        rest = jumps.new_full((1, self.level_count + self.motions - 1 + self.climb_count, *batch), others)
         return torch.cat([rest, manoeuvres, jumps], MOTION)
