@@ -152,6 +152,8 @@ def _is_row(line: str, options: ReadOptions) -> bool:
 def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list[str]]:
     """Leaves out lines beneath the header that have words where the rows have positions; returns their cells."""
     lines = _lines(rows.head, 1 + _BENEATH)
+    if max(map(len, lines), default=0) > csv.field_size_limit():
+        return []  # no lines of units; it fails later, with its reason
     names, *several = [
         [cell.strip() for cell in next(csv.reader([line], delimiter=sign), [])] for line in lines or [""]
     ]
