@@ -117,14 +117,14 @@ def test_pieces_and_places_lose_nothing_that_a_track_needs(seed, inputs):
         parts = pieces(book, stepped, ends)
         book, parts, merged = with_merged(book, parts)
     layout = frame(book, [], parts, next_one, ends, merged)
-    at = {i: ("s", k) for i, k in layout.places.items()}
+    at = {i: ("left", place) for i, place in layout.left.items()} | {i: ("s", k) for i, k in layout.places.items()}
     assert max(layout.places.values()) < layout.size
     memory = {at[i]: value for i, value in zip(carried, inputs, strict=False)}
     found = {}
     guard = None
     for part in parts:
         if part.guard != guard and guard is not None:  # by now other packs have used the places of all
-            memory = {place: value for place, value in memory.items() if place[1] < layout.own}
+            memory = {place: value for place, value in memory.items() if place[0] == "left" or place[1] < layout.own}
         guard = part.guard
         values = {i: memory.get(("s", layout.places[i]), math.nan) for i in needs(book, part)} | book.values
         if part.guard is not None and bool(values[part.guard[0]]) != part.guard[1]:
