@@ -92,6 +92,13 @@ def test_a_unit_before_the_header_is_asked_for(write):
     assert read(path, units="mm")[0].position[1, 0] == 1
 
 
+@pytest.mark.parametrize("unit", ["ft", "foot", "yd", "miles", "nmi"])
+def test_short_names_of_units_before_the_header_count_too(write, unit):
+    path = write([f"Length unit: {unit}", "Time,X,Y", *(f"{i},{i},0" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=f"line before the header says {unit} of lengths"):
+        read(path)
+
+
 def test_columns_of_one_name_are_refused_with_what_to_do(write):
     lines = ["Trajectories", "100", "Frame,Sub Frame,X,Y,Z,X,Y,Z", *(f"{i},0,1,2,3,4,5,6" for i in range(ROWS))]
     with pytest.raises(ValueError, match=r"several named X, Y, Z: give each a name of its own in the header"):

@@ -29,7 +29,9 @@ _ABOVE, _BENEATH = 100, 2
 """Lines before a header, and of units beneath it, that loggers write."""
 _OTHER_UNIT = re.compile(r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|px|pixels?", re.IGNORECASE)
 """A unit of positions that nobody converts."""
-_LENGTH = re.compile(r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|feet|mm|cm|km)\b", re.IGNORECASE)
+_LENGTH = re.compile(
+    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
+)
 """A unit of lengths besides metres, in a line before the header."""
 _WORDS = re.compile(r"(?!-?nan$)(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
