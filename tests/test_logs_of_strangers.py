@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -62,6 +63,13 @@ def test_units_beneath_the_header_count(write):
     assert track.position[:2, 0].tolist() == [0, 1]
 
 
+@pytest.mark.parametrize("unit", ["rad", "[radians]", "inch", "px"])
+def test_a_unit_beneath_the_header_that_nobody_converts_is_refused(write, unit):
+    path = write(["time,lat,lon", f"s,{unit},{unit}", *(f"{i},{(82 + i) / 100},0.14" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=r"column lat: expected metres or degrees, received .* beneath the header"):
+        read(path)
+
+
 def test_a_first_row_without_a_position_is_no_row_of_units(write):
     (track,) = read(write(["t,x,y", "0,nan,nan", *(f"{i},{i},0" for i in range(1, ROWS))]))
     assert track.repairs == {"rows without position dropped": 1}
@@ -82,6 +90,13 @@ def test_a_unit_before_the_header_is_asked_for(write):
     with pytest.raises(ValueError, match=r"line before the header says Millimeters of lengths: say it by --units"):
         read(path)
     assert read(path, units="mm")[0].position[1, 0] == 1
+
+
+@pytest.mark.parametrize("unit", ["ft", "foot", "yd", "miles", "nmi"])
+def test_short_names_of_units_before_the_header_count_too(write, unit):
+    path = write([f"Length unit: {unit}", "Time,X,Y", *(f"{i},{i},0" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=f"line before the header says {unit} of lengths"):
+        read(path)
 
 
 def test_columns_of_one_name_are_refused_with_what_to_do(write):
@@ -210,6 +225,31 @@ def test_a_glider_flies_on_after_midnight(write):
     assert track.origin[2] == 500
     with pytest.raises(ValueError, match=r"expected IGC with a date \(HFDTE\) and fixes \(B\)"):
         read(write(["AXXX001", *fixes], "flight.igc"))
+
+
+def test_fixes_of_a_glider_that_change_places_at_midnight_are_of_one_night(write):
+    clocks = ["235957", "000001", "235959", "000002", "000003"]
+    fixes = [f"B{clock}470000{i}N0080000{i}EA0100000500" for i, clock in enumerate(clocks)]
+    (track,) = read(write(["AXXX001", "HFDTE030624", *fixes], "flight.igc"))
+    assert (track.time - track.time[0]).tolist() == [0, 2, 4, 5, 6]
+
+
+@pytest.mark.parametrize(("lines", "said"), [
+    (["HFDTE030624", "B9959574700000N00800000EA0100000500"], "fixes (B), received none"),
+    (["HFDTE990624", "B0959574700000N00800000EA0100000500"], "expected a date (HFDTE) such as 310124, received 990624"),
+    (["HFDTE030624", "HFDTE040624", "B0959574700000N00800000EA0100000500"], "one date (HFDTE), received 030624, 0"),
+])  # fmt: skip
+def test_what_no_clock_or_calendar_has_is_refused_of_a_glider(write, lines, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read(write(["AXXX001", *lines], "flight.igc"))
+
+
+def test_types_that_data_bases_write_are_no_names(write):
+    records = [
+        {"mmsi": {"$numberLong": str(7 + i % 2)}, "time": {"$date": {"$numberLong": str(1000 * (i + 1_700_000_000))}},
+         "latitude": 47 + 1e-4 * i, "longitude": 8} for i in range(2 * ROWS)
+    ]  # fmt: skip
+    assert [track.name for track in read(write(json.dumps(records), "ships.json"))] == ["7", "8"]
 
 
 def test_altitudes_of_a_glider_are_by_pressure_where_it_has_no_others(write):

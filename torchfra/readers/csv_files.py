@@ -27,7 +27,11 @@ _GUESSED_FROM = 100
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 _ABOVE, _BENEATH = 100, 2
 """Lines before a header, and of units beneath it, that loggers write."""
-_LENGTH = re.compile(r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|feet|mm|cm|km)\b", re.IGNORECASE)
+_OTHER_UNIT = re.compile(r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|px|pixels?", re.IGNORECASE)
+"""A unit of positions that nobody converts."""
+_LENGTH = re.compile(
+    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
+)
 """A unit of lengths besides metres, in a line before the header."""
 _WORDS = re.compile(r"(?!-?nan$)(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
@@ -150,7 +154,11 @@ def _is_row(line: str, options: ReadOptions) -> bool:
 
 
 def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list[str]]:
-    """Leaves out lines beneath the header that have words where the rows have positions; returns their cells."""
+    """Leaves out lines beneath the header that have words where the rows have positions; returns their cells.
+
+    Raises:
+        ValueError: positions are in a unit that is not known.
+    """
     lines = _lines(rows.head, 1 + _BENEATH)
     if max(map(len, lines), default=0) > csv.field_size_limit():
         return []  # no lines of units; it fails later, with its reason
@@ -164,6 +172,12 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
     for cells in several:
         if len(cells) != len(names) or not at or not all(_WORDS.fullmatch(cells[i].strip("[]()")) for i in at):
             break
+        other = next((i for i in at if _OTHER_UNIT.fullmatch(cells[i].strip("[]()"))), None)
+        if other is not None and not options.units:
+            raise ValueError(
+                f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the header: "
+                "convert them, or say a unit by --units"
+            )
         words.append(cells)
     start = sum(map(len, lines[1 : 1 + len(words)]))
     if words:

@@ -10,7 +10,7 @@ from typing import Any
 from torchfra.readers.sheets import Sheet, points_sheet, whole_text
 
 _FIX = re.compile(
-    r"B([0-9]{2})([0-9]{2})([0-9]{2})([0-9]{2})([0-9]{5})([NS])([0-9]{3})([0-9]{5})([EW])([AV])"
+    r"B([01][0-9]|2[0-3])([0-5][0-9])([0-5][0-9])([0-9]{2})([0-9]{5})([NS])([0-9]{3})([0-9]{5})([EW])([AV])"
     r"([0-9-][0-9]{4})([0-9-][0-9]{4})"
 )
 """Time of the day, latitude and longitude in degrees and thousandths of minutes, altitudes by pressure and by GNSS."""
@@ -29,15 +29,18 @@ def igc_sheet(file: Any, max_bytes: int) -> Sheet:
     Source: FAI, Technical Specification for IGC-Approved Flight Recorders, A4.1.
 
     Raises:
-        ValueError: no date, or no fixes.
+        ValueError: no date or several, or no fixes.
     """
     text = whole_text(file, max_bytes, "IGC")
     fixes = [fix.groups() for line in text.splitlines() if (fix := _FIX.match(line))]
-    if (date := _DATE.search(text)) is None or not fixes:
+    dates = {*_DATE.findall(text)}
+    if not dates or not fixes:
         raise ValueError("expected IGC with a date (HFDTE) and fixes (B), received none")
-    start = datetime.strptime(date[1], "%d%m%y").replace(tzinfo=timezone.utc).timestamp()
+    if len(dates) > 1:
+        raise ValueError(f"expected IGC with one date (HFDTE), received {', '.join(sorted(dates))}: split the file")
+    start = _midnight(dates.pop())
     clock = [3600 * int(hours) + 60 * int(minutes) + int(seconds) for hours, minutes, seconds, *_ in fixes]
-    midnights = accumulate(int(now < before - _HALF) for before, now in pairwise(clock[:1] + clock))
+    midnights = accumulate(pairwise(clock), _nights, initial=0)
     times = [start + seconds + _DAY * nights for seconds, nights in zip(clock, midnights, strict=True)]
     columns: dict[str, list[Any]] = {
         "timestamp": [round(1000 * seconds) for seconds in times],
@@ -47,6 +50,20 @@ def igc_sheet(file: Any, max_bytes: int) -> Sheet:
     by_gnss = [int(fix[11]) if fix[9] == "A" else None for fix in fixes]
     columns["altitude"] = by_gnss if any(by_gnss) else [int(fix[10]) for fix in fixes]
     return points_sheet(columns, (f"IGC: altitudes by {'GNSS' if any(by_gnss) else 'pressure'}",))
+
+
+def _midnight(date: str) -> float:
+    """Seconds since 1970 at the beginning of a date, day, month and year of two digits each."""
+    try:
+        return datetime.strptime(date, "%d%m%y").replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        raise ValueError(f"expected a date (HFDTE) such as 310124, received {date}") from None
+
+
+def _nights(nights: int, clocks: tuple[int, int]) -> int:
+    """How many midnights have passed by the second of two fixes, which may stand before the first one's."""
+    before, now = clocks
+    return max(nights + (now < before - _HALF) - (now > before + _HALF), 0)
 
 
 def _degrees(degrees: str, minutes: str, side: str) -> float:

@@ -76,7 +76,10 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
 
 
 def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]:
-    """Records in which the values of what is an object wherever it is there have both names: ``coords.latitude``."""
+    """Records in which the values of what is an object wherever it is there have both names: ``coords.latitude``.
+
+    What an object says of its type, as data bases write ``{"$numberLong": "7"}``, is no name.
+    """
     names = {name for record in records for name, value in record.items() if isinstance(value, dict)}
     names -= {
         name
@@ -90,7 +93,8 @@ def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]
     for record in records:
         own = {name: value for name, value in record.items() if name not in names}
         for name in record.keys() & names:
-            own |= {f"{name}.{key}": value for key, value in (record[name] or {}).items()}
+            inner = (record[name] or {}).items()
+            own |= {name if key.startswith("$") else f"{name}.{key}": value for key, value in inner}
         flat.append(own)
     return _flat(flat, depth - 1)
 
