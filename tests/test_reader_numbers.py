@@ -150,7 +150,7 @@ def test_columns_of_ranges_that_may_be_the_same_are_refused(write):
         read_ranges(write(table("t,range,field.Range,x,y", (0, 1, 2, 3, 4))))
 
 
-@pytest.mark.parametrize("name", ["true", '["a"]'])
+@pytest.mark.parametrize("name", ["true", '["a"]', '{"a": 1}'])
 def test_a_name_is_text_or_a_number(write, name):
     rows = [f'{{"timestamp": {START + i}000, "latitude": {i}, "longitude": 2, "icao24": {name}}}' for i in range(2)]
     with pytest.raises(ValueError, match="expected text in data row 1, column icao24, received"):

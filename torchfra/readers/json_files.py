@@ -7,6 +7,7 @@ from typing import Any
 
 from torchfra.readers.columns import Cells, short
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
+from torchfra.readers.spelling import found
 from torchfra.readers.times import seconds_of
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
@@ -80,23 +81,32 @@ def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]
 
     What an object says of its type, as data bases write ``{"$numberLong": "7"}``, is no name.
     """
-    names = {name for record in records for name, value in record.items() if isinstance(value, dict)}
-    names -= {
+    objects = {name for record in records for name, value in record.items() if isinstance(value, dict)}
+    others = {
         name
         for record in records
-        for name in names & record.keys()
-        if not (record[name] is None or isinstance(record[name], dict))
+        for name, value in record.items()
+        if value is not None and not isinstance(value, dict)
     }
+    names = objects - others
+    # An object that should name the target stays one, and is refused: without it all targets would be one.
+    names -= {name for name in names if found([name], "id") and not _has_id(name, records)}
     if not names or not depth:
         return records
     flat = list[dict[str, Any]]()
     for record in records:
         own = {name: value for name, value in record.items() if name not in names}
-        for name in record.keys() & names:
-            inner = (record[name] or {}).items()
-            own |= {name if key.startswith("$") else f"{name}.{key}": value for key, value in inner}
+        for name, value in record.items():
+            inner = (value or {}).items() if name in names else ()
+            own |= {name if key.startswith("$") else f"{name}.{key}": cell for key, cell in inner}
         flat.append(own)
     return _flat(flat, depth - 1)
+
+
+def _has_id(name: str, records: list[dict[str, Any]]) -> bool:
+    """Whether objects of this name hold one that names a target, or a value of a data base."""
+    keys = {key for record in records for key in record.get(name) or ()}
+    return any(key.startswith("$") or found([key], "id") for key in keys)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
