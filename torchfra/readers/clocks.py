@@ -302,12 +302,11 @@ def days_of(values: NDArray[np.float64], name: str) -> str:
 
     Those of two decimals or fewer are no days, which have some of a second, but seconds of the day.
     """
-    if np.isclose(100 * values, np.rint(100 * values), rtol=0, atol=1e-6).all():
-        return ""
     for form, zero in DAY_OF_1970.items():
         named = form == "mjd" or "mjd" not in name.lower()
         if named and len(values) and values.min() > zero + 3652 and values.max() < zero + 29_220:
-            return form
+            coarse = np.isclose(100 * values, np.rint(100 * values), rtol=0, atol=1e-6).all()
+            return "" if coarse else form
     return ""
 
 
