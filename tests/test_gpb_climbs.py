@@ -1,13 +1,11 @@
 """GPB in space: a target that flies on calmly may yet climb."""
 
-import copy
-
 import numpy as np
 import oracles
 import pytest
 import torch
 from test_gpb_oracle import PRIOR, VALUES, carried, expected, position, same, tensor
-from torch.testing import assert_close
+from test_gpb_promises import agree
 
 from torchfra import presets
 from torchfra.filters import Regimes
@@ -94,12 +92,7 @@ def test_a_climb_is_a_motion_of_its_own_beside_the_calm_one_smoothed_and_compile
     z[5] += 200.0
     z[14:16] = torch.nan
     prior = Gaussian(torch.zeros(6).double(), torch.diag(torch.tensor([20.0, 20, 20, 9, 9, 9]).double()))
-    near = {"rtol": 1e-9, "atol": 1e-9}
-    for f in (one, copy.deepcopy(one).compile()):
-        for found, right in zip(*[(g(z, prior, dt=dt), g.smooth(z, prior, dt=dt)) for g in (f, three)], strict=True):
-            assert_close(found.mean, right.mean, **near)
-            assert_close(found.covariance, right.covariance, **near)
-            assert_close(found.log_likelihood, right.log_likelihood, **near)
+    agree(one, three, z, prior, dt)
 
 
 # ---------------------------------------------------------------- when there are climbs

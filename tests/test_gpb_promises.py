@@ -19,6 +19,16 @@ SOME = SENSORS | {"two ranges": Ranges(ANCHORS[:2], 2.0)}
 """Several blocks are two at least."""
 
 
+def agree(f, other, z, prior, dt):
+    """Two filters, the first compiled too, have the same estimates, filtered and smoothed."""
+    same = {"rtol": 1e-9, "atol": 1e-9}
+    for one in (f, copy.deepcopy(f).compile()):
+        for found, right in zip(*[(g(z, prior, dt=dt), g.smooth(z, prior, dt=dt)) for g in (one, other)], strict=True):
+            assert_close(found.mean, right.mean, **same)
+            assert_close(found.covariance, right.covariance, **same)
+            assert_close(found.log_likelihood, right.log_likelihood, **same)
+
+
 def single(name, **options):
     return presets.gpb(MOTION, SOME[name], **VALUES | options)
 
@@ -237,9 +247,4 @@ def test_a_level_with_a_belief_of_its_own_smooths_like_a_motion_of_its_own():
     z[6] += 200.0
     z[17:20] = torch.nan
     prior = Gaussian(torch.zeros(4).double(), torch.diag(torch.tensor([20.0, 20, 9, 9]).double()))
-    same = {"rtol": 1e-9, "atol": 1e-9}
-    for f in (one, copy.deepcopy(one).compile()):
-        for found, right in zip(*[(g(z, prior, dt=dt), g.smooth(z, prior, dt=dt)) for g in (f, two)], strict=True):
-            assert_close(found.mean, right.mean, **same)
-            assert_close(found.covariance, right.covariance, **same)
-            assert_close(found.log_likelihood, right.log_likelihood, **same)
+    agree(one, two, z, prior, dt)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from torchfra.readers import read
+from torchfra.readers.times import seconds_of, written
 
 START = datetime(2024, 6, 3, 8, 15, tzinfo=timezone.utc)
 ROWS = 40
@@ -318,6 +319,23 @@ def test_months_may_have_names(write, form):
     assert track.time[0] == START.timestamp()
     assert np.diff(track.time) == pytest.approx(7200)
     assert track.source.written(track.time[:1]) == [f"{START:{form} %H:%M:%S}"]
+
+
+def test_names_of_months_are_english_in_every_locale(monkeypatch):
+    class Elsewhere(datetime):
+        """In a locale whose months have other names."""
+
+        @classmethod
+        def strptime(cls, text, form):
+            assert not {"%b", "%B"} & {form[i : i + 2] for i in range(len(form))}
+            return datetime.strptime(text, form)
+
+    monkeypatch.setattr("torchfra.readers.times.datetime", Elsewhere)
+    expected = datetime(2024, 12, 3, 1, 2, tzinfo=timezone.utc).timestamp()
+    assert seconds_of("03-Dec-2024 01:02", "%d-%b-%Y %H:%M") == expected
+    assert written(np.array([expected]), "%d %B %Y %H:%M") == ["03 December 2024 01:02"]
+    with pytest.raises(ValueError, match="does not match"):
+        seconds_of("03-Dez-2024 01:02", "%d-%b-%Y %H:%M")
 
 
 def test_a_date_that_is_not_understood_is_not_left_out(write):

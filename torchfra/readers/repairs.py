@@ -23,9 +23,12 @@ _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
 
 
-_SEASONS, _YEAR, _HOUR, _CLOSE = 1.0, 366 * 86_400.0, 3600.0, 0.5
-"""How often a year clocks are put back by an hour, in seconds, and how far the step to that row may be from the usual
-one."""
+_YEAR, _HOUR = 366 * 86_400.0, 3600.0
+"""s."""
+_PUT_BACK = 1.0
+"""How often a year clocks are put back by an hour."""
+_CLOSE = 0.5
+"""How far the step to the first row after that may be from the usual one, as a share of it, an hour added."""
 
 
 def plural(word: str) -> str:
@@ -158,7 +161,7 @@ class _Columns:
         """Refuses times of a clock that is put back by an hour while rows go on."""
         steps = np.diff(time)
         back = np.flatnonzero(steps < 0)
-        if not self.clock.is_local or not 0 < len(back) <= _SEASONS * (time.max() - time.min()) / _YEAR + 1:
+        if not self.clock.is_local or not 0 < len(back) <= _PUT_BACK * (time.max() - time.min()) / _YEAR + 1:
             return
         usual = np.median(steps)
         if (np.abs(steps[back] + _HOUR - usual) < _CLOSE * usual + 1).all():

@@ -52,6 +52,9 @@ _NAMED = re.compile(
     r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?"
 )
 """A date with the English name of its month."""
+_MONTHS = ("January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
+           "December")  # fmt: skip
+_MONTH, _MONTH_OF_FORM = re.compile("[A-Za-z]{3,9}"), re.compile("%[bB]")
 _UTC = r"(?: ?Z| ?UTC| ?GMT|\+00:00)?"
 _USUAL = re.compile(
     rf"(?:(?:[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}[T ][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}(?:\.[0-9]{{1,6}})?{_UTC})?\n)*"
@@ -171,10 +174,18 @@ def seconds_of(text: str, form: str) -> float:
         return whole + part / SPLIT[form]
     bare = form.replace(".%f", "")
     pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
+    if _MONTH_OF_FORM.search(bare):  # as numbers: names in ``strptime`` are those of the locale
+        text, bare = _MONTH.sub(_number_of_month, text), _MONTH_OF_FORM.sub("%m", bare)
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
     if is_clock(form):
         return (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     return _since_1970(moment - _ahead(form))
+
+
+def _number_of_month(name: re.Match[str]) -> str:
+    """The number of the month, of two digits, whose English name begins with a word; the word if there is none."""
+    numbers = (number for number, month in enumerate(_MONTHS, 1) if month.lower().startswith(name[0].lower()))
+    return next((f"{number:02}" for number in numbers), name[0])
 
 
 def usual_iso_seconds(cells: Sequence[Any]) -> NDArray[np.float64] | None:
@@ -233,7 +244,9 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
     for value in micro.tolist():
         moment = _EPOCH + timedelta(microseconds=value) + ahead
         part = f".{moment.microsecond:06}"[: 1 + digits] if second and digits else ""
-        texts.append(moment.strftime(head + second) + part + moment.strftime(tail))
+        month = _MONTHS[moment.month - 1]
+        first, last = (half.replace("%B", month).replace("%b", month[:3]) for half in (head + second, tail))
+        texts.append(moment.strftime(first) + part + moment.strftime(last))
     return texts
 
 
