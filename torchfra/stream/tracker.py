@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.alarms import lasting
+from torchfra.filters.alarms import faulty_seconds
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.fixed_lag import smooth_window, step_kept
 from torchfra.filters.forecast import Forecast
@@ -370,5 +370,5 @@ def _alarms_after(alarms: Alarms, number: int, alarm: Alarm | None, z: Tensor, d
     for i, (probability, lasted, offset) in enumerate(alarms):
         now = torch.where(measured, alarm.probability, probability) if i == number else probability
         off = torch.where(measured, alarm.offset, offset) if i == number else offset
-        after.append(Alarm(now, lasting(lasted, probability, now, lasted.new_tensor(dt)), off))
+        after.append(Alarm(now, faulty_seconds(lasted, probability, now, lasted.new_tensor(dt)), off))
     return tuple(after)

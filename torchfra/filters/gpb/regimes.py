@@ -118,23 +118,23 @@ class Regimes(nn.Module):
             if value.shape[-1:] != (kinds if self.by_kind else count,):
                 raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
         self.vertical, self.climb_count = tuple(vertical), separate_levels if vertical else 0
-        wild = self.manoeuvre_count + self.jump_count
-        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + wild)
+        scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
+        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + scaled)
         """The number of each regime's motion."""
         self.beliefs = motions + separate_levels + self.climb_count
         """The number of beliefs, ``S``."""
         separate, climbs = range(motions, motions + separate_levels), range(motions + separate_levels, self.beliefs)
         self.belief_of = (
-            *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * wild
+            *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * scaled
         )  # fmt: skip
         """The number of each regime's belief."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
         """The numbers of the first belief's regimes."""
         self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
         """The number of the only regime of each other belief."""
-        others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - wild)
-        last = (kinds if self.by_kind else count) - wild
-        self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + wild))
+        others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - scaled)
+        last = (kinds if self.by_kind else count) - scaled
+        self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + scaled))
         """The index of each regime's values."""
         self.sharing = tuple(float(self.kind_of.count(kind)) for kind in self.kind_of)
         """The number of regimes that share each regime's entry of the restart distribution."""
