@@ -313,7 +313,11 @@ class FRA(Soft, Filter[FRAState]):
         return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
-        """``function`` for the tracks in ``mask``, else ``default``; traced code computes it for all tracks."""
+        """``function`` for the tracks in ``mask``, else ``default``.
+
+        Traced code computes it for all tracks; so does a filter whose hyperparameters have a batch, which a choice of
+        tracks alone would not fit.
+        """
         if self.soft:
             return function(*arguments)
         parts = (self.gate, self.preference, self.plain, self.robust, self.fading)

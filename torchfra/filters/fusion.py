@@ -26,7 +26,7 @@ from torchfra.types import Gaussian
 class Fused:
     """Mixed into a view of a filter in which each step has a sensor of its own: see ``Filter.forward``."""
 
-    home: Any = None
+    viewed: Any = None
     views: list[Any]
     """The filter around each of the sensors."""
     which: list[int]
@@ -38,13 +38,13 @@ class Fused:
         Raises:
             NotImplementedError: it cannot, with the reason.
         """
-        self.home.check_smooths()
-        self.home.check_smooths_several()
+        self.viewed.check_smooths()
+        self.viewed.check_smooths_several()
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments for each sensor; their batch."""
         sizes = [view.sensor.size for view in self.views]
-        check(measurements, prior, self.home.motion, max(sizes), name=name, zero_dt=self.home.zero_dt)
+        check(measurements, prior, self.viewed.motion, max(sizes), name=name, zero_dt=self.viewed.zero_dt)
         steps = measurements.z.shape[-2]
         if steps != len(self.which):
             received = f"{len(self.which)} numbers"
@@ -111,7 +111,7 @@ def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
     if not isinstance(numbers, Sequence) or not all(_is_number(k, count) for k in numbers):
         raise ValueError(f"which: expected (T,) whole numbers from 0 to {count - 1}, received {which}")
     new = sharing(f, mixed(Fused, f.__class__), engine=Stretches())
-    new.__dict__.update(home=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
+    new.__dict__.update(viewed=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
     return new
 
 
