@@ -36,7 +36,7 @@ class Gate(nn.Module):
     """Abstract: a subclass defines ``beyond``, and ``gate_probability`` if it is not 1."""
 
     def check(self, sensor: Sensor) -> None:
-        """Whether this goes with a sensor.
+        """Checks that the gate fits a sensor.
 
         Raises:
             ValueError: it does not.
@@ -88,7 +88,7 @@ class Euclidean(Gate):
         self.least = least
 
     def check(self, sensor: Sensor) -> None:
-        """Whether the sensor measures where a target is.
+        """Checks that the sensor measures where a target is.
 
         Raises:
             ValueError: it does not.

@@ -172,7 +172,7 @@ class FRA(Soft, Filter[FRAState]):
             raise ValueError("rule: expected one without negative weights, received one with some")
         robust, fading = Huber() if robust is None else robust, Fading() if fading is None else fading
         check_parts(robust=(robust, Weights), fading=(fading, Fading))
-        self.robust, self.fading = robust, fading.of(motion)
+        self.robust, self.fading = robust, fading.for_motion(motion)
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")
