@@ -30,7 +30,7 @@ from torchfra.evaluation import (
 from torchfra.filters import Filter
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
-from torchfra.running.pictures import picture_form
+from torchfra.running.pictures import picture_format
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
 
@@ -132,7 +132,7 @@ def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
         table_form(options.table)
     for option, path in (("figure", options.figure), ("print", options.printed)):
         if path is not None:
-            picture_form(path, option)
+            picture_format(path, option)
     return {"json": options.json, "figure": options.figure, "table": options.table, "print": options.printed}
 
 

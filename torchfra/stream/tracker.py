@@ -95,8 +95,8 @@ class Tracker:
         dtype: of the filter; None for the prior's.
 
     Raises:
-        ValueError: an argument that is none of those, a sensor that the filter cannot have, or an origin beside a
-            motion that depends on the position.
+        ValueError: an argument out of its range, a sensor that the filter cannot have, or an origin beside a motion
+            that depends on the position.
     """
 
     def __init__(
@@ -303,7 +303,7 @@ class Tracker:
             clock.load_state_dict(values["clock"])
             counts = dict(values["counts"])
         except (KeyError, TypeError) as error:
-            raise ValueError(f"values: expected all that state_dict gives, received none of {error}") from None
+            raise ValueError(f"values: expected all entries of state_dict, received none of {error}") from None
         self._window, self._clock, self._counts = window, clock, counts
 
     def _old(self, time: Any, entry: Entry) -> Report:
