@@ -17,7 +17,7 @@ Kinds, each with one setting of motion, sensor and filters for all of its record
 
 A table has for each recording what presets reach beside what others have published: the root mean square error, on line
 and smoothed, per axis or of the distance as the published figures are, and the normalised estimation error squared of
-positions per dimension, on line and smoothed, which is 1 where covariances are honest; and the percentage of steps
+positions per dimension, on line and smoothed, which is 1 where covariances are consistent; and the percentage of steps
 whose error is beyond the protection level of 1e-3.  Covariances of filters that take errors for white contain a bias
 that lasts for the whole recording.
 """

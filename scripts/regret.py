@@ -19,7 +19,7 @@ they have.  The 95 % interval is of a bootstrap over the runs, which are the sam
 
 With --smooth no filter is compared with another: one table has the errors of each as it filters, 1 and 5 steps later,
 and smoothed, the change from the first to the last, and the NEES of positions per dimension, which is 1 where
-covariances are honest; --plot draws one run of the last cell by the last filter, with bands.
+covariances are consistent; --plot draws one run of the last cell by the last filter, with bands.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
             estimate = f(z, start, u=u)
         error = metrics.rmse(estimate.mean, truth, slice(0, 2)).square().mean().sqrt()
         nees = metrics.nees(estimate, truth, slice(0, 2)).mean() / 2
-        print(f"{name:<22} position RMSE {error:5.1f} m, NEES per dimension {nees:6.1f} (1 is honest)")
+        print(f"{name:<22} position RMSE {error:5.1f} m, NEES per dimension {nees:6.1f} (1 is consistent)")
     faulty = estimate.info.probabilities[..., 1:3].sum(-1) > 0.5
     print(f"faulty, it says, in {faulty[wrong].double().mean():.0%} of the steps of a fault, "
           f"and in {faulty[~wrong].double().mean():.1%} of the others")  # fmt: skip

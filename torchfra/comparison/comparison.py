@@ -16,7 +16,7 @@ from torchfra.evaluation.results import Result, infinite, report
 from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.running.atomic_write import write, write_json
-from torchfra.running.pictures import picture_form
+from torchfra.running.pictures import picture_format
 from torchfra.scenarios import Bound, Scenario
 from torchfra.tables import formed_table, significant, with_error
 
@@ -179,7 +179,7 @@ class Comparison:
             OSError: it cannot be written.
         """
         if path is not None:
-            picture_form(path)
+            picture_format(path)
         from torchfra import plotting  # matplotlib takes long to import
 
         if self.by != ERROR:
@@ -212,7 +212,7 @@ class Comparison:
         for key, what in (("anees", "ANEES per component"), ("anis", "ANIS per element")):
             if key in of and not math.isnan(of[key][0]):
                 low, high = of[f"{key}_bounds"]
-                said.append(f"{what}: 1 of an honest filter, of 95 % of its steps {low:.3f} to {high:.3f}")
+                said.append(f"{what}: 1 of a consistent filter, of 95 % of its steps {low:.3f} to {high:.3f}")
         return said
 
     def __str__(self) -> str:
