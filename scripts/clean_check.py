@@ -25,8 +25,8 @@ Errors and sigma are asked of every case, shares of all cases of a period as one
 Five kinds are harder, and asked for by name: late, ships of 5 to 19 m/s with time stamps off by 0.2 s, one in five by
 2 s; lasting, ships whose errors last 20 s; heights, drones with heights in steps of 25 ft, one in ten missing; animals,
 fixes of 24 min, 2 h and 4 h for 1, 5 and 10 s and noise of 100, 500 and 1000 m for 3, 15 and 30 m; slow, a walk, a
-bike, a car, a drone and a boat with white noise, alone and beside errors that last 10, 20 or 40 s, half as large and
-as large.
+bike, a car, a drone and a boat with white noise, alone and with errors correlated over 10, 20 or 40 s, half as large
+and as large.
 """
 
 from __future__ import annotations
