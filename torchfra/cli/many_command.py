@@ -27,21 +27,23 @@ _ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as
 DATA is a file or a folder with files below it, whose rows are in any order: a target may have rows in all of them.
 Targets are divided into parts by a hash of their ids, each part is read from all files, and its cleaned tracks go to
 OUT/part-00000.parquet and so on: OUT is a data set itself, and its column row counts through the files of DATA in the
-order of their names. Memory does not grow with the data. A part is there as a whole or not at all, and one that is
-there is done: after Ctrl-C, kill -9 or a power cut the same command goes on where it was."""
+order of their names. Memory does not grow with the data. A part exists completely or not at all, and an existing one is
+done: after Ctrl-C, kill -9 or a power cut the same command continues where it was."""
 
 _EXAMPLES = """examples:
   torchfra many flights --out clean --jobs 8           # eight processes
   torchfra many flights --out clean --no-smooth --json clean.json
   torchrun --nproc-per-node 8 -m torchfra many flights --out clean     # or on several machines with one file system
 
-Where RANK and WORLD_SIZE are set, as by torchrun, each process takes every WORLD_SIZE-th part, from RANK on, and needs
-nothing of the others; the one that ends last sums up. The same command once more sums up what is there."""
+Where RANK and WORLD_SIZE are set, as by torchrun, each process takes every WORLD_SIZE-th part, from RANK on,
+independently of the others; the one that ends last writes the summary. The same command once more summarises the
+existing parts."""
 
 PARTS, FEWEST, MOST = 64, 100_000, 1_000_000
-"""Parts, and rows of one at least and at most: all files are read for each, and one that is not done begins anew."""
+"""Number of parts, and least and largest number of rows of one: all files are read for each, and an unfinished part
+begins anew."""
 _MOST_SAID = 5
-"""The most targets that failed that are named one by one."""
+"""Largest number of failed targets that are named one by one."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
