@@ -50,7 +50,7 @@ def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES
 def add_cleaning_options(add: Callable[..., object]) -> None:
     """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
     add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: by the data)")
-    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; for fixes with one of their own, a factor on it "
+    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
         "(default: found from the data)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
