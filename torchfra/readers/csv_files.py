@@ -136,7 +136,7 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     if units and not options.units:
         found = _LENGTH.search(units[0])
         raise ValueError(
-            f"a line before the header says {found and found[0]} of lengths: say it by --units, such as mm"
+            f"a line before the header states lengths in {found and found[0]}: state it by --units, such as mm"
         )
     rows.head = rows.head[sum(map(len, above)) :]
     return header
