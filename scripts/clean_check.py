@@ -12,7 +12,7 @@ outliers of 100 m to 10 km, half of them in bursts, of which every second one ha
 A case is a truth at a period and noise.  Its figures, over all runs:
 
 - the error across the ground (root mean square) at the fixes that are no outliers over that of these fixes as they are;
-- the error at all fixes over that of a smoother of constant velocity that is told sigma and the outliers, and whose
+- the error at all fixes over that of a smoother of constant velocity that has the true sigma and outliers, and whose
   process noise is the one that makes its error least;
 - precision of flagged outliers, and recall of those beyond 6 sigma;
 - sigma found over the true one, the mean over the runs;
@@ -107,8 +107,8 @@ def check(options: argparse.Namespace) -> None:
         lines = f"{cases_table(found)}\n\n" if options.cases else ""
         print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
     if options.json is not None:
-        told = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
-        head = {name: getattr(options, name) for name in told}
+        named = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
+        head = {name: getattr(options, name) for name in named}
         with failures.of("json"):
             write_json(options.json, {**head, "seconds": seconds, "versions": versions(), "bounds": verdicts(found),
                                       "cases": found})  # fmt: skip

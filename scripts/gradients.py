@@ -14,7 +14,7 @@ every step, at every 50th, or never.  The tables:
   of other tracks, and that between the means of two halves of the tracks; both are 1 where a batch of this size knows
   the direction;
 - the slope of the error of ``fra`` in the logarithm of its gate, by soft decisions and by differences of hard ones;
-- what checkpoints keep for the way back.
+- what checkpoints keep for the backward pass.
 
 Losses are mean squared errors over all steps and components, in units of the variance of the measurement noise.
 """
@@ -284,7 +284,7 @@ def with_error(each: Tensor) -> Numbers:
 
 
 def kept(f: Filter, tracks: Tracks, steps: int) -> dict[str, Numbers]:
-    """MB that are kept for the way back, without and with checkpoints, and by how much their gradients differ."""
+    """MB that are kept for the backward pass, without and with checkpoints, and by how much their gradients differ."""
     _, whole = of_tracks(f, tracks, steps)
     state = sum(x.nbytes for x in flatten(f.init(tracks.prior))[0]) / 1e6
     found = {"none": {"between": saved(f, tracks, steps, None), "at once": 0.0, "difference": 0.0}}

@@ -6,7 +6,7 @@
     python scripts/regret.py --smooth --cells '2-*' --runs 100
     python scripts/regret.py --filters gpb --cells 'stated-*-none' --runs 100
 
-Cells: scenario 1 of the bearings experiments with the paper's start and with a good one, and scenario 2; recorded
+Cells: scenario 1 of the bearings experiments with the paper's prior and with a good one, and scenario 2; recorded
 flights by bearings, position and radar; each with outliers none, covariance, std and bursts; simulated ranges with
 outliers; tracks drawn from the models that are stated to filters, with and without outliers, or with process or
 measurement noise that is stated several times off (stated-*); and recorded ranges, where folders of them are given.

@@ -33,7 +33,7 @@ def result(error, spread=2.0, diverged=0):
 
 @pytest.fixture(scope="module")
 def bearings():
-    """Scenario 1 from a good start: eight runs through three filters, and a flight."""
+    """Scenario 1 from a good prior: eight runs through three filters, and a flight."""
     scenario = make_scenario("bearings-outliers", initial="truth")
     filters = scenario_filters(["srckf", "rmckf", "rsrckf"], scenario)
     metrics = measure(scenario, filters, runs=8)

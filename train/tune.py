@@ -1,7 +1,7 @@
 """Learns a filter's hyperparameters on tracks: by gradient descent, or by a search.
 
     python -m train.tune fra_bearings                          both bearings scenarios, a minute on two cores
-    python -m train.tune fra_bearings --resume                 continues from the last checkpoint, to the same bits
+    python -m train.tune fra_bearings --resume                 continues from the last checkpoint, bit by bit
     python -m train.tune fra_bearings iterations=50 lr=0.1     any field of train.config.Config
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
     python -m train.tune noise scenario=own.py:make            one's own simulator: a function that makes a Scenario

@@ -69,7 +69,7 @@ class Euclidean(Gate):
     Args:
         size: radius, m.
         least: the gate also contains the ellipsoid of the innovation covariance with this probability, in [0, 1), for
-            predictions that are less certain than the sphere is wide, such as a poor prior.  0 for the sphere alone.
+            predictions that are less certain than the sphere is wide, such as a wide prior.  0 for the sphere alone.
 
     The sensor must know where in space a measurement lies (``Sensor.locate``).  The gate probability is taken as 1.
 

@@ -105,8 +105,8 @@ def clean(
             raise ValueError(f"dt: expected None for a DataFrame, whose rows are kept, received {dt}")
         points = None if words.keys() & _PLACES else _points(data)
         table = data if points is None else data.drop(columns=points.name).assign(**_coordinates(points))
-        told = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
-        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **told)
+        reading = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
+        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **reading)
         joined = _joined(data, clean_tracks(recordings, **settings))
         return joined if points is None else _with_points(joined, points)
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):

@@ -24,7 +24,7 @@ from torchfra.sensors.position import Position
 
 _LOG_TWO_PI = math.log(2 * math.pi)
 _LEAST = 1e-300
-"""Least probability that is told from 0."""
+"""Least probability that is distinguished from 0."""
 
 
 class Belief(NamedTuple):

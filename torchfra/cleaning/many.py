@@ -1,6 +1,6 @@
 """Tracks of a data set, cleaned part by part, each into a file of its own that is there completely or not at all.
 
-A part that is there is done, so that work which was ended at any moment goes on where it was.
+An existing part is done, so that work that was ended at any moment continues where it was.
 """
 
 from __future__ import annotations

@@ -197,7 +197,7 @@ class Comparison:
             f"{self.scenario.name}: {self.runs} runs, seed {self.seed}",
             f"{what}: mean +- 95 % (Student)",
             f"p: against the best, Wilcoxon signed rank on the runs, Holm for {len(self._tests)} of them",
-            *self._honest(),
+            *self._consistency(),
         ]
         if self.by == ERROR:
             said.append(f"diverged: above {significant(self.results[self.best]['limit'])} m")
@@ -206,7 +206,7 @@ class Comparison:
             said.append(f"{self.bound}: {least} m, mean over time; in the table its share of the error")
         return ". ".join(said) + "."
 
-    def _honest(self) -> list[str]:
+    def _consistency(self) -> list[str]:
         """The intervals of ANEES and ANIS of a consistent filter, in sentences."""
         of, said = self.results[self.best], []
         for key, what in (("anees", "ANEES per component"), ("anis", "ANIS per element")):

@@ -150,7 +150,7 @@ def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
         raise ValueError(f"checkpoint: expected the name of a file, received {checkpoint!r}")
     path = None if checkpoint is None else Path(checkpoint)
     if path is not None and not resume and checkpoints.found(path):
-        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
+        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True continues it")
     return path
 
 

@@ -160,7 +160,7 @@ class Targets(nn.Module):
         return {"format": FORMAT, "state": tree.flatten(state._replace(past=())), "past": past}
 
     def restored(self, values: Mapping[str, Any]) -> TargetsState:
-        """The state of a dictionary from ``saved``; an equal manager continues from it to the same bits.
+        """The state of a dictionary from ``saved``; an equal manager continues from it with bit-equal results.
 
         Args:
             values: from ``saved``.

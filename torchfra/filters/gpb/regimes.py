@@ -30,7 +30,7 @@ class Switching(NamedTuple):
     """How probability moves between regimes from one step to the next: weights ``(1, R, 2, ...)`` up to one factor."""
 
     stayed: Tensor
-    """Weight of each regime that goes on."""
+    """Weight of each regime that continues."""
     ended: Tensor
     """Weight of each regime that ends."""
     restarted: Tensor
@@ -45,7 +45,7 @@ class Regimes(nn.Module):
     There are ``R = L + (K - 1) + C + M + J`` regimes, in this order.  The first motion has ``L`` levels of process
     noise, each other motion of a bank is one regime, as are ``C`` climbs (below).  In each of ``M`` manoeuvres the
     process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
-    each of ``J`` jumps the covariance of the predicted position is.  A regime goes on with its self-transition
+    each of ``J`` jumps the covariance of the predicted position is.  A regime continues with its self-transition
     probability, or for its mean duration; then the next one is drawn from the restart distribution.  The chain starts
     from its stationary distribution.  Values are by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
     manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
@@ -180,7 +180,7 @@ class Regimes(nn.Module):
 
         No level, climb, manoeuvre or jump begins in a step without a measurement; otherwise their posterior
         probabilities would decay over a gap.  Other motions may begin: the longer a gap, the less is known of the
-        motion.  Over 0 seconds every regime goes on.
+        motion.  Over 0 seconds every regime continues.
 
         Args:
             like: ``(R, ...)``.
