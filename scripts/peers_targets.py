@@ -11,8 +11,8 @@
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
-torchfra's also when its score has fallen by the log of 1e-4, or with ``--misses 0`` by its confirmation alone; none is
-told how many there are.  Prints for each tracker
+torchfra's also when its score has fallen by the log of 1e-4, or with ``--misses 0`` by its confirmation alone; none
+knows their number.  Prints for each tracker
 GOSPA (cutoff 100 m, mean over scans and runs) with the parts of its square, how often a target's track became another
 one, how often a target was lost and found again and how many tracks were of no target per run, and milliseconds of the
 processor per scan, which others on the machine disturb least.  Each tracker of Stone Soup runs in a process of its own,

@@ -71,7 +71,7 @@ def clean(
             where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
             ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
+        bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None chooses by the data.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.

@@ -90,7 +90,7 @@ class Cleaned:
     outlier: Array
     """``(T,)`` probability that the fix is an outlier; NaN of filters that do not say."""
     manoeuvre: Array
-    """``(T,)`` probability of a regime other than the calm one; NaN likewise."""
+    """``(T,)`` probability of a regime other than the calm one; NaN where unknown."""
     flag: NDArray[np.str_]
     """``(T,)`` of ``FLAGS``."""
     found: Found

@@ -122,7 +122,7 @@ class Levels(NamedTuple):
     duration: Tensor
     """``(J, B)`` mean time that a level lasts, s."""
     walk: Tensor
-    """``(J, B)`` densities of what moves the position alone, m^2/s: a target that comes and goes between two fixes."""
+    """``(J, B)`` densities of the random walk of a position, m^2/s, of a target that moves to and fro between fixes."""
 
     @property
     def log_restart(self) -> Tensor:

@@ -19,7 +19,7 @@ SIZE = 9
 _WIDE, _HIGH = 0.6 * SIZE, 1.3 * SIZE
 """Width and height of a letter, points."""
 _ANCHORS = 30
-"""Places along a line among which that is chosen that its label points to."""
+"""Number of places along a line from which the one that its label points to is chosen."""
 _DISTANCES = (9.0, 16.0, 26.0, 40.0, 60.0)
 """Distances of a label from its anchor that are tried, points."""
 _POINTS = 500
