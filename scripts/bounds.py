@@ -22,15 +22,7 @@ from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
-from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
 from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
@@ -47,8 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--filters", metavar="A,B", help="those of them that go with a cell (default: all)")
     add_jobs_option(p)
     add_runs_options(p, 200, seed=11)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)

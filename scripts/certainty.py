@@ -19,7 +19,7 @@ from torch import Tensor
 
 import torchfra
 from torchfra import Gaussian, presets
-from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
 from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
@@ -45,8 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--no-compile", action="store_true", help="run interpreted, without a C++ compiler")
     p.add_argument("--seed", type=int, default=13, metavar="S", help="of the first fit (default: 13)")
     add_jobs_option(p)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return exit_status("certainty", lambda: certainty(p.parse_args(arguments)))
 
 

@@ -46,15 +46,7 @@ from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import HARDER, KINDS, truths
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    exit_status,
-    make_parser,
-    numbers_in,
-)
+from torchfra.cli.command import Failures, add_output_options, check_files, exit_status, make_parser, numbers_in
 from torchfra.readers.recording import Recording
 from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
@@ -88,8 +80,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--clean", metavar="MODULE:NAME", default="torchfra.cleaning:clean_tracks", help=cleaner)
     p.add_argument("--cases", action="store_true", help="print a line for each case, too")
     p.add_argument("--plot", type=Path, metavar="FILE", help="PNG: every case against the bounds")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return p
 
 

@@ -37,8 +37,7 @@ from torch.autograd.graph import saved_tensors_hooks
 from torchfra import learnable, plotting
 from torchfra.catalogue import make_filter
 from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
+    add_output_options,
     add_runs_options,
     check_files,
     check_list,
@@ -89,8 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: the tables as curves")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add_runs_options(p, 100, seed=1)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)

@@ -21,7 +21,7 @@ import torch
 from torch import nn
 
 from torchfra import losses, presets
-from torchfra.cli.command import add_json_option, add_quiet_option, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
 from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
@@ -44,8 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     p.add_argument("--tracks", type=int, default=200, metavar="N", help="that judge (default: 200)")
     p.add_argument("--teachers", default=",".join(TEACHERS), metavar="A,B", help=f"of {','.join(TEACHERS)} (all)")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the first tracks (default: 0)")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     options = p.parse_args(argv)
     check_list(p, "teachers", options.teachers, TEACHERS)
     return exit_status("layer", lambda: compare(options))

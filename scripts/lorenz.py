@@ -29,8 +29,7 @@ from learned.lorenz import DT, SETTINGS, Setting, Tracks, models, simulate
 import torchfra
 from torchfra.catalogue import make_filter, track_filters
 from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
+    add_output_options,
     add_runs_options,
     check_files,
     check_list,
@@ -70,8 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--variances", metavar="A,B", default="1,0.001", help="of the measurement noise (default: 1,0.001)")
     p.add_argument("--network", type=int, default=200, metavar="N", help="iterations, or 0 (default: 200)")
     add_runs_options(p, 200, seed=1)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)

@@ -37,14 +37,7 @@ from torch import Tensor
 
 import torchfra
 from torchfra import presets
-from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.fitting import Batch
 from torchfra.motion import ConstantVelocity, UnknownTurn
 from torchfra.running.atomic_write import write_json
@@ -74,8 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--iterations", type=int, default=ITERATIONS, metavar="N", help=f"of a fit (default: {ITERATIONS})")
     p.add_argument("--no-compile", action="store_true", help="run interpreted")
     p.add_argument("--seed", type=int, default=1, metavar="S", help="of the first draw (default: 1)")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)

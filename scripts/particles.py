@@ -24,15 +24,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
@@ -200,8 +192,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
     add_runs_options(p, 20, seed=3)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return exit_status("particles", lambda: particles(p.parse_args(arguments)))
 
 

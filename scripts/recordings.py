@@ -36,15 +36,7 @@ from recorded_bench.picture import picture
 from recorded_bench.tracks import Figures, Followed, followed, judged
 
 from torchfra.catalogue import track_filters
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.evaluation.compiling import brief
 from torchfra.filters import Filter
@@ -73,8 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the network (default: 0)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)

@@ -37,15 +37,7 @@ from regrets.show import not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
 
 from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
 from torchfra.cli.compare_command import WORTHWHILE
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.evaluation import run
@@ -91,8 +83,7 @@ def parser() -> argparse.ArgumentParser:
     add_compile_option(p, f"in cells of {WORTHWHILE:,} steps or more")
     p.add_argument("--plot", type=Path, metavar="FILE", help="with --smooth, PNG: errors of one run, with bands")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: cells by filters, coloured by the ratio")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return p
 
 

@@ -23,15 +23,7 @@ from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
 from torchfra.association import ChiSquare
-from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
 from torchfra.plotting import save
 from torchfra.running.atomic_write import write_json
 from torchfra.running.versions import versions
@@ -55,8 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights (default: 360)")
     p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, else the folded ones")
     p.add_argument("--compile", action="store_true", help="run filters compiled to machine code")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     options = p.parse_args(arguments)
     check_list(p, "what", options.what, WHAT)
     if options.scans < 2:

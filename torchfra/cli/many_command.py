@@ -10,7 +10,7 @@ from typing import Any
 
 from torchfra.cleaning import DEFAULT, check_settings
 from torchfra.cleaning.many import Work, clean_part, summed
-from torchfra.cli.command import IncompleteError, add_json_option, add_quiet_option, check_files, check_folder, complain
+from torchfra.cli.command import IncompleteError, add_output_options, check_files, check_folder, complain
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data
@@ -55,8 +55,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add_jobs_option(command)
     add_cleaning_options(command.add_argument_group("cleaning").add_argument)
     add_reading_options(command.add_argument_group("reading").add_argument)
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run, together=False)
 
 
