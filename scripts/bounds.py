@@ -23,10 +23,9 @@ from regrets.cells import Cell, all_cells, chosen_cells
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
 from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
-from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
 
 Found = dict[str, Any]
@@ -74,8 +73,7 @@ def bounds(options: argparse.Namespace) -> None:
     if not options.quiet:
         print(table(found))
         print(summary(found), flush=True)
-    if options.json is not None:
-        write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "cells": found})
+    write_results(options.json, {"runs": options.runs, "seed": options.seed, "cells": found})
 
 
 def of_cell(cell: str, listed: list[str] | None, runs: int, seed: int) -> Found | None:

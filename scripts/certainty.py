@@ -21,10 +21,9 @@ import torchfra
 from torchfra import Gaussian, presets
 from torchfra.cli.command import add_output_options, check_files, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
-from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 
@@ -70,9 +69,8 @@ def certainty(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     if not options.quiet:
         rows = [[name, f"{of['inside']:.1%}", f"{of['rms']:.2f}"] for name, of in found.items()]
         print(text_table([f"value, {options.fits} fits", "in the interval", "RMS error / standard error"], rows))
-    if options.json is not None:
-        settings = {name: value for name, value in vars(options).items() if not isinstance(value, Path)}
-        write_json(options.json, {"settings": settings, "versions": versions(), "values": found})
+    settings = {name: value for name, value in vars(options).items() if not isinstance(value, Path)}
+    write_results(options.json, {"settings": settings, "values": found})
     return found
 
 

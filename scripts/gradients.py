@@ -50,9 +50,8 @@ from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.filters import Filter
 from torchfra.fitting.descent import bounded
 from torchfra.plotting.style import finish, line_styles
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
 from torchfra.tree import flatten
 from torchfra.types import Estimate, Gaussian
@@ -125,8 +124,7 @@ def gradients(options: argparse.Namespace) -> None:
     found["kept"] = kept(made("srckf", 28.0, VALUES), tracks, short)
     if not options.quiet:
         print("\n\n".join(tables(found)), flush=True)
-    if options.json is not None:
-        write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "found": found})
+    write_results(options.json, {"runs": options.runs, "seed": options.seed, "found": found})
     if options.figure is not None:
         plotting.save(figure(found), options.figure)
 

@@ -23,9 +23,8 @@ from torch import nn
 from torchfra import losses, presets
 from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 
@@ -80,9 +79,8 @@ def compare(options: argparse.Namespace) -> None:
     if not options.quiet:
         rows = [[name, *(f"{x:.2f}" for x in errors)] for name, errors in found.items()]
         print(text_table(["", "on line m", "smoothed m"], rows))
-    if options.json is not None:
-        settings = {name: getattr(options, name) for name in ("steps", "tracks", "teachers", "seed")}
-        write_json(options.json, {**settings, "versions": versions(), "errors": found})
+    settings = {name: getattr(options, name) for name in ("steps", "tracks", "teachers", "seed")}
+    write_results(options.json, {**settings, "errors": found})
 
 
 def code_of(page: str) -> dict[str, Any]:

@@ -39,9 +39,8 @@ from torchfra.cli.command import (
 )
 from torchfra.filters import Filter
 from torchfra.motion import Motion
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
 
 FILTERS, FITTED = "ekf,ukf,srckf,ghckf,rsrckf,gpb", "srckf,rsrckf"
@@ -102,9 +101,8 @@ def compare(options: argparse.Namespace) -> None:
         found.setdefault(name, {})[f"{variance:g}"] = of_setting(SETTINGS[name], variance, options)
     if not options.quiet:
         print(table(found), flush=True)
-    if options.json is not None:
-        kept = {"runs": options.runs, "seed": options.seed, "iterations": options.network, "versions": versions()}
-        write_json(options.json, {**kept, "errors": found})
+    kept = {"runs": options.runs, "seed": options.seed, "iterations": options.network}
+    write_results(options.json, {**kept, "errors": found})
 
 
 def of_setting(setting: Setting, variance: float, options: argparse.Namespace) -> dict[str, float]:

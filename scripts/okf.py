@@ -40,9 +40,8 @@ from torchfra import presets
 from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.fitting import Batch
 from torchfra.motion import ConstantVelocity, UnknownTurn
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import RangeBearing
 from torchfra.tables import formed_table, significant
 from torchfra.types import Estimate, Gaussian
@@ -101,9 +100,8 @@ def compare(options: argparse.Namespace) -> None:
     if not options.quiet:
         for name, ways in found.items():
             print(f"{name}\n\n{table(ways, PUBLISHED if name == 'lidar' else {})}\n", flush=True)
-    if options.json is not None:
-        kept = {name: getattr(options, name) for name in ("draws", "tracks", "iterations", "seed")}
-        write_json(options.json, {**kept, "versions": versions(), "found": found, "published": PUBLISHED})
+    kept = {name: getattr(options, name) for name in ("draws", "tracks", "iterations", "seed")}
+    write_results(options.json, {**kept, "found": found, "published": PUBLISHED})
 
 
 def of_draw(problem: Problem, seed: int, options: argparse.Namespace) -> dict[str, dict[str, float]]:

@@ -29,9 +29,8 @@ from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.scenarios import Tracks
 from torchfra.sensors import Position
 from torchfra.tables import text_table
@@ -213,9 +212,8 @@ def particles(options: argparse.Namespace) -> None:
             text_table(["cell", "gpb m", "lagged m", "one belief m", "particles m", "gpb above"], rows, align="<>>>>>"),
             flush=True,
         )
-    if options.json is not None:
-        settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
-        write_json(options.json, settings | {"versions": versions(), "cells": results})
+    settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
+    write_results(options.json, settings | {"cells": results})
     failures = Failures()
     failures.messages += [f"{name}: an error that is not finite" for name, of in results.items()
                           if not all(map(math.isfinite, of.values()))]  # fmt: skip

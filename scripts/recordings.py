@@ -40,9 +40,8 @@ from torchfra.cli.command import Failures, add_output_options, check_files, chec
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.evaluation.compiling import brief
 from torchfra.filters import Filter
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import significant, text_table
 from torchfra.types import CompileError
 
@@ -138,11 +137,10 @@ def write(options: argparse.Namespace, tracks: list[Any], found: dict[str, dict[
     kind, failures = KINDS[options.kind], Failures()
     if not options.quiet:
         print(f"{table(kind, tracks, found)}\n{kind.NOTE}", flush=True)
-    if options.json is not None:
-        figures = {name: of_filters(of) for name, of in found.items()}
-        published = {track.name: {kind.METRIC: track.published} for track in tracks}
-        with failures.of("json"):
-            write_json(options.json, {options.kind: figures, "published": published, "versions": versions()})
+    figures = {name: of_filters(of) for name, of in found.items()}
+    published = {track.name: {kind.METRIC: track.published} for track in tracks}
+    with failures.of("json"):
+        write_results(options.json, {options.kind: figures, "published": published})
     if options.figure is not None:
         from torchfra import plotting  # matplotlib takes long to import
 

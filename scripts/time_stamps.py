@@ -19,7 +19,7 @@ import numpy as np
 from torchfra.cli.command import add_output_options, check_files, exit_status, make_parser
 from torchfra.readers import Recording, flyable, read, resample
 from torchfra.readers.columns import Array
-from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import write_results
 from torchfra.tables import text_table
 
 DT, MAX_GAP, SHORTEST, NEAR = 5.0, 30.0, 21, 30.0
@@ -52,8 +52,7 @@ def compare(options: argparse.Namespace) -> None:
     if not options.quiet:
         rows = [[name, *(f"{value:.1f}" for value in row)] for name, row in result.items()]
         print(text_table(["", *(f"{q:.0%}" for q in QUANTILES)], rows))
-    if options.json is not None:
-        write_json(options.json, {"quantiles": QUANTILES, **result})
+    write_results(options.json, {"quantiles": QUANTILES, **result})
 
 
 def motion(recordings: Sequence[Recording]) -> dict[str, Array]:
