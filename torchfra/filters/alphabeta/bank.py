@@ -49,7 +49,7 @@ class Earlier(NamedTuple):
 
 
 class AlphaBetaBankState(NamedTuple):
-    """State after a step; ``g`` is the number of axes, or 1 if all axes decide together."""
+    """State after a step; each of the ``d`` axes decides by itself."""
 
     mean: Tensor
     root: Tensor
@@ -57,21 +57,21 @@ class AlphaBetaBankState(NamedTuple):
     start: Tensor
     """``(..., k, d)`` std of position, velocity(, acceleration) of the prior."""
     used: Tensor
-    """``(..., g)`` number of measurements used since the (re)start."""
+    """``(..., d)`` number of measurements used since the (re)start."""
     since: Tensor
-    """``(..., g)`` seconds since the last used measurement."""
+    """``(..., d)`` seconds since the last used measurement."""
     rejected: Tensor
-    """``(..., g)`` number of measurements rejected since the last used one."""
+    """``(..., d)`` number of measurements rejected since the last used one."""
     flags: Tensor
-    """``(..., votes, c)`` flags of the last measurements, the newest first; ``c`` is an axis, or range and azimuth."""
+    """``(..., votes, d)`` flags of the last measurements, the newest first."""
     flag_count: Tensor
-    """``(..., g)`` number of flags in the history."""
+    """``(..., d)`` number of flags in the history."""
     manoeuvre: Tensor
-    """``(..., g)`` 1 in a manoeuvre."""
+    """``(..., d)`` 1 in a manoeuvre."""
     quiet: Tensor
-    """``(..., g)`` steps since the last vote for a manoeuvre."""
+    """``(..., d)`` steps since the last vote for a manoeuvre."""
     level: Tensor
-    """``(..., g, N)`` the filter that was used last."""
+    """``(..., d, N)`` the filter that was used last."""
     last: Tensor
     """``(..., d)`` the last measurement, used or not."""
     since_last: Tensor
@@ -88,7 +88,7 @@ class AlphaBetaBankState(NamedTuple):
 
 
 class AlphaBetaInfo(NamedTuple):
-    """Per step and track, for each axis, or once if all axes decide together: ``(..., T, g)``."""
+    """Per step, track and axis: ``(..., T, d)``."""
 
     level: Tensor
     """Number of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
@@ -103,7 +103,7 @@ class AlphaBetaInfo(NamedTuple):
 
     @property
     def outlier(self) -> Tensor:
-        """``(..., T, g)`` bool: the measurement was rejected."""
+        """``(..., T, d)`` bool: the measurement was rejected."""
         return self.rejected
 
 
@@ -118,15 +118,11 @@ class AxisInnovation(NamedTuple):
     """``(..., d)``, 0 where nothing was measured."""
     size: Tensor
     """``(..., d)`` absolute residual, in std."""
-    channels: Tensor
-    """``(..., c)`` the absolute residuals that raise flags, in std: of each axis, or of range and azimuth."""
-    axis_measured: Tensor
-    """``(..., d)`` 1 where the axis was measured."""
     measured: Tensor
-    """``(..., g)`` 1 where all axes of a decision were measured."""
+    """``(..., d)`` 1 where the axis was measured."""
     dt: Tensor
     since: Tensor
-    """``(..., g)`` seconds since the last used measurement."""
+    """``(..., d)`` seconds since the last used measurement."""
     std: Tensor
 
 
@@ -134,7 +130,7 @@ class Vote(NamedTuple):
     """The vote on a manoeuvre."""
 
     flag: Tensor
-    """``(..., c)`` raised by this measurement."""
+    """``(..., d)`` raised by this measurement."""
     vote: Tensor
     manoeuvre: Tensor
     quiet: Tensor
@@ -144,19 +140,19 @@ class OutlierTest(NamedTuple):
     """The test for outliers, and restarts."""
 
     rejected: Tensor
-    """``(..., g)`` 1 for a rejected measurement."""
+    """``(..., d)`` 1 for a rejected measurement."""
     accepted: Tensor
-    """``(..., g)`` 1 for an accepted measurement."""
+    """``(..., d)`` 1 for an accepted measurement."""
     counted: Tensor
-    """``(..., g)`` 1 for a measurement that ``used`` counts."""
+    """``(..., d)`` 1 for a measurement that ``used`` counts."""
     in_a_row: Tensor
-    """``(..., g)`` number of rejections since the last used measurement."""
+    """``(..., d)`` number of rejections since the last used measurement."""
     restarted: Tensor
-    """``(..., g)`` 1 where the track starts or restarts."""
+    """``(..., d)`` 1 where the track starts or restarts."""
     points: Tensor
-    """``(..., g)`` number of measurements that a restart begins with."""
+    """``(..., d)`` number of measurements that a restart begins with."""
     again: Tensor
-    """``(..., g)`` 1 where a track restarts that had started before."""
+    """``(..., d)`` 1 where a track restarts that had started before."""
 
 
 class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
@@ -165,7 +161,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     A residual above ``manoeuvre`` raises a flag; a majority of the last flags votes for a manoeuvre.  Without a
     manoeuvre, a residual beyond ``outlier`` is rejected and the track is extrapolated; in a manoeuvre, only a residual
     that the target cannot reach is rejected.  After too many rejections the filter restarts from the last two
-    measurements.
+    measurements, as it starts from the first two.  Each axis decides by itself.
 
     ``Estimate.scale_tril`` is a root of the covariance of errors by the prior and the measurement noise under the gains
     in use: it grows while measurements are missing or rejected.  Errors by manoeuvres are not in it.
@@ -194,12 +190,9 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         converged: measurements before the first decision; until then the fastest level is used.
         flag_on_reject: the flag that the history keeps of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the
             vote.
-        detect: ``"cartesian"``: each axis decides by itself; ``"polar"``: range and horizontal azimuth from the origin
-            decide for all axes.
         onset: the state at the onset of a manoeuvre: ``"shared"`` the one as it is, which lags after small gains, or
             ``"fastest"`` that of the fastest filter, which then runs all the time.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
-        initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
             for steps that hardly differ.
         confirm: whether a start or restart from two measurements needs a third one that the target can reach from them
@@ -232,17 +225,14 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         longest: float = math.inf,
         converged: int = 5,
         flag_on_reject: str = "raw",
-        detect: str = "cartesian",
         onset: str = "shared",
         temperature: float = 0.0,
-        initiation: str = "two-point",
         period: Value | None = None,
         confirm: bool = False,
     ) -> None:
-        super().__init__(motion, sensor, initiation, period)
+        super().__init__(motion, sensor, period)
         self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
-        self.flag_on_reject, self.detect, self.onset = flag_on_reject, detect, onset
-        self.confirm = confirm
+        self.flag_on_reject, self.onset, self.confirm = flag_on_reject, onset, confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
         self._set_levels(gains)
@@ -254,11 +244,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def _check(self) -> None:
         """Checks all arguments but gains and thresholds."""
-        one_of(
-            flag_on_reject=(self.flag_on_reject, ("raw", "hold")),
-            detect=(self.detect, ("cartesian", "polar")),
-            onset=(self.onset, ("shared", "fastest")),
-        )
+        one_of(flag_on_reject=(self.flag_on_reject, ("raw", "hold")), onset=(self.onset, ("shared", "fastest")))
         even = is_integer(self.votes, 2) and self.votes % 2 == 0
         if not (even and is_integer(self.patience, 1) and is_integer(self.converged, 3)):
             raise ValueError(
@@ -267,8 +253,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             )
         if not as_number(self.longest) > 0:
             raise ValueError(f"longest: expected seconds above 0, received {self.longest!r}")
-        if self.detect == "polar" and self.motion.dims < 2:
-            raise ValueError("detect: expected 'cartesian' for a motion of one dimension, received 'polar'")
 
     def _set_levels(self, gains: Gains) -> None:
         count = gains.alpha.shape[-1] if gains.alpha.dim() else 0
@@ -300,26 +284,22 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def begin(self, belief: Gaussian) -> AlphaBetaBankState:
         """The state before the first measurement: nothing used, no flags, the fastest level."""
-        mean, axes, count = self._first(belief)
-        root = self._first_root(belief)
-        polar = self.detect == "polar"
-        zero, count = (axes[..., :1], count[..., :1]) if polar else (axes, count)
-        channels = axes[..., :2] if polar else axes
+        (mean, zero), root = self._first(belief), self._first_root(belief)
         return AlphaBetaBankState(
             mean=mean,
             root=root,
             start=root_spreads(root),
-            used=count,
+            used=zero,
             since=zero,
             rejected=zero,
-            flags=channels.unsqueeze(-2).expand(*channels.shape[:-1], self.votes, -1),
+            flags=zero.unsqueeze(-2).expand(*zero.shape[:-1], self.votes, -1),
             flag_count=zero,
             manoeuvre=zero,
             quiet=zero,
             level=torch.nn.functional.pad(zero.unsqueeze(-1) + 1, (0, self.alpha.raw.shape[-1] - 1)),
-            last=axes,
-            since_last=axes,
-            earlier=Earlier(axes, axes, axes) if self.confirm else None,
+            last=zero,
+            since_last=zero,
+            earlier=Earlier(zero, zero, zero) if self.confirm else None,
             fastest=Gaussian(mean, root) if self.onset == "fastest" else None,
         )
 
@@ -343,32 +323,29 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         """The measurement compared with its prediction."""
         z, std, dt = frame.z, frame.measurement_noise.std, frame.dt.unsqueeze(-1)
         predicted = predict_axes(self._components(state.mean), dt)
-        polar = self.detect == "polar"
-        measured = frame.measured.amin(-1, keepdim=True) if polar else frame.measured
         residual = frame.measured * (z - predicted[0])
-        size = residual.abs() / std
-        channels = _polar(z, predicted[0], std) if polar else size
-        since = state.since + dt
-        return AxisInnovation(z, predicted, residual, size, channels, frame.measured, measured, dt, since, std)
+        return AxisInnovation(
+            z, predicted, residual, residual.abs() / std, frame.measured, dt, since=state.since + dt, std=std
+        )
 
     def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Vote:
         """The vote on a manoeuvre: the flag of this measurement, and the majority of the last flags."""
-        channels = innovation.channels
-        threshold = self.manoeuvre(channels).unsqueeze(-1)
-        threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(channels).unsqueeze(-1)))
-        flag = self._above(channels / threshold, 1.0)
+        size = innovation.size
+        threshold = self.manoeuvre(size).unsqueeze(-1)
+        threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(size).unsqueeze(-1)))
+        flag = self._above(size / threshold, 1.0)
         enough = self._above(state.used, self.converged - 0.5) * self._above(state.flag_count, self.votes - 0.5)
         majority = self._above(reduce(torch.add, state.flags.unbind(-2), flag), (self.votes + 1) / 2)
-        vote = enough * self._any(majority) * innovation.measured
+        vote = enough * majority * innovation.measured
         quiet = (1 - vote) * (state.quiet + innovation.measured)
-        lasting = self._above(self.dwell(channels).unsqueeze(-1) - quiet, 0.5)
+        lasting = self._above(self.dwell(size).unsqueeze(-1) - quiet, 0.5)
         return Vote(flag, vote, vote + (1 - vote) * state.manoeuvre * lasting, quiet)
 
     def outlier_test(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> OutlierTest:
         """The test for outliers: a residual above a threshold, or in a manoeuvre beyond reach; and restarts."""
         limit = self._largest_residual(state, innovation, manoeuvre)
         measured, started = innovation.measured, (state.used > 1.5).to(innovation.since)
-        rejected = self._any(self._above(innovation.size / limit, 1.0))
+        rejected = self._above(innovation.size / limit, 1.0)
         rejected = rejected * measured * started  # the first two points start a track and are never rejected
         any_used = (state.used > 0.5).to(rejected)
         expired = (innovation.since > self.longest).to(rejected) * measured * any_used
@@ -383,7 +360,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return OutlierTest(rejected, accepted, counted, in_a_row, restarted, two, restarted * started)
 
     def _confirmed(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
-        """``(..., g)`` 1 where the target can reach this measurement from the last two."""
+        """``(..., d)`` 1 where the target can reach this measurement from the last two."""
         assert state.earlier is not None
         before, between, count = state.earlier
         between = torch.where(count > 1.5, between, 1.0)
@@ -393,7 +370,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         limit, margin = (h(bend).unsqueeze(-1) for h in (self.limit, self.margin))
         noise = innovation.std * (1 + (1 + ratio).square() + ratio.square()).sqrt()
         near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
-        return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
+        confirmed: Tensor = (near & (count > 1.5)).to(bend)
+        return confirmed
 
     def _largest_residual(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> Tensor:
         """``(..., d)`` in std: the reach of the target in a manoeuvre, otherwise the threshold of outliers."""
@@ -405,21 +383,19 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return largest
 
     def _flags_in_a_row(self, state: AlphaBetaBankState) -> Tensor:
-        """``(..., g)`` number of successive flags immediately before this step."""
-        count, flagged = torch.zeros_like(state.since), self._any(state.flags[..., 0, :])
+        """``(..., d)`` number of successive flags immediately before this step."""
+        count, flagged = torch.zeros_like(state.since), state.flags[..., 0, :]
         for i in range(self.votes):
             count = count + flagged
-            flagged = flagged * self._any(state.flags[..., min(i + 1, self.votes - 1), :])
+            flagged = flagged * state.flags[..., min(i + 1, self.votes - 1), :]
         return count
 
     def choose_level(
         self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor, accepted: Tensor
     ) -> Tensor:
-        """Shares ``(..., g, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
-        channels = innovation.channels
+        """Shares ``(..., d, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
         converged = self._above(state.used, self.converged - 0.5)
-        degree = channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
-        degree = degree / self.manoeuvre(degree).unsqueeze(-1)
+        degree = innovation.size / self.manoeuvre(innovation.size).unsqueeze(-1)
         zero = torch.zeros_like(converged)
         over = [self._above(degree / q, 1.0) for q in self.degrees(degree).unsqueeze(-2).unbind(-1)]
         within = [b - a for a, b in pairwise([zero, *over, zero + 1])]
@@ -431,13 +407,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def _above(self, x: Tensor, threshold: float) -> Tensor:
         """1 where ``x`` is larger, else 0; with soft choices a sigmoid."""
         return torch.sigmoid((x - threshold) / self.temperature) if self.soft else (x > threshold).to(x)
-
-    def _any(self, flags: Tensor) -> Tensor:
-        """Decisions ``(..., g)`` from those of channels: for each axis, or for all axes if any channel decides."""
-        if self.detect == "cartesian":
-            return flags
-        none: Tensor = reduce(torch.mul, (1 - flags).split(1, -1))
-        return 1 - none
 
     # ------------------------------------------------------------ the update of beliefs
 
@@ -467,7 +436,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         """A belief after the step, by the gains of a level."""
         predicted = predict_axes(self._components(belief.mean), innovation.dt)
         rows = predict_root(root_rows(belief.scale_tril), innovation.dt)
-        used, since = (1 - test.rejected) * innovation.axis_measured, innovation.since
+        used, since = (1 - test.rejected) * innovation.measured, innovation.since
         hypers = [self.alpha, self.beta] + ([] if self.gamma is None else [self.gamma])
         gains = [of_level(level, h(innovation.residual)) for h in hypers]
         if self.gamma is not None:
@@ -479,29 +448,18 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return Gaussian(mean, corrected_root(rows, gains, since, used, innovation.std))
 
     def _where(self, mask: Tensor, yes: Gaussian, no: Gaussian) -> Gaussian:
-        """One of two beliefs for each axis, by ``mask (..., g)``."""
+        """One of two beliefs for each axis, by ``mask (..., d)``."""
         mean = torch.where(self._of_states(mask) > 0, yes.mean, no.mean)
         return Gaussian(mean, torch.where(mask.unsqueeze(-2) > 0, yes.scale_tril, no.scale_tril))
 
     def _of_states(self, decision: Tensor) -> Tensor:
-        """A decision ``(..., g)``, expanded to the components of the state ``(..., n)``."""
-        return torch.cat([decision.expand(*decision.shape[:-1], self.motion.dims)] * self.motion.orders, -1)
+        """A decision ``(..., d)`` for each component of the state ``(..., n)``."""
+        return torch.cat([decision] * self.motion.orders, -1)
 
 
 def _info(vote: Vote, test: OutlierTest, level: Tensor) -> AlphaBetaInfo:
     place = reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1])))
     return AlphaBetaInfo(place, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.again > 0)
-
-
-def _polar(z: Tensor, predicted: Tensor, std: Tensor) -> Tensor:
-    """Residuals ``(..., 2)`` of range and azimuth, in std."""
-    ground = predicted[..., :2].square().sum(-1)
-    safe = torch.where(ground > 0, ground, 1.0).sqrt()
-    cross = predicted[..., 0] * z[..., 1] - predicted[..., 1] * z[..., 0]
-    dot = (predicted[..., :2] * z[..., :2]).sum(-1)
-    along_circle = torch.atan2(cross, dot) * safe  # metres
-    radial = z.square().sum(-1).sqrt() - predicted.square().sum(-1).sqrt()
-    return torch.stack([radial.abs(), along_circle.abs()], -1) / std.mean(-1, keepdim=True)
 
 
 def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Tensor) -> Gaussian:
@@ -531,7 +489,7 @@ def one_level(place: int, level: Tensor) -> Tensor:
 
 
 def of_level(level: Tensor, values: Tensor) -> Tensor:
-    """Values ``(..., g)`` of the level in use, from those ``(..., N)`` of all and the shares ``(..., g, N)``."""
+    """Values ``(..., d)`` of the level in use, from those ``(..., N)`` of all and the shares ``(..., d, N)``."""
     parts = [level[..., i] * values[..., i].unsqueeze(-1) for i in range(level.shape[-1])]
     return reduce(torch.add, parts)  # many times faster than a sum over a dimension of few entries
 
@@ -557,17 +515,17 @@ def remember(
         innovation: of the step.
         vote: of the step.
         test: of the step.
-        flag: ``(..., c)`` the flag that the history keeps of this measurement.
+        flag: ``(..., d)`` the flag that the history keeps of this measurement.
     """
-    keep, measured, axis_measured = 1 - test.restarted, innovation.measured, innovation.axis_measured
+    keep, measured = 1 - test.restarted, innovation.measured
     voting = measured * (state.used > 1.5)  # the two points that start a track have no vote
     change = voting.unsqueeze(-2) * (_pushed(state.flags, flag) - state.flags)
     since_last = state.since_last + innovation.dt
     earlier = state.earlier
     if earlier is not None:
-        z = earlier.z + axis_measured * (state.last - earlier.z)
-        between = earlier.between + axis_measured * (since_last - earlier.between)
-        earlier = Earlier(z, between, earlier.number + axis_measured)
+        z = earlier.z + measured * (state.last - earlier.z)
+        between = earlier.between + measured * (since_last - earlier.between)
+        earlier = Earlier(z, between, earlier.number + measured)
     return state._replace(
         used=keep * (state.used + test.counted) + test.restarted * test.points,
         since=keep * innovation.since * (1 - test.accepted),
@@ -576,8 +534,8 @@ def remember(
         flag_count=keep * (state.flag_count + voting),
         manoeuvre=keep * (state.manoeuvre + measured * (vote.manoeuvre - state.manoeuvre)),
         quiet=keep * vote.quiet,
-        last=state.last + axis_measured * (innovation.z - state.last),
-        since_last=since_last * (1 - axis_measured),
+        last=state.last + measured * (innovation.z - state.last),
+        since_last=since_last * (1 - measured),
         earlier=earlier,
     )
 
