@@ -96,8 +96,8 @@ def check(options: argparse.Namespace) -> None:
     if not options.quiet:
         lines = f"{cases_table(found)}\n\n" if options.cases else ""
         print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
-    told = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
-    head = {name: getattr(options, name) for name in told}
+    named = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
+    head = {name: getattr(options, name) for name in named}
     with failures.of("json"):
         write_results(options.json, {**head, "seconds": seconds, "bounds": verdicts(found), "cases": found})
     if options.plot is not None:

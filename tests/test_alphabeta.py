@@ -170,7 +170,7 @@ def test_the_vote_is_the_majority_of_three():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("orders", "options"),
-    [(2, {"onset": "fastest"}), (3, {"temperature": 0.2})],
+    [(2, {"onset": "fastest"}), (3, {"detect": "polar", "temperature": 0.2})],
 )
 def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(orders, options):
     motion = (ConstantVelocity if orders == 2 else ConstantAcceleration)(1.0, 3)
@@ -184,7 +184,7 @@ def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(orders, opti
     torch.testing.assert_close(fast.scale_tril, batch.scale_tril, rtol=1e-9, atol=1e-9)
     assert torch.equal(fast.info.rejected, batch.info.rejected)
     assert batch.info.rejected.any()
-    assert batch.info.level.shape[-1] == 3
+    assert batch.info.level.shape[-1] == (1 if "detect" in options else 3)
     for i in range(4):
         one = f(z[i], prior)
         torch.testing.assert_close(one.mean, batch.mean[i])
@@ -296,6 +296,7 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, outlier=1.0), "outlier: expected"),
         (lambda: AlphaBetaBank(LINE, SENSOR, degrees=[0.5, 0.2]), "degrees"),
         (lambda: AlphaBetaBank(LINE, SENSOR, votes=3), "votes, patience, converged"),
+        (lambda: AlphaBetaBank(LINE, SENSOR, detect="polar"), "detect"),
         (lambda: AlphaBetaBank(LINE, SENSOR, onset="late"), "onset"),
         (lambda: AlphaBetaBank(LINE, SENSOR, longest=0.0), "longest"),
         (lambda: AlphaBetaBank(LINE, SENSOR, period=0.0), "period"),

@@ -81,6 +81,7 @@ def test_a_single_filter_has_the_covariance_of_its_errors_from_the_first_step_ov
 @pytest.mark.parametrize("make", [
     lambda d: presets.alphabeta(ConstantVelocity(1.0, d), Position(20.0, dims=d)),
     lambda d: presets.alphabeta(ConstantAcceleration(1.0, d), Position(20.0, dims=d)),
+    lambda d: presets.alphabeta(ConstantAcceleration(1.0, d), Position(20.0, dims=d), detect="polar"),
     lambda d: AlphaBeta(ConstantAcceleration(1.0, d), Position(20.0, dims=d), gains.kalata(0.5, 3)),
 ])  # fmt: skip
 def test_the_std_is_that_of_the_errors_at_steps_with_and_without_measurements(make):

@@ -30,7 +30,8 @@ def alphabeta(
     outlier: Value | None = None, degrees: Value | Sequence[float] | None = None, limit: Value = 60.0,
     margin: Value | None = None, hysteresis: Value | None = None, dwell: Value | None = None, votes: int = 2,
     patience: int = 5, longest: float = math.inf, converged: int = 5, flag_on_reject: str = "raw",
-    onset: str | None = None, temperature: float = 0.0, period: Value | None = None, confirm: bool | None = None,
+    detect: str = "cartesian", onset: str | None = None, temperature: float = 0.0,
+    initiation: str = "two-point", period: Value | None = None, confirm: bool | None = None,
     learn: Collection[str] = (),
 ) -> AlphaBetaBank:  # fmt: skip
     """Alpha-beta filters that switch with manoeuvres, the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
@@ -55,8 +56,10 @@ def alphabeta(
         longest: seconds without a used measurement after which the filter restarts.
         converged: measurements before the first decision.
         flag_on_reject: flag of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the vote.
+        detect: in ``"cartesian"`` or ``"polar"`` coordinates.
         onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; shared if None (fastest).
         temperature: 0 for hard choices, above for soft ones, to train by.
+        initiation: from two measurements, ``"two-point"``, or the ``"prior"``.
         period: seconds between measurements for which the gains are designed.
         confirm: whether a start or restart needs a third measurement that fits; no if None (yes).
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
@@ -67,6 +70,7 @@ def alphabeta(
     thresholds = defaults | {name: value for name, value in chosen.items() if value is not None}
     f = AlphaBetaBank(
         motion, sensor, gains, limit=limit, votes=votes, patience=patience, longest=longest, converged=converged,
-        flag_on_reject=flag_on_reject, temperature=temperature, period=period, **thresholds,
+        flag_on_reject=flag_on_reject, detect=detect, temperature=temperature, initiation=initiation,
+        period=period, **thresholds,
     )  # fmt: skip
     return with_learning(f, learn)

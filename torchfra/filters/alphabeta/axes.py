@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.filters.base import Filter, S
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
@@ -32,21 +32,25 @@ class ConstantGainFilter(Filter[S]):
     one_sensor = "constant gains are chosen for one sensor's noise"
     gamma: Hyper | None
 
-    def __init__(self, motion: Motion, sensor: Sensor, period: Value | None) -> None:
+    def __init__(self, motion: Motion, sensor: Sensor, initiation: str, period: Value | None) -> None:
         if not isinstance(sensor, Position) or sensor.std is None:
             raise ValueError(f"sensor: expected a Position with a std, received {type(sensor).__name__}")
         if not isinstance(motion, ConstantVelocity | ConstantAcceleration) or motion.dims != sensor.size:
             raise ValueError(
                 f"motion: expected constant velocity or acceleration in {sensor.size} dimensions, received {motion}"
             )
+        one_of(initiation=(initiation, ("two-point", "prior")))
         super().__init__(motion, sensor)
+        self.initiation = initiation
         self.period = None if period is None else Hyper(period, name="period")
 
-    def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor]:
-        """The initial mean, which is at rest, and zeros ``(..., d)``."""
-        position = belief.mean[..., : self.motion.dims]
-        zero = torch.zeros_like(position)
-        return torch.cat([position, *[zero] * (self.motion.orders - 1)], -1), zero
+    def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
+        """The initial mean, zeros ``(..., d)``, and the number of measurements that the mean counts as."""
+        d = self.motion.dims
+        zero = torch.zeros_like(belief.mean[..., :d])
+        if self.initiation == "prior":
+            return belief.mean, zero, zero + 2
+        return torch.cat([belief.mean[..., :d], *[zero] * (self.motion.orders - 1)], -1), zero, zero
 
     def _first_root(self, belief: Gaussian) -> Tensor:
         """Entries ``(..., p, d)`` of the covariance root of each axis."""

@@ -49,7 +49,7 @@ class Earlier(NamedTuple):
 
 
 class AlphaBetaBankState(NamedTuple):
-    """State after a step; each of the ``d`` axes decides by itself."""
+    """State after a step; ``g`` is the number of axes, or 1 if all axes decide together."""
 
     mean: Tensor
     root: Tensor
@@ -57,21 +57,21 @@ class AlphaBetaBankState(NamedTuple):
     start: Tensor
     """``(..., k, d)`` std of position, velocity(, acceleration) of the prior."""
     used: Tensor
-    """``(..., d)`` number of measurements used since the (re)start."""
+    """``(..., g)`` number of measurements used since the (re)start."""
     since: Tensor
-    """``(..., d)`` seconds since the last used measurement."""
+    """``(..., g)`` seconds since the last used measurement."""
     rejected: Tensor
-    """``(..., d)`` number of measurements rejected since the last used one."""
+    """``(..., g)`` number of measurements rejected since the last used one."""
     flags: Tensor
-    """``(..., votes, d)`` flags of the last measurements, the newest first."""
+    """``(..., votes, c)`` flags of the last measurements, the newest first; ``c`` is an axis, or range and azimuth."""
     flag_count: Tensor
-    """``(..., d)`` number of flags in the history."""
+    """``(..., g)`` number of flags in the history."""
     manoeuvre: Tensor
-    """``(..., d)`` 1 in a manoeuvre."""
+    """``(..., g)`` 1 in a manoeuvre."""
     quiet: Tensor
-    """``(..., d)`` steps since the last vote for a manoeuvre."""
+    """``(..., g)`` steps since the last vote for a manoeuvre."""
     level: Tensor
-    """``(..., d, N)`` the filter that was used last."""
+    """``(..., g, N)`` the filter that was used last."""
     last: Tensor
     """``(..., d)`` the last measurement, used or not."""
     since_last: Tensor
@@ -88,7 +88,7 @@ class AlphaBetaBankState(NamedTuple):
 
 
 class AlphaBetaInfo(NamedTuple):
-    """Per step, track and axis: ``(..., T, d)``."""
+    """Per step and track, for each axis, or once if all axes decide together: ``(..., T, g)``."""
 
     level: Tensor
     """Number of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
@@ -103,7 +103,7 @@ class AlphaBetaInfo(NamedTuple):
 
     @property
     def outlier(self) -> Tensor:
-        """``(..., T, d)`` bool: the measurement was rejected."""
+        """``(..., T, g)`` bool: the measurement was rejected."""
         return self.rejected
 
 
@@ -118,11 +118,15 @@ class AxisInnovation(NamedTuple):
     """``(..., d)``, 0 where nothing was measured."""
     size: Tensor
     """``(..., d)`` absolute residual, in std."""
-    measured: Tensor
+    channels: Tensor
+    """``(..., c)`` the absolute residuals that raise flags, in std: of each axis, or of range and azimuth."""
+    axis_measured: Tensor
     """``(..., d)`` 1 where the axis was measured."""
+    measured: Tensor
+    """``(..., g)`` 1 where all axes of a decision were measured."""
     dt: Tensor
     since: Tensor
-    """``(..., d)`` seconds since the last used measurement."""
+    """``(..., g)`` seconds since the last used measurement."""
     std: Tensor
 
 
@@ -130,7 +134,7 @@ class Vote(NamedTuple):
     """The vote on a manoeuvre."""
 
     flag: Tensor
-    """``(..., d)`` raised by this measurement."""
+    """``(..., c)`` raised by this measurement."""
     vote: Tensor
     manoeuvre: Tensor
     quiet: Tensor
@@ -140,19 +144,19 @@ class OutlierTest(NamedTuple):
     """The test for outliers, and restarts."""
 
     rejected: Tensor
-    """``(..., d)`` 1 for a rejected measurement."""
+    """``(..., g)`` 1 for a rejected measurement."""
     accepted: Tensor
-    """``(..., d)`` 1 for an accepted measurement."""
+    """``(..., g)`` 1 for an accepted measurement."""
     counted: Tensor
-    """``(..., d)`` 1 for a measurement that ``used`` counts."""
+    """``(..., g)`` 1 for a measurement that ``used`` counts."""
     in_a_row: Tensor
-    """``(..., d)`` number of rejections since the last used measurement."""
+    """``(..., g)`` number of rejections since the last used measurement."""
     restarted: Tensor
-    """``(..., d)`` 1 where the track starts or restarts."""
+    """``(..., g)`` 1 where the track starts or restarts."""
     points: Tensor
-    """``(..., d)`` number of measurements that a restart begins with."""
+    """``(..., g)`` number of measurements that a restart begins with."""
     again: Tensor
-    """``(..., d)`` 1 where a track restarts that had started before."""
+    """``(..., g)`` 1 where a track restarts that had started before."""
 
 
 class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
@@ -161,7 +165,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     A residual above ``manoeuvre`` raises a flag; a majority of the last flags votes for a manoeuvre.  Without a
     manoeuvre, a residual beyond ``outlier`` is rejected and the track is extrapolated; in a manoeuvre, only a residual
     that the target cannot reach is rejected.  After too many rejections the filter restarts from the last two
-    measurements, as it starts from the first two.  Each axis decides by itself.
+    measurements.
 
     ``Estimate.scale_tril`` is a root of the covariance of errors by the prior and the measurement noise under the gains
     in use: it grows while measurements are missing or rejected.  Errors by manoeuvres are not in it.
@@ -190,9 +194,12 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         converged: measurements before the first decision; until then the fastest level is used.
         flag_on_reject: the flag that the history keeps of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the
             vote.
+        detect: ``"cartesian"``: each axis decides by itself; ``"polar"``: range and horizontal azimuth from the origin
+            decide for all axes.
         onset: the state at the onset of a manoeuvre: ``"shared"`` the one as it is, which lags after small gains, or
             ``"fastest"`` that of the fastest filter, which then runs all the time.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
+        initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
             for steps that hardly differ.
         confirm: whether a start or restart from two measurements needs a third one that the target can reach from them
@@ -225,14 +232,17 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         longest: float = math.inf,
         converged: int = 5,
         flag_on_reject: str = "raw",
+        detect: str = "cartesian",
         onset: str = "shared",
         temperature: float = 0.0,
+        initiation: str = "two-point",
         period: Value | None = None,
         confirm: bool = False,
     ) -> None:
-        super().__init__(motion, sensor, period)
+        super().__init__(motion, sensor, initiation, period)
         self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
-        self.flag_on_reject, self.onset, self.confirm = flag_on_reject, onset, confirm
+        self.flag_on_reject, self.detect, self.onset = flag_on_reject, detect, onset
+        self.confirm = confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
         self._set_levels(gains)
@@ -244,7 +254,11 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def _check(self) -> None:
         """Checks all arguments but gains and thresholds."""
-        one_of(flag_on_reject=(self.flag_on_reject, ("raw", "hold")), onset=(self.onset, ("shared", "fastest")))
+        one_of(
+            flag_on_reject=(self.flag_on_reject, ("raw", "hold")),
+            detect=(self.detect, ("cartesian", "polar")),
+            onset=(self.onset, ("shared", "fastest")),
+        )
         even = is_integer(self.votes, 2) and self.votes % 2 == 0
         if not (even and is_integer(self.patience, 1) and is_integer(self.converged, 3)):
             raise ValueError(
@@ -253,6 +267,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             )
         if not as_number(self.longest) > 0:
             raise ValueError(f"longest: expected seconds above 0, received {self.longest!r}")
+        if self.detect == "polar" and self.motion.dims < 2:
+            raise ValueError("detect: expected 'cartesian' for a motion of one dimension, received 'polar'")
 
     def _set_levels(self, gains: Gains) -> None:
         count = gains.alpha.shape[-1] if gains.alpha.dim() else 0
@@ -284,22 +300,26 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def begin(self, belief: Gaussian) -> AlphaBetaBankState:
         """The state before the first measurement: nothing used, no flags, the fastest level."""
-        (mean, zero), root = self._first(belief), self._first_root(belief)
+        mean, axes, count = self._first(belief)
+        root = self._first_root(belief)
+        polar = self.detect == "polar"
+        zero, count = (axes[..., :1], count[..., :1]) if polar else (axes, count)
+        channels = axes[..., :2] if polar else axes
         return AlphaBetaBankState(
             mean=mean,
             root=root,
             start=root_spreads(root),
-            used=zero,
+            used=count,
             since=zero,
             rejected=zero,
-            flags=zero.unsqueeze(-2).expand(*zero.shape[:-1], self.votes, -1),
+            flags=channels.unsqueeze(-2).expand(*channels.shape[:-1], self.votes, -1),
             flag_count=zero,
             manoeuvre=zero,
             quiet=zero,
             level=torch.nn.functional.pad(zero.unsqueeze(-1) + 1, (0, self.alpha.raw.shape[-1] - 1)),
-            last=zero,
-            since_last=zero,
-            earlier=Earlier(zero, zero, zero) if self.confirm else None,
+            last=axes,
+            since_last=axes,
+            earlier=Earlier(axes, axes, axes) if self.confirm else None,
             fastest=Gaussian(mean, root) if self.onset == "fastest" else None,
         )
 
@@ -323,29 +343,32 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         """The measurement compared with its prediction."""
         z, std, dt = frame.z, frame.measurement_noise.std, frame.dt.unsqueeze(-1)
         predicted = predict_axes(self._components(state.mean), dt)
+        polar = self.detect == "polar"
+        measured = frame.measured.amin(-1, keepdim=True) if polar else frame.measured
         residual = frame.measured * (z - predicted[0])
-        return AxisInnovation(
-            z, predicted, residual, residual.abs() / std, frame.measured, dt, since=state.since + dt, std=std
-        )
+        size = residual.abs() / std
+        channels = _polar(z, predicted[0], std) if polar else size
+        since = state.since + dt
+        return AxisInnovation(z, predicted, residual, size, channels, frame.measured, measured, dt, since, std)
 
     def manoeuvre_vote(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Vote:
         """The vote on a manoeuvre: the flag of this measurement, and the majority of the last flags."""
-        size = innovation.size
-        threshold = self.manoeuvre(size).unsqueeze(-1)
-        threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(size).unsqueeze(-1)))
-        flag = self._above(size / threshold, 1.0)
+        channels = innovation.channels
+        threshold = self.manoeuvre(channels).unsqueeze(-1)
+        threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(channels).unsqueeze(-1)))
+        flag = self._above(channels / threshold, 1.0)
         enough = self._above(state.used, self.converged - 0.5) * self._above(state.flag_count, self.votes - 0.5)
         majority = self._above(reduce(torch.add, state.flags.unbind(-2), flag), (self.votes + 1) / 2)
-        vote = enough * majority * innovation.measured
+        vote = enough * self._any(majority) * innovation.measured
         quiet = (1 - vote) * (state.quiet + innovation.measured)
-        lasting = self._above(self.dwell(size).unsqueeze(-1) - quiet, 0.5)
+        lasting = self._above(self.dwell(channels).unsqueeze(-1) - quiet, 0.5)
         return Vote(flag, vote, vote + (1 - vote) * state.manoeuvre * lasting, quiet)
 
     def outlier_test(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> OutlierTest:
         """The test for outliers: a residual above a threshold, or in a manoeuvre beyond reach; and restarts."""
         limit = self._largest_residual(state, innovation, manoeuvre)
         measured, started = innovation.measured, (state.used > 1.5).to(innovation.since)
-        rejected = self._above(innovation.size / limit, 1.0)
+        rejected = self._any(self._above(innovation.size / limit, 1.0))
         rejected = rejected * measured * started  # the first two points start a track and are never rejected
         any_used = (state.used > 0.5).to(rejected)
         expired = (innovation.since > self.longest).to(rejected) * measured * any_used
@@ -360,7 +383,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return OutlierTest(rejected, accepted, counted, in_a_row, restarted, two, restarted * started)
 
     def _confirmed(self, state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
-        """``(..., d)`` 1 where the target can reach this measurement from the last two."""
+        """``(..., g)`` 1 where the target can reach this measurement from the last two."""
         assert state.earlier is not None
         before, between, count = state.earlier
         between = torch.where(count > 1.5, between, 1.0)
@@ -370,8 +393,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         limit, margin = (h(bend).unsqueeze(-1) for h in (self.limit, self.margin))
         noise = innovation.std * (1 + (1 + ratio).square() + ratio.square()).sqrt()
         near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
-        confirmed: Tensor = (near & (count > 1.5)).to(bend)
-        return confirmed
+        return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
 
     def _largest_residual(self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor) -> Tensor:
         """``(..., d)`` in std: the reach of the target in a manoeuvre, otherwise the threshold of outliers."""
@@ -383,19 +405,21 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return largest
 
     def _flags_in_a_row(self, state: AlphaBetaBankState) -> Tensor:
-        """``(..., d)`` number of successive flags immediately before this step."""
-        count, flagged = torch.zeros_like(state.since), state.flags[..., 0, :]
+        """``(..., g)`` number of successive flags immediately before this step."""
+        count, flagged = torch.zeros_like(state.since), self._any(state.flags[..., 0, :])
         for i in range(self.votes):
             count = count + flagged
-            flagged = flagged * state.flags[..., min(i + 1, self.votes - 1), :]
+            flagged = flagged * self._any(state.flags[..., min(i + 1, self.votes - 1), :])
         return count
 
     def choose_level(
         self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor, accepted: Tensor
     ) -> Tensor:
-        """Shares ``(..., d, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
+        """Shares ``(..., g, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
+        channels = innovation.channels
         converged = self._above(state.used, self.converged - 0.5)
-        degree = innovation.size / self.manoeuvre(innovation.size).unsqueeze(-1)
+        degree = channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
+        degree = degree / self.manoeuvre(degree).unsqueeze(-1)
         zero = torch.zeros_like(converged)
         over = [self._above(degree / q, 1.0) for q in self.degrees(degree).unsqueeze(-2).unbind(-1)]
         within = [b - a for a, b in pairwise([zero, *over, zero + 1])]
@@ -407,6 +431,13 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def _above(self, x: Tensor, threshold: float) -> Tensor:
         """1 where ``x`` is larger, else 0; with soft choices a sigmoid."""
         return torch.sigmoid((x - threshold) / self.temperature) if self.soft else (x > threshold).to(x)
+
+    def _any(self, flags: Tensor) -> Tensor:
+        """Decisions ``(..., g)`` from those of channels: for each axis, or for all axes if any channel decides."""
+        if self.detect == "cartesian":
+            return flags
+        none: Tensor = reduce(torch.mul, (1 - flags).split(1, -1))
+        return 1 - none
 
     # ------------------------------------------------------------ the update of beliefs
 
@@ -436,7 +467,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         """A belief after the step, by the gains of a level."""
         predicted = predict_axes(self._components(belief.mean), innovation.dt)
         rows = predict_root(root_rows(belief.scale_tril), innovation.dt)
-        used, since = (1 - test.rejected) * innovation.measured, innovation.since
+        used, since = (1 - test.rejected) * innovation.axis_measured, innovation.since
         hypers = [self.alpha, self.beta] + ([] if self.gamma is None else [self.gamma])
         gains = [of_level(level, h(innovation.residual)) for h in hypers]
         if self.gamma is not None:
@@ -448,18 +479,29 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return Gaussian(mean, corrected_root(rows, gains, since, used, innovation.std))
 
     def _where(self, mask: Tensor, yes: Gaussian, no: Gaussian) -> Gaussian:
-        """One of two beliefs for each axis, by ``mask (..., d)``."""
+        """One of two beliefs for each axis, by ``mask (..., g)``."""
         mean = torch.where(self._of_states(mask) > 0, yes.mean, no.mean)
         return Gaussian(mean, torch.where(mask.unsqueeze(-2) > 0, yes.scale_tril, no.scale_tril))
 
     def _of_states(self, decision: Tensor) -> Tensor:
-        """A decision ``(..., d)`` for each component of the state ``(..., n)``."""
-        return torch.cat([decision] * self.motion.orders, -1)
+        """A decision ``(..., g)``, expanded to the components of the state ``(..., n)``."""
+        return torch.cat([decision.expand(*decision.shape[:-1], self.motion.dims)] * self.motion.orders, -1)
 
 
 def _info(vote: Vote, test: OutlierTest, level: Tensor) -> AlphaBetaInfo:
     place = reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1])))
     return AlphaBetaInfo(place, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.again > 0)
+
+
+def _polar(z: Tensor, predicted: Tensor, std: Tensor) -> Tensor:
+    """Residuals ``(..., 2)`` of range and azimuth, in std."""
+    ground = predicted[..., :2].square().sum(-1)
+    safe = torch.where(ground > 0, ground, 1.0).sqrt()
+    cross = predicted[..., 0] * z[..., 1] - predicted[..., 1] * z[..., 0]
+    dot = (predicted[..., :2] * z[..., :2]).sum(-1)
+    along_circle = torch.atan2(cross, dot) * safe  # metres
+    radial = z.square().sum(-1).sqrt() - predicted.square().sum(-1).sqrt()
+    return torch.stack([radial.abs(), along_circle.abs()], -1) / std.mean(-1, keepdim=True)
 
 
 def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Tensor) -> Gaussian:
@@ -489,7 +531,7 @@ def one_level(place: int, level: Tensor) -> Tensor:
 
 
 def of_level(level: Tensor, values: Tensor) -> Tensor:
-    """Values ``(..., d)`` of the level in use, from those ``(..., N)`` of all and the shares ``(..., d, N)``."""
+    """Values ``(..., g)`` of the level in use, from those ``(..., N)`` of all and the shares ``(..., g, N)``."""
     parts = [level[..., i] * values[..., i].unsqueeze(-1) for i in range(level.shape[-1])]
     return reduce(torch.add, parts)  # many times faster than a sum over a dimension of few entries
 
@@ -515,17 +557,17 @@ def remember(
         innovation: of the step.
         vote: of the step.
         test: of the step.
-        flag: ``(..., d)`` the flag that the history keeps of this measurement.
+        flag: ``(..., c)`` the flag that the history keeps of this measurement.
     """
-    keep, measured = 1 - test.restarted, innovation.measured
+    keep, measured, axis_measured = 1 - test.restarted, innovation.measured, innovation.axis_measured
     voting = measured * (state.used > 1.5)  # the two points that start a track have no vote
     change = voting.unsqueeze(-2) * (_pushed(state.flags, flag) - state.flags)
     since_last = state.since_last + innovation.dt
     earlier = state.earlier
     if earlier is not None:
-        z = earlier.z + measured * (state.last - earlier.z)
-        between = earlier.between + measured * (since_last - earlier.between)
-        earlier = Earlier(z, between, earlier.number + measured)
+        z = earlier.z + axis_measured * (state.last - earlier.z)
+        between = earlier.between + axis_measured * (since_last - earlier.between)
+        earlier = Earlier(z, between, earlier.number + axis_measured)
     return state._replace(
         used=keep * (state.used + test.counted) + test.restarted * test.points,
         since=keep * innovation.since * (1 - test.accepted),
@@ -534,8 +576,8 @@ def remember(
         flag_count=keep * (state.flag_count + voting),
         manoeuvre=keep * (state.manoeuvre + measured * (vote.manoeuvre - state.manoeuvre)),
         quiet=keep * vote.quiet,
-        last=state.last + measured * (innovation.z - state.last),
-        since_last=since_last * (1 - measured),
+        last=state.last + axis_measured * (innovation.z - state.last),
+        since_last=since_last * (1 - axis_measured),
         earlier=earlier,
     )
 

@@ -62,6 +62,8 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         sensor: a ``Position``.
         gains: of the filter; ``torchfra.filters.alphabeta.gains`` has designs.
         expanding: use the gains of a least-squares line until they have fallen to ``gains`` (two gains only).
+        initiation: ``"two-point"`` takes position and velocity from the first two measurements, ``"prior"`` from the
+            prior.
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  If
             steps differ much, constant gains are not stable without it; it should be near the longest step.  None for
             steps that hardly differ.
@@ -79,9 +81,10 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         gains: Gains,
         *,
         expanding: bool = False,
+        initiation: str = "two-point",
         period: Value | None = None,
     ) -> None:
-        super().__init__(motion, sensor, period)
+        super().__init__(motion, sensor, initiation, period)
         if (gains.gamma is not None and motion.orders == 2) or not design.stable(gains):
             more = "" if motion.orders == 2 else ", or these and gamma"
             raise ValueError(f"gains: expected stable alpha and beta{more}, received {gains}")
@@ -94,8 +97,8 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
 
     def begin(self, belief: Gaussian) -> AlphaBetaState:
         """The state before the first measurement."""
-        mean, zero = self._first(belief)
-        return AlphaBetaState(mean, self._first_root(belief), zero, zero)
+        mean, zero, count = self._first(belief)
+        return AlphaBetaState(mean, self._first_root(belief), count, zero)
 
     def advance(self, state: AlphaBetaState, frame: Frame) -> tuple[AlphaBetaState, Record]:
         """One step: prediction, residual, update by the gains."""
