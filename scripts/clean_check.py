@@ -107,8 +107,8 @@ def check(options: argparse.Namespace) -> None:
         lines = f"{cases_table(found)}\n\n" if options.cases else ""
         print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
     if options.json is not None:
-        named = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
-        head = {name: getattr(options, name) for name in named}
+        told = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
+        head = {name: getattr(options, name) for name in told}
         with failures.of("json"):
             write_json(options.json, {**head, "seconds": seconds, "versions": versions(), "bounds": verdicts(found),
                                       "cases": found})  # fmt: skip
