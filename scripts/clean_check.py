@@ -46,19 +46,10 @@ from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import HARDER, KINDS, truths
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    exit_status,
-    make_parser,
-    numbers_in,
-)
+from torchfra.cli.command import Failures, add_output_options, check_files, exit_status, make_parser, numbers_in
 from torchfra.readers.recording import Recording
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 
 Cleaner = Callable[[Sequence[Recording]], Sequence[Cleaned]]
 TOGETHER = 64
@@ -88,8 +79,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--clean", metavar="MODULE:NAME", default="torchfra.cleaning:clean_tracks", help=cleaner)
     p.add_argument("--cases", action="store_true", help="print a line for each case, too")
     p.add_argument("--plot", type=Path, metavar="FILE", help="PNG: every case against the bounds")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return p
 
 
@@ -106,12 +96,10 @@ def check(options: argparse.Namespace) -> None:
     if not options.quiet:
         lines = f"{cases_table(found)}\n\n" if options.cases else ""
         print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
-    if options.json is not None:
-        told = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
-        head = {name: getattr(options, name) for name in told}
-        with failures.of("json"):
-            write_json(options.json, {**head, "seconds": seconds, "versions": versions(), "bounds": verdicts(found),
-                                      "cases": found})  # fmt: skip
+    named = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
+    head = {name: getattr(options, name) for name in named}
+    with failures.of("json"):
+        write_results(options.json, {**head, "seconds": seconds, "bounds": verdicts(found), "cases": found})
     if options.plot is not None:
         from cleaning.picture import picture  # matplotlib takes long to import
 

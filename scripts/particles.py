@@ -24,22 +24,13 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.scenarios import Tracks
 from torchfra.sensors import Position
 from torchfra.tables import text_table
@@ -200,8 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
     add_runs_options(p, 20, seed=3)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return exit_status("particles", lambda: particles(p.parse_args(arguments)))
 
 
@@ -222,9 +212,8 @@ def particles(options: argparse.Namespace) -> None:
             text_table(["cell", "gpb m", "lagged m", "one belief m", "particles m", "gpb above"], rows, align="<>>>>>"),
             flush=True,
         )
-    if options.json is not None:
-        settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
-        write_json(options.json, settings | {"versions": versions(), "cells": results})
+    settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
+    write_results(options.json, settings | {"cells": results})
     failures = Failures()
     failures.messages += [f"{name}: an error that is not finite" for name, of in results.items()
                           if not all(map(math.isfinite, of.values()))]  # fmt: skip

@@ -48,8 +48,7 @@ from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
 from torchfra.motion import Bank, ConstantVelocity
-from torchfra.running.atomic_write import write_json
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 from torchfra.targets import SPRT, ClutterMap, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint, Visibility
@@ -136,10 +135,9 @@ def compare(options: argparse.Namespace) -> None:
     cells = [[f"{row[key]:.2f}" if isinstance(row[key], float) else str(row[key]) for key in row] for row in rows]
     if rows:
         print(text_table([key.replace("_", " ") for key in rows[0]], cells))
-    if options.json is not None:
-        harbours = [str(path) for path in options.harbour or ()]
-        settings = vars(options) | {"json": str(options.json), "harbour": harbours}
-        write_json(options.json, {"settings": settings, "versions": versions(), "rows": rows})
+    harbours = [str(path) for path in options.harbour or ()]
+    settings = vars(options) | {"json": str(options.json), "harbour": harbours}
+    write_results(options.json, {"settings": settings, "rows": rows})
 
 
 def simulation(options: argparse.Namespace) -> list[dict[str, Any]]:

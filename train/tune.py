@@ -33,7 +33,7 @@ from torch import Tensor
 
 from torchfra import plotting
 from torchfra.catalogue import FILTERS
-from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
+from torchfra.cli.command import Failures, add_quiet_option, check_files, check_folder, exit_status, make_parser
 from torchfra.fitting.descent import bounded, falling
 from torchfra.hyper import hypers, named
 from torchfra.running import distributed
@@ -261,7 +261,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("changes", metavar="KEY=VALUE", nargs="*", help="fields of train.config.Config")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: out/train/RUN)")
     parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint, if there is one")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, and nothing printed but errors")
+    add_quiet_option(parser)
 
     def work() -> None:
         options = parser.parse_intermixed_args(arguments)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from learned.campus import Day, learned, signals
+from learned.campus import learned, signals
 from torch import Tensor
 
 from recorded_bench.compass import steadied
@@ -134,7 +134,7 @@ def turns(wheels: Tensor) -> Tensor:
 
 
 def learned_mixture(
-    tracks: Iterable[Track],
+    tracks: Sequence[Track],
     filters: Sequence[Filter],
     seed: int,
     progress: Callable[[range], Iterable[int]],
@@ -144,7 +144,7 @@ def learned_mixture(
     Raises:
         ValueError: a day without a truth at all of its steps.
     """
-    networks = learned([as_day(track) for track in tracks], filters, with_error, seed, progress)
+    networks = learned(tracks, filters, with_error, seed, progress)
 
     def mixture(track: Track, of: Sequence[Followed]) -> Followed:
         with torch.no_grad():
@@ -165,12 +165,6 @@ def learned_mixture(
         )
 
     return mixture
-
-
-def as_day(track: Track) -> Day:
-    """What networks learn from."""
-    assert track.u is not None
-    return Day(track.z, track.u, track.dt, track.truth, track.prior)
 
 
 def deviation(yaw: Tensor) -> Tensor:

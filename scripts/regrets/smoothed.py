@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from regrets.ratios import RESAMPLES, Errors, draws
+from regrets.ratios import RESAMPLES, Errors, draws, ratio
 from regrets.show import interval, metres, regret
 from torchfra import metrics
 from torchfra.filters import Filter
@@ -82,11 +81,7 @@ def results(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         filtered, of[name] = kinds["filtered"].rmse(), {}
         for kind in KINDS:
             values = kinds[kind].rmse()
-            with np.errstate(invalid="ignore"):
-                ratio = values / filtered
-            between = np.quantile(ratio[1:], [0.025, 0.975], method="inverted_cdf").tolist() if len(ratio) > 1 else None
-            of[name][kind] = {"rmse": values[0].item(), "ratio": ratio[0].item(), "interval": between,
-                              "nees": kinds["nees"][kind]}  # fmt: skip
+            of[name][kind] = {"rmse": values[0].item(), **ratio(values, filtered), "nees": kinds["nees"][kind]}
     return of
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, track_filters
-from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.cli.command import Failures, add_output_options, check_files
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
@@ -93,8 +93,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     best = f"the first of them, {BASELINE} and the best others"
     add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
     add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run)
 
 

@@ -10,16 +10,15 @@ from typing import Any
 
 from torchfra.cleaning import DEFAULT, check_settings
 from torchfra.cleaning.many import Work, clean_part, summed
-from torchfra.cli.command import IncompleteError, add_json_option, add_quiet_option, check_files, check_folder, complain
+from torchfra.cli.command import IncompleteError, add_output_options, check_files, check_folder, complain
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data
 from torchfra.readers.repairs import in_words, plural
 from torchfra.running import distributed
-from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import duration, printable
 
 _ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as torchfra track does those of a file.
@@ -57,8 +56,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add_jobs_option(command)
     add_cleaning_options(command.add_argument_group("cleaning").add_argument)
     add_reading_options(command.add_argument_group("reading").add_argument)
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run, together=False)
 
 
@@ -114,9 +112,8 @@ def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None
         tell(f"Left out: {unnamed:,} rows without an id")
     tell(f"Each process: {total['rows_per_second']:,.0f} rows a second, {total['memory'] / 1e6:,.0f} MB at most")
     tell(f"Written: {work.parts:,} parts in {printable(str(work.folder))}")
-    if options.json is not None:
-        settings = {"data": str(options.data), "rows": work.rows, **work.settings, **reading_of(options)}
-        write_json(options.json, {"versions": versions(), "settings": settings, "parts": work.parts, **total})
+    settings = {"data": str(options.data), "rows": work.rows, **work.settings, **reading_of(options)}
+    write_results(options.json, {"settings": settings, "parts": work.parts, **total})
     if failed := total["failed"]:
         lines = [f"{name}: {why}" for name, why in list(failed.items())[:_MOST_SAID]]
         if len(failed) > _MOST_SAID:

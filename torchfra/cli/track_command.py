@@ -12,7 +12,7 @@ from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
 from torchfra.cli import page
 from torchfra.cli import plan as plans
-from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.cli.command import Failures, add_output_options, check_files
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.reading_options import add_bound_option, add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers import Recording
@@ -73,8 +73,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add_reading_options(command.add_argument_group("reading").add_argument)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run)
 
 

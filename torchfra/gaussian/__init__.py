@@ -1,13 +1,6 @@
 """The algebra of all Gaussian filters: rules, prediction, comparison, the update in array form, and mixtures."""
 
-from torchfra.gaussian.cubature import (
-    fifth_degree,
-    gauss_hermite,
-    spherical_fifth_degree,
-    tangent,
-    third_degree,
-    unscented,
-)
+from torchfra.gaussian.cubature import fifth_degree, tangent, third_degree, unscented
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Linearised, Rule, SigmaPoints, Tangent
 
@@ -17,9 +10,7 @@ __all__ = [
     "SigmaPoints",
     "Tangent",
     "fifth_degree",
-    "gauss_hermite",
     "moment_match",
-    "spherical_fifth_degree",
     "tangent",
     "third_degree",
     "unscented",

@@ -1,4 +1,4 @@
-"""Rules by name: cubature of third and fifth degree, unscented, Gauss-Hermite, and the tangent."""
+"""Rules by name: cubature of third and fifth degree, unscented, and the tangent."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from itertools import combinations
 
-import numpy as np
 import torch
 
 from torchfra.gaussian.rules import SigmaPoints, Tangent
@@ -63,50 +62,11 @@ def fifth_degree(n: int) -> SigmaPoints:
 
     Source: McNamee & Stenger (1967); Qin et al. (2018), eqs. (3)-(9).
     """
-    return _symmetric(n, 3**0.5, (4 - n) / 18, 3**0.5, 1 / 36)
-
-
-def spherical_fifth_degree(n: int) -> SigmaPoints:
-    """Fifth-degree spherical-radial cubature: ``2 n^2 + 1`` points at ``sqrt(n + 2)``.
-
-    From n = 5 on the weights on the axes are negative.
-
-    Source: Jia, Xin & Cheng (2013), "High-degree Cubature Kalman Filter".
-    """
-    return _symmetric(n, (n + 2) ** 0.5, (4 - n) / (2 * (n + 2) ** 2), (n / 2 + 1) ** 0.5, 1 / (n + 2) ** 2)
-
-
-def gauss_hermite(order: int) -> Callable[[int], SigmaPoints]:
-    """Product of Gauss-Hermite rules: ``order^n`` points, exact up to degree ``2 order - 1`` in each component.
-
-    Raises:
-        ValueError: ``order`` below 2, or (when the rule is made for ``n``) more than 3000 points.
-
-    Source: Ito & Xiong (2000), "Gaussian Filters for Nonlinear Filtering Problems".
-    """
-    if order < 2:
-        raise ValueError(f"order: expected 2 or more points, received {order}")
-
-    def rule(n: int) -> SigmaPoints:
-        if order**n > 3000:
-            raise ValueError(f"order: expected at most 3000 points in all, received {order}^{n}")
-        at, weight = (torch.from_numpy(x) for x in np.polynomial.hermite_e.hermegauss(order))
-        at = torch.where(at.abs() < 1e-12, 0.0, at)
-        points = torch.cartesian_prod(*[at] * n).reshape(-1, n).mT
-        weights = torch.cartesian_prod(*[weight / weight.sum()] * n).reshape(-1, n).prod(-1)
-        around = points.norm(dim=0) > 0
-        return SigmaPoints(points[:, around], weights[around])
-
-    return rule
-
-
-def _symmetric(n: int, on_axis: float, axis_weight: float, on_diagonal: float, diagonal_weight: float) -> SigmaPoints:
-    """A centre, points on all axes, and points on the diagonals of all pairs of them."""
     eye = torch.eye(n, dtype=torch.float64)
-    axes = on_axis * torch.cat([eye, -eye])
+    axes = 3**0.5 * torch.cat([eye, -eye])
     pairs = [a * eye[i] + b * eye[j] for i, j in combinations(range(n), 2) for a in (1, -1) for b in (1, -1)]
-    diagonals = on_diagonal * torch.stack(pairs) if pairs else eye[:0]
-    weights = torch.tensor([axis_weight] * len(axes) + [diagonal_weight] * len(pairs), dtype=torch.float64)
+    diagonals = 3**0.5 * torch.stack(pairs) if pairs else eye[:0]
+    weights = torch.tensor([(4 - n) / 18] * len(axes) + [1 / 36] * len(pairs), dtype=torch.float64)
     return SigmaPoints(torch.cat([axes, diagonals]).mT, weights, signed=True)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from numbers import Integral
 from typing import Any
 
 import torch
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.hyper import one_of
+from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
 
 OWN = "sensor"
@@ -47,7 +47,7 @@ def check_counts(lag: float, steps: int | None, old: str, jump: float | None) ->
     """
     if not _number(lag) >= 0:
         raise ValueError(f"lag: expected seconds of 0 or more, received {lag!r}")
-    if steps is not None and not (isinstance(steps, Integral) and steps >= 1):
+    if steps is not None and not is_integer(steps, 1):
         raise ValueError(f"steps: expected 1 or more measurements, or None, received {steps!r}")
     one_of(old=(old, ("refuse", "count")))
     if jump is not None and not math.inf > _number(jump) > lag:
