@@ -1,5 +1,7 @@
 """Cleaning finds what tracks are made of, rejects what is wrong, and no track stops another."""
 
+import itertools
+
 import numpy as np
 import oracles
 import pytest
@@ -486,24 +488,28 @@ def test_a_gull_that_rests_between_its_flights_tells_sigma_and_its_outliers():
     assert error(cleaned, path, ~wrong) < 15.0 * np.sqrt(2)
 
 
-@pytest.mark.parametrize("sigma", [0.3, 5.0])
-@pytest.mark.parametrize("period", [5.0, 20.0, 300.0])
-def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(period, sigma):
-    rng = np.random.default_rng(4)
-    course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians from fix to fix
-    path = 9.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
-    z = path + sigma * rng.standard_normal(path.shape)
-    (cleaned,) = clean_tracks([Recording("drone", period * np.arange(100), z, None, {})])
-    assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(z - path).sum(1).mean())
+def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes():
+    paths, recordings = [], []
+    for period, sigma in itertools.product((5.0, 20.0, 300.0), (0.3, 5.0)):
+        rng = np.random.default_rng(4)
+        course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians a fix
+        paths.append(9.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0))
+        z = paths[-1] + sigma * rng.standard_normal(paths[-1].shape)
+        recordings.append(Recording("drone", period * np.arange(100), z, None, {}))
+    for path, cleaned in zip(paths, clean_tracks(recordings), strict=True):
+        assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(cleaned.raw - path).sum(1).mean())
 
 
-@pytest.mark.parametrize("period", [900.0, 3600.0])
-def test_cars_that_go_to_and_fro_between_rare_fixes_are_where_they_were_measured(period):
-    rng = np.random.default_rng(6)
-    path = np.cumsum(np.where(rng.random((120, 1)) < 0.7, 4.0 * period * rng.standard_normal((120, 2)), 0.0), 0)
-    z = path + 5.0 * rng.standard_normal(path.shape)
-    (cleaned,) = clean_tracks([Recording("car", period * np.arange(120), z, None, {}, source=Source(word="vehicle"))])
-    assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(z - path).sum(1).mean())
+def test_cars_that_go_to_and_fro_between_rare_fixes_are_where_they_were_measured():
+    paths, recordings = [], []
+    for period in (900.0, 3600.0):
+        rng = np.random.default_rng(6)
+        moves = np.where(rng.random((120, 1)) < 0.7, 4.0 * period * rng.standard_normal((120, 2)), 0.0)
+        paths.append(np.cumsum(moves, 0))
+        z = paths[-1] + 5.0 * rng.standard_normal(moves.shape)
+        recordings.append(Recording("car", period * np.arange(120), z, None, {}, source=Source(word="vehicle")))
+    for path, cleaned in zip(paths, clean_tracks(recordings), strict=True):
+        assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(cleaned.raw - path).sum(1).mean())
 
 
 @pytest.mark.parametrize("sigma", [0.3, 3.0])
