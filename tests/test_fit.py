@@ -191,6 +191,7 @@ def test_a_scenario_is_simulated_and_judged_in_the_coordinates_of_its_truth():
     assert "position RMSE" in found.held_out
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_counts_and_seeds_may_be_integers_of_numpy():
     scenario = scenarios.bearings_outliers("none", initial="truth")
     f = presets.srckf(scenario.motion, scenario.sensor)
