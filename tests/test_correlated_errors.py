@@ -146,7 +146,7 @@ def test_size_and_duration_are_learned_from_measurements_alone():
 @pytest.mark.slow
 def test_compiled_it_is_the_same():
     z, sensor = measured(3), Correlated(Position(1.5), 3.0, 20.0)
-    f, g = (presets.fra(MOTION, sensor) for _ in range(2))
+    f, g = (presets.rsrckf(MOTION, sensor) for _ in range(2))
     g.compile()
     close(g(z, PRIOR, dt=DT).mean, f(z, PRIOR, dt=DT).mean)
     close(g.smooth(z, PRIOR, dt=DT).mean, f.smooth(z, PRIOR, dt=DT).mean)

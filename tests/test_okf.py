@@ -14,7 +14,7 @@ from learned.okf import LEAST, OKF, AnyNoise, Tracks, mse, optimised, prior, sam
 from torchfra import presets
 from torchfra.sensors import RangeBearing
 
-SMALL = ["--draws", "1", "--tracks", "24", "--iterations", "1", "--no-compile"]
+SMALL = ["--draws", "1", "--tracks", "24", "--iterations", "1"]
 
 
 @pytest.fixture(scope="module")
