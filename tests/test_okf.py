@@ -273,7 +273,7 @@ def test_what_adam_has_learned_has_smaller_errors(tracks):
 
 @pytest.mark.slow
 def test_a_fit_of_the_same_filter_has_smaller_errors_than_sample_covariances():
-    options = okf.argparse.Namespace(iterations=6, no_compile=True, seed=0)
+    options = okf.argparse.Namespace(iterations=6, no_compile=False, seed=0)
     tracks, test, ways = lidar.simulate(24, 0), lidar.simulate(24, 1), okf.PROBLEMS["lidar"].ways
     with torch.no_grad():
         found, plain = (mse(ways[way](tracks, options)(test), test) for way in ("fit", "KF"))
