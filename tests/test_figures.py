@@ -174,6 +174,14 @@ def test_labels_are_pushed_apart_no_more_than_they_must(places, gap):
         np.testing.assert_allclose(spread, places, atol=1e-12)
 
 
+def test_times_have_a_panel_for_each_size_of_a_job_whose_axis_is_logarithmic_where_sizes_are_far_apart():
+    figure = plotting.scaling({"batch": [(1, 9.0), (1000, 2.0)], "states": [(2, 3.0), (8, 5.0)]}, "title")
+    assert [axes.get_xlabel() for axes in figure.axes] == ["batch", "states"]
+    assert [axes.get_xscale() for axes in figure.axes] == ["log", "linear"]
+    assert all(axes.get_yscale() == "log" for axes in figure.axes)
+    assert figure.axes[1].lines[0].get_ydata().tolist() == [3.0, 5.0]
+
+
 # ---------------------------------------------------------------- which filters, which run
 
 
