@@ -314,7 +314,7 @@ def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
 @pytest.mark.slow
 def test_levels_chains_and_sizes_a_factor_three_off_are_found_again(tmp_path, monkeypatch):
     """All but the calm level, which the agile one outweighs when both are merged."""
-    fewer = ["batch=8", "iterations=100", "lr=0.8", "validate_every=100"]
+    fewer = ["batch=8", "iterations=60", "lr=0.8", "validate_every=60"]
     values = tune.tune(configured("recover_gpb", fewer), tmp_path, quiet=True)["values"]
     learned, known = values["learned"], values["known"]
     for path in (
