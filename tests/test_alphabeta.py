@@ -175,8 +175,8 @@ def test_the_vote_is_the_majority_of_three():
 def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(orders, options):
     motion = (ConstantVelocity if orders == 2 else ConstantAcceleration)(1.0, 3)
     f = presets.alphabeta(motion, Position(20.0, dims=3), **options)
-    z = level_then_weave().simulate(4, 0).z[:, 60:].clone()
-    z[1, 20], z[2, 30, 1], z[3, 5:12] = torch.nan, torch.nan, z[3, 5:12] + 4000
+    z = level_then_weave().simulate(4, 0).z[:, 60:80].clone()
+    z[1, 10], z[2, 15, 1], z[3, 5:12] = torch.nan, torch.nan, z[3, 5:12] + 4000
     prior = Gaussian(torch.zeros(3 * orders).double(), torch.eye(3 * orders).double())
     batch = f(z, prior)
     fast = presets.alphabeta(motion, Position(20.0, dims=3), **options).compile()(z, prior)
@@ -190,7 +190,7 @@ def test_a_batch_is_a_loop_streaming_is_the_batch_and_kernels_agree(orders, opti
         torch.testing.assert_close(one.mean, batch.mean[i])
         torch.testing.assert_close(one.scale_tril, batch.scale_tril[i])
     state = f.init(prior._replace(mean=prior.mean.expand(4, -1)))
-    for k in range(60):
+    for k in range(20):
         state, _ = f.step(state, z[:, k])
     torch.testing.assert_close(state.belief.mean, batch.mean[:, -1])
     torch.testing.assert_close(state.belief.scale_tril, batch.scale_tril[:, -1])

@@ -19,8 +19,8 @@ ELSEWHERE = {
 }  # fmt: skip
 """Filters that are made of what others of the battery have, or go through it in another file."""
 NAMES = [name for name in FILTERS if name not in ELSEWHERE]
-COMPILED = ("gpb", "mr_ckf", "hghckf2", "iaukf", "fra", "imm_srckf", "alphabeta")
-"""Of every part that filters have one whose kernels go through the whole battery; of all: test_random_settings."""
+COMPILED = ("gpb", "iaukf", "fra", "imm_srckf", "alphabeta")
+"""Their kernels go through the whole battery; those of high degree: test_huber.py, of all: test_random_settings.py."""
 HOLDS = "where_its_models_hold_it_is_no_worse_than_a_kalman_filter"
 """Is asked of all filters, of more tracks, by test_as_stated.py."""
 

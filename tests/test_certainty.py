@@ -8,7 +8,7 @@ import pytest
 
 @pytest.mark.slow
 def test_errors_of_whole_fits_are_as_large_as_they_say(tmp_path, capsys):
-    small = ["--fits", "12", "--tracks", "24", "--steps", "10", "--iterations", "4", "--no-compile"]
+    small = ["--fits", "12", "--tracks", "24", "--steps", "10", "--iterations", "4"]
     assert certainty.main([*small, "--json", str(tmp_path / "c.json")]) == 0
     found = json.loads((tmp_path / "c.json").read_text())["values"]
     for of in found.values():

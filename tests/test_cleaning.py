@@ -1,5 +1,7 @@
 """Cleaning finds what tracks are made of, rejects what is wrong, and no track stops another."""
 
+import itertools
+
 import numpy as np
 import oracles
 import pytest
@@ -208,8 +210,8 @@ def test_a_balloon_that_bursts_falls_from_where_it_was():
     assert error(one, truth, slice(None)) < 6.0
 
 
-@pytest.mark.parametrize("sigma", [0.001, 0.05])
-def test_noise_below_a_centimetre_is_found_of_metres_that_are_written_as_finely(sigma):
+def test_noise_below_a_centimetre_is_found_of_metres_that_are_written_as_finely():
+    sigma = 0.001
     rng, time = np.random.default_rng(0), np.arange(300) / 100
     truth = np.stack([0.4 * time, 0.02 * np.sin(2 * time)], 1)
     wrong = np.arange(300) % 60 == 59
@@ -314,6 +316,14 @@ def test_other_filters_run_with_what_was_found(name):
         assert one.mean.shape == (30, 2 * one.raw.shape[1])
         assert one.found.smooth == (name != "alphabeta")
     assert ("not smoothed" in " ".join(one.found.said)) == (name == "alphabeta")
+
+
+@pytest.mark.slow
+def test_compiled_a_track_is_cleaned_alike():
+    recording, _, _ = recorded(13, steps=30)
+    plain, fast = (clean_tracks([recording], filter="srckf", compile=compiled)[0] for compiled in (False, True))
+    np.testing.assert_allclose(fast.position, plain.position, rtol=1e-9)
+    np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-9)
 
 
 def test_a_bank_of_your_own_is_used_as_it_is():
@@ -486,28 +496,31 @@ def test_a_gull_that_rests_between_its_flights_tells_sigma_and_its_outliers():
     assert error(cleaned, path, ~wrong) < 15.0 * np.sqrt(2)
 
 
-@pytest.mark.parametrize("sigma", [0.3, 5.0])
-@pytest.mark.parametrize("period", [5.0, 20.0, 300.0])
-def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes(period, sigma):
-    rng = np.random.default_rng(4)
-    course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians from fix to fix
-    path = 9.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
-    z = path + sigma * rng.standard_normal(path.shape)
-    (cleaned,) = clean_tracks([Recording("drone", period * np.arange(100), z, None, {})])
-    assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(z - path).sum(1).mean())
+def test_where_targets_turn_from_fix_to_fix_the_path_goes_through_the_fixes():
+    paths, recordings = [], []
+    for period, sigma in itertools.product((5.0, 20.0, 300.0), (0.3, 5.0)):
+        rng = np.random.default_rng(4)
+        course = np.cumsum(np.where(rng.random(100) < 0.5, rng.uniform(-2.0, 2.0, 100), 0.0))  # radians a fix
+        paths.append(9.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0))
+        z = paths[-1] + sigma * rng.standard_normal(paths[-1].shape)
+        recordings.append(Recording("drone", period * np.arange(100), z, None, {}))
+    for path, cleaned in zip(paths, clean_tracks(recordings), strict=True):
+        assert error(cleaned, path, slice(None)) < 1.05 * np.sqrt(np.square(cleaned.raw - path).sum(1).mean())
 
 
-@pytest.mark.parametrize("period", [900.0, 3600.0])
-def test_cars_that_go_to_and_fro_between_rare_fixes_are_where_they_were_measured(period):
-    rng = np.random.default_rng(6)
-    path = np.cumsum(np.where(rng.random((120, 1)) < 0.7, 4.0 * period * rng.standard_normal((120, 2)), 0.0), 0)
-    z = path + 5.0 * rng.standard_normal(path.shape)
-    (cleaned,) = clean_tracks([Recording("car", period * np.arange(120), z, None, {}, source=Source(word="vehicle"))])
-    assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(z - path).sum(1).mean())
+def test_cars_that_go_to_and_fro_between_rare_fixes_are_where_they_were_measured():
+    paths, recordings = [], []
+    for period in (900.0, 3600.0):
+        rng = np.random.default_rng(6)
+        moves = np.where(rng.random((120, 1)) < 0.7, 4.0 * period * rng.standard_normal((120, 2)), 0.0)
+        paths.append(np.cumsum(moves, 0))
+        z = paths[-1] + 5.0 * rng.standard_normal(moves.shape)
+        recordings.append(Recording("car", period * np.arange(120), z, None, {}, source=Source(word="vehicle")))
+    for path, cleaned in zip(paths, clean_tracks(recordings), strict=True):
+        assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(cleaned.raw - path).sum(1).mean())
 
 
-@pytest.mark.parametrize("sigma", [0.3, 3.0])
-def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes(sigma):
+def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes():
     rng, speed, course, place, path = np.random.default_rng(3), 5.0, 0.0, np.zeros(2), []
     while len(path) < 12_000:  # tenths of a second
         wanted, rate = (rng.uniform(0, 15), 0.0) if rng.random() < 0.6 else (speed, rng.choice([-1, 1]) * 0.9)
@@ -516,9 +529,10 @@ def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes
             place = place + 0.1 * speed * np.array([np.cos(course), np.sin(course)])
             path.append(place)
     truth = np.array(path)[:12_000:100]
-    z = truth + sigma * rng.standard_normal(truth.shape)
-    (cleaned,) = clean_tracks([Recording("quadcopter", 10.0 * np.arange(len(z)), z, None, {})])
-    assert error(cleaned, truth, slice(None)) < 1.1 * np.sqrt(np.square(z - truth).sum(1).mean())
+    noise, time = rng.standard_normal(truth.shape), 10.0 * np.arange(len(truth))
+    recordings = [Recording("quadcopter", time, truth + sigma * noise, None, {}) for sigma in (0.3, 3.0)]
+    for cleaned in clean_tracks(recordings):
+        assert error(cleaned, truth, slice(None)) < 1.1 * np.sqrt(np.square(cleaned.raw - truth).sum(1).mean())
 
 
 @track

@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from short_tracks import STEPS
 
 from torchfra import scenarios
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters
@@ -71,13 +72,14 @@ def test_the_errors_of_the_prior_have_its_covariance():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
 def test_evaluation_counts_every_target_as_a_track_in_metres():
     s = scenarios.clutter_straight(clutter=2)
     assert filters_for(s) == scan_filters()
     results = evaluate(s, ["iaukf_jpda"], runs=6, seed=1, chunk=4)
     of = results["iaukf_jpda"]
     assert 1 < of["median_error_position"] < 12
-    assert len(of["rmse_z"]) == 100
+    assert len(of["rmse_z"]) == STEPS
     assert of["relative_time"] > 0
     assert "iaukf_jpda" in table(results)
     with pytest.raises(ValueError, match="filters: expected names out of ukf_jpda, iaukf_jpda"):
@@ -103,5 +105,3 @@ def test_the_command_compares_filters_on_them(tmp_path):
     written = json.loads((tmp_path / "r.json").read_text())
     assert list(written["filters"]) == scan_filters()
     assert written["settings"]["clutter"] == 6
-    arguments[2:] = ["clutter-straight", "--compile", "--filters", "ukf_jpda", "--runs", "2"]
-    assert main([*arguments, "--figure", str(tmp_path / "c.png"), "--quiet"]) == 0

@@ -167,7 +167,7 @@ def test_the_limit_of_divergence_is_the_scenarios_or_follows_its_scale():
     assert limits[30.0] == pytest.approx(10 * 30 * median, rel=0.03)
     assert limits[3.0] == pytest.approx(limits[30.0] / 10)
     assert divergence_limit(torchfra.scenarios.clutter_straight()) < 1000
-    result = evaluate(torchfra.scenarios.adsb_turns(), ["srckf"], runs=3, limit=1e-3)["srckf"]
+    result = evaluate(torchfra.scenarios.bearings_outliers(), ["srckf"], runs=3, limit=1e-3)["srckf"]
     assert (result["limit"], result["diverged"]) == (1e-3, 3)
 
 

@@ -81,21 +81,6 @@ def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scena
         close(*both(f, tracks.z, tracks.prior, u=tracks.u))
 
 
-def test_no_tracks_at_all_have_estimates_of_none(make, tracks):
-    nothing = Gaussian(*(x[:0] for x in (tracks.prior.mean, tracks.prior.scale_tril.expand(4, 4, 4))))
-    slow, fast = both(make("srckf"), tracks.z[:0], nothing, u=tracks.u)
-    assert fast.mean.shape == slow.mean.shape == (0, STEPS, 4)
-
-
-def test_a_track_that_fails_is_reported_and_leaves_the_others_alone(make, tracks):
-    z = tracks.z.clone()
-    z[1, 4] = torch.inf
-    slow, fast = both(make("srckf"), z, tracks.prior, u=tracks.u)
-    assert fast.failed.tolist() == slow.failed.tolist() == [False, True, False, False]
-    keep = [0, 2, 3]
-    close(slow.mean[keep], fast.mean[keep])
-
-
 def test_tracks_do_not_depend_on_their_company(make, tracks):
     fast = make("fra").compile()
     whole = fast(tracks.z, tracks.prior, u=tracks.u)
@@ -159,23 +144,6 @@ def test_every_track_has_the_gradient_it_has_alone(make, tracks):
         grads = torch.autograd.grad(alone.mean.square().sum(), list(f.parameters()))
         for whole, single in zip(together, grads, strict=True):
             torch.testing.assert_close(whole[i], single, rtol=1e-9, atol=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("compiled", [False, True])
-def test_checkpoints_leave_the_gradient_and_truncation_cuts_it(compiled, make, tracks):
-    f = make("srckf", learn=("q",))
-    f = f.compile() if compiled else f
-
-    def gradient(**options):
-        (g,) = torch.autograd.grad(f(tracks.z, tracks.prior, u=tracks.u, **options).mean[:, -1].sum(), f.motion.q.raw)
-        return g.item()
-
-    assert gradient(checkpoint=5) == pytest.approx(gradient(), rel=1e-12)
-    assert gradient(truncate=5) != pytest.approx(gradient(), rel=1e-3)
-    slow = make("srckf", learn=("q",))
-    cut = slow(tracks.z, tracks.prior, u=tracks.u, truncate=5).mean[:, -1].sum()
-    assert gradient(truncate=5) == pytest.approx(torch.autograd.grad(cut, slow.motion.q.raw)[0].item(), rel=1e-9)
 
 
 @pytest.mark.slow

@@ -65,20 +65,6 @@ def test_sums_over_sets_of_targets_and_their_gradients_are_those_of_events(diffu
 
 
 @pytest.mark.slow
-def test_results_and_gradients_are_those_of_the_eager_filter():
-    z, prior = scans(count=2)
-    f = learnable(plane(), ("q", "std", "detection"))
-    fast = copy.deepcopy(f).compile()
-    slow, quick = f(z, prior), fast(z, prior)
-    close(slow, quick)
-    gradients = [
-        torch.autograd.grad(e.mean.sum() + e.log_likelihood.sum(), list(g.parameters()))
-        for e, g in ((slow, f), (quick, fast))
-    ]
-    close(*gradients)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("lag", [None, 2])
 def test_smoothed_results_and_gradients_are_those_of_the_eager_filter(lag, monkeypatch):
     """Also of scenes each with its own time steps and targets with values of their own; no loop of Python runs."""

@@ -136,7 +136,7 @@ def test_size_and_duration_are_learned_from_measurements_alone():
     prior = Gaussian(torch.zeros(4, **F64), torch.tensor([1e-3, 1e-3, 1e-5, 1e-5], **F64).diag())
     f = presets.srckf(still, Correlated(Position(2.0), 2.0, 60.0))
     data = {"z": torch.stack(z, 1), "prior": prior}
-    fitted = torchfra.fit(f, data, learn=("std", "time"), iterations=12, compile=False, seed=3, quiet=True)
+    fitted = torchfra.fit(f, data, learn=("std", "time"), iterations=12, compile=True, seed=3, quiet=True)
     (learned,) = fitted.filter.errors
     assert 3.5 < learned.std() < 4.5
     assert 11 < learned.time() < 20
@@ -146,7 +146,7 @@ def test_size_and_duration_are_learned_from_measurements_alone():
 @pytest.mark.slow
 def test_compiled_it_is_the_same():
     z, sensor = measured(3), Correlated(Position(1.5), 3.0, 20.0)
-    f, g = (presets.fra(MOTION, sensor) for _ in range(2))
+    f, g = (presets.rsrckf(MOTION, sensor) for _ in range(2))
     g.compile()
     close(g(z, PRIOR, dt=DT).mean, f(z, PRIOR, dt=DT).mean)
     close(g.smooth(z, PRIOR, dt=DT).mean, f.smooth(z, PRIOR, dt=DT).mean)

@@ -20,7 +20,6 @@ import pytest
 import torch
 
 from torchfra import register
-from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.cli import main as cli
 from train import tune, values
 from train.runs import configured
@@ -36,6 +35,8 @@ DOCUMENTS = [
     *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
 ]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
+RUN_ELSEWHERE = {"README.md": "test_scripts.py, which reads what it prints", "scripts/docs/layer.md": "test_layer.py"}
+"""Documents whose code runs in another file, which looks at what it leaves."""
 WORDS = 1200
 """The most that README.md may have."""
 
@@ -47,10 +48,9 @@ SETUP = (
 
 SMALL = {
     "torchfra compare": ({"--runs": "2"}, {"--filters": "srckf,fra"}),
-    "torchfra compare --ranges": ({"--runs": "1"}, {"--filters": "srckf,fra"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
     "torchfra many": ({"--jobs": "1"}, {}),
-    "scripts/many.py": ({"--tracks": "20", "--jobs": "1", "--share": "1"}, {}),
+    "scripts/many.py": ({"--tracks": "4", "--jobs": "1", "--share": "1"}, {}),
     "scripts/peers_targets.py": (
         {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
         {"--trackers": "srckf"},
@@ -64,6 +64,9 @@ SMALL = {
 """Options by the beginning of a command, the longest that fits: always these, and these where the line has none."""
 SMALL_TRAINING = ["iterations=1", "batch=2", "validation_runs=2", "test_runs=2", "compile=false", "search={}"]
 HELP_ONLY = {
+    "torchfra compare --scenario bearings-outliers --learned": "run by test_cli.py",
+    "torchfra compare --scenario bearings-outliers --runs 200 --table": "run by test_compare.py",
+    "torchfra compare --ranges FOLDER": "run by test_cli.py",
     "scripts/examples/": "run by test_examples.py",
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
     "scripts/benchmark.py --what layer": "compiles a filter with gradients: run by test_scripts.py",
@@ -71,7 +74,7 @@ HELP_ONLY = {
     "scripts/benchmark.py --what long": "filters 10,000 steps in turn: the jobs are tested by test_peers.py",
     "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
     "scripts/benchmark.py --what linear": "filters of others: run by test_peers.py",
-    "scripts/benchmark.py --peers --batch": "the same as with other batches",
+    "scripts/benchmark.py --peers": "its parts are run by test_scripts.py and test_peers.py",
     "scripts/many.py --tracks 1000,": "cleans flights: one line does so for all",
     **{
         f"scripts/{name}.py": f"run by test_{name}.py"
@@ -86,12 +89,6 @@ HELP_ONLY = {
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
 }
 """Commands of which only the arguments are checked, and why."""
-LEARNED = {
-    "fra_bearings": ("fra", "bearings-outliers"), "fra_recorded": ("fra", "bearings-outliers"),
-    "switching": ("vsimm_srckf", "adsb-turns"), "contaminated": ("hghckf2", "growth"),
-    "association": ("iaukf_jpda", "clutter-crossing"),
-}  # fmt: skip
-"""What a named run of train.tune learns."""
 
 
 # ---------------------------------------------------------------- what a document says
@@ -124,7 +121,7 @@ LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_tex
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES[1:])  # of README.md: test_scripts.py, which reads what they print
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in RUN_ELSEWHERE])
 def test_every_block_of_code_runs(name, tmp_path, monkeypatch, request):
     monkeypatch.chdir(tmp_path)
     for known in ("FILTERS", "SCENARIOS"):  # what a block adds is gone after it
@@ -216,26 +213,6 @@ def flights(tmp_path_factory):
     return [str(path) for path in paths]
 
 
-def learned(path):
-    """Writes the values that a named run would have learned to where it would have."""
-    run = Path(path).parent.name
-    name, scenario = LEARNED[run][0], make_scenario(LEARNED[run][1])
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    torch.save(scenario_filters([name], scenario)[name].state_dict(), path)
-
-
-def walked(folder):
-    """Writes a short recording of ranges from three anchors, with the path."""
-    Path(folder).mkdir()
-    time = np.arange(30) * 0.1
-    path = np.stack([2 + time, 3 + time], 1)
-    for i, place in enumerate(((0, 0), (9, 0), (0, 9))):
-        rows = [f"{t},{r},{place[0]},{place[1]}" for t, r in zip(time, np.hypot(*(path - place).T), strict=True)]
-        Path(folder, f"a{i}.csv").write_text("\n".join(["t,range,x,y", *rows]))
-    rows = [f"{t},{x},{y}" for t, (x, y) in zip(time, path, strict=True)]
-    Path(folder, "path.csv").write_text("\n".join(["t,x,y", *rows]))
-
-
 def as_data_set(folder, flights):
     """Writes two flights as a data set of Parquet."""
     pyarrow = pytest.importorskip("pyarrow")
@@ -251,16 +228,8 @@ def as_data_set(folder, flights):
 def filled(words, flights):
     """The words of a command with files in place of placeholders."""
     for word in words:
-        match = re.search(r"[\w/.-]+\.pt$|STATE_DICT$", word)
-        if match:
-            path = match[0].replace("STATE_DICT", "out/train/fra_bearings/state_dict.pt")
-            learned(path)
-            yield word[: match.start()] + path
-        elif word in ("FILE", "FILES", "FILE..."):
+        if word in ("FILE", "FILES", "FILE..."):
             yield from flights[: 1 if word == "FILE" else 2]
-        elif word == "FOLDER":
-            walked(word)
-            yield word
         elif word == "FLIGHTS":
             as_data_set(word, flights)
             yield word
@@ -377,8 +346,6 @@ def test_a_command_line_of_a_document_works(line, flights, tmp_path, monkeypatch
         return
     status, text = run_once(main, *arguments)
     assert status == 0, f"{arguments}: {text}"
-    if "--peers" in arguments and importlib.util.find_spec("jax") is None:
-        assert "jax" in text.lower(), "what is not installed is not named"
 
 
 @pytest.mark.slow

@@ -115,7 +115,7 @@ def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
 
 @pytest.mark.slow
 def test_a_filter_that_knows_the_delay_and_how_a_vehicle_rolls_is_the_best(capsys):
-    load("08_ranges_on_a_vehicle").main(["--runs", "2", "--steps", "90"])
+    load("08_ranges_on_a_vehicle").main(["--runs", "2", "--steps", "60"])
     output = capsys.readouterr().out
     blind, straight, turning, rolling = numbers(r"position RMSE ([\d.]+) m", output)
     assert blind > 5 * straight

@@ -45,15 +45,6 @@ def test_an_exported_step_gives_what_the_filter_gives(arguments, tolerance, tmp_
 
 @needs_gcc
 @pytest.mark.slow
-def test_a_thousand_tracks_agree_to_rounding(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("CXXFLAGS", "-O0")
-    assert export.main(["--filter", "srckf", "--tracks", "1000", "--out", str(tmp_path)]) == 0
-    said = re.search(r"100000 steps, .* difference from the filter ([\d.e+-]+)", capsys.readouterr().out)
-    assert float(said[1]) < 1e-12
-
-
-@needs_gcc
-@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
 def test_cmake_builds_the_files_and_the_program_runs(tmp_path):
     for name, text in exported.export(small()).items():

@@ -1,4 +1,4 @@
-"""What every filter promises, whatever it computes."""
+"""What every filter of the papers and ``gpb`` promise beyond the battery."""
 
 import pytest
 import torch
@@ -9,28 +9,15 @@ from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings
 from torchfra.types import Gaussian
 
-pytestmark = pytest.mark.parametrize("name", PRESETS)
+each = pytest.mark.parametrize("name", PRESETS)
+of_each_class = pytest.mark.parametrize("name", ["srckf", "fra", "gpb"])
 
 
 def same(a, b, tolerance=1e-10):
     torch.testing.assert_close(a, b, rtol=tolerance, atol=tolerance * 1e3, equal_nan=True)
 
 
-def one(prior, i):
-    return Gaussian(prior.mean[i], prior.scale_tril)
-
-
-def test_shapes(name, make, tracks):
-    e = make(name)(tracks.z, tracks.prior, u=tracks.u)
-    assert e.mean.shape == (4, STEPS, 4)
-    assert e.scale_tril.shape == (4, STEPS, 4, 4)
-    assert e.nis.shape == e.log_likelihood.shape == (4, STEPS)
-    assert not e.failed.any()
-    for part in e.info:
-        if isinstance(part, torch.Tensor):
-            assert part.shape[:2] == (4, STEPS)
-
-
+@each
 def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     f = make(name)
     if name == "gpb":
@@ -43,17 +30,7 @@ def test_a_missing_step_is_a_pure_prediction(name, make, tracks):
     assert e.nis[1, 5] == 0
 
 
-def test_learned_values_load_into_a_fixed_filter(name, make, tracks):
-    learned = make(name, learn=("q", "std"))
-    with torch.no_grad():
-        for p in learned.parameters():
-            p += 0.3
-    fixed = make(name)
-    fixed.load_state_dict(learned.state_dict())
-    assert not list(fixed.parameters())
-    same(fixed(tracks.z, tracks.prior, u=tracks.u).mean, learned(tracks.z, tracks.prior, u=tracks.u).mean.detach())
-
-
+@each
 def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
     f = make(name, learn=("q", "std"))
     prior = Gaussian(tracks.prior.mean, torch.zeros_like(tracks.prior.scale_tril))
@@ -63,6 +40,7 @@ def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
 
+@each
 def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, tracks):
     q = torch.tensor([0.001, 0.1, 0.3], dtype=torch.float64)
     sensor = Bearings(torch.tensor([0.01, 0.02, 0.03], dtype=torch.float64).reshape(3, 1, 1).expand(3, 1, 2))
@@ -80,6 +58,7 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
     same(mapped(q.log())[1], f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
 
 
+@of_each_class
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -104,6 +83,7 @@ def test_what_does_not_fit_is_named(name, make, tracks, change, said):
         make(name)(given.pop("z"), given.pop("prior"), **given)
 
 
+@of_each_class
 def test_an_unknown_name_to_learn_is_answered_with_the_known_ones(name, make):
     with pytest.raises(ValueError, match=r"'q'.*received 'gamma'"):
         make(name, learn=("gamma",))

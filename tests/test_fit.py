@@ -18,8 +18,8 @@ from torchfra.sensors import Bearings, Position
 
 Q, STD, SPREAD = 0.5, 2.0, torch.tensor([20.0, 20.0, 10.0, 10.0], dtype=torch.float64)
 PRIOR = Gaussian(torch.zeros(4, dtype=torch.float64), SPREAD.diag())
-QUICK = {"compile": False, "iterations": 0, "quiet": True}
-"""Newton's method alone, interpreted."""
+QUICK = {"compile": True, "iterations": 0, "quiet": True}
+"""Newton's method alone."""
 
 
 def walks(seed, runs=120, steps=12, q=Q, std=STD):
@@ -48,7 +48,7 @@ def data():
 @pytest.fixture(scope="module")
 def fitted(data):
     return torchfra.fit(start(), {k: data[k] for k in ("z", "prior")}, learn=("q", "std"), seed=3, quiet=True,
-                        compile=False, batch=16, iterations=20, lr=0.3, restarts=2)  # fmt: skip
+                        compile=True, batch=16, iterations=20, lr=0.3, restarts=2)  # fmt: skip
 
 
 # ---------------------------------------------------------------- what is found
@@ -191,6 +191,7 @@ def test_a_scenario_is_simulated_and_judged_in_the_coordinates_of_its_truth():
     assert "position RMSE" in found.held_out
 
 
+@pytest.mark.usefixtures("short_tracks")
 def test_counts_and_seeds_may_be_integers_of_numpy():
     scenario = scenarios.bearings_outliers("none", initial="truth")
     f = presets.srckf(scenario.motion, scenario.sensor)
@@ -325,7 +326,7 @@ def test_a_filter_with_a_network_is_sent_to_a_loop_of_its_own():
 def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     from torchfra.fitting.descent import Descent
 
-    options = {"learn": ("q",), "compile": False, "iterations": 7, "validate_every": 2, "batch": 4}
+    options = {"learn": ("q",), "compile": True, "iterations": 7, "validate_every": 2, "batch": 4}
     z = {"z": walks(6, 12, 5)[1], "prior": PRIOR}
     unbroken = torchfra.fit(start(), z, **options)
     advance = Descent.advance
@@ -351,7 +352,7 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(tmp_path, capsys):
-    options = {"learn": ("q",), "compile": False, "iterations": 4, "validate_every": 2, "batch": 4}
+    options = {"learn": ("q",), "compile": True, "iterations": 4, "validate_every": 2, "batch": 4}
     z = {"z": walks(6, 12, 5)[1], "prior": PRIOR}
     path = tmp_path / "fit.pt"
     done = torchfra.fit(start(), z, checkpoint=path, **options)
@@ -406,7 +407,7 @@ def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of
 def test_validation_does_not_turn_down_the_last_steps_where_the_model_holds():
     for seed in (10, 22):  # where it is two standard errors better before them
         found = torchfra.fit(start(), {"z": walks(seed, 30, 10)[1], "prior": PRIOR}, learn=("q", "std"), quiet=True,
-                             compile=False, iterations=12, lr=0.5, validate_every=1, patience=20)  # fmt: skip
+                             compile=True, iterations=12, lr=0.5, validate_every=1, patience=20)  # fmt: skip
         assert found.certainty.gradient_size < 0.1
         assert not any("validation" in note for note in found.notes)
 

@@ -90,7 +90,7 @@ def test_weights_count_tracks_as_often_and_groups_keep_them_apart():
 def test_rows_of_probabilities_have_a_standard_error_and_intervals_inside_zero_and_one():
     bank = [ConstantVelocity(0.5), CoordinatedTurn(0.3, 0.5)]
     f = presets.imm_srckf(bank, Position(STD), learn=("transition",))
-    found = torchfra.fit(f, {"z": walks(0, 12, 8)[1], "prior": PRIOR}, compile=False, iterations=2, quiet=True)
+    found = torchfra.fit(f, {"z": walks(0, 12, 4)[1], "prior": PRIOR}, compile=False, iterations=2, quiet=True)
     assert len(found.learned) == 4
     for row in (0, 1):
         ends = [found.learned[f"transition[{row},{j}]"] for j in (0, 1)]

@@ -1,11 +1,9 @@
 """GPB over steps without any measurement: what was told of outliers and manoeuvres is kept until the next one."""
 
-import copy
 from functools import partial
 
 import pytest
 import torch
-from short_tracks import SMALL_GPB
 
 from torchfra import presets
 from torchfra.association import Clutter, Euclidean
@@ -166,23 +164,6 @@ def test_smoothed_it_is_as_near_the_truth():
     f = presets.gpb(MOTIONS["one motion"], SENSOR)
     plain, fine = rmse(f.smooth(z, prior).mean, truth), rmse(f.smooth(padded(z, 1), prior, dt=0.5).mean[:, 1::2], truth)
     assert (fine < 1.3 * plain + 1).all()
-
-
-@pytest.mark.slow
-def test_compiled_it_is_the_same_and_gradients_are_finite():
-    _, z, prior = tracks(20.0)
-    every = padded(z[:4, 15:26], 1)[..., :1]
-    line = ConstantVelocity(1.0, dims=1, spectral=True)  # for the compiler's time
-    few = SMALL_GPB | {"outlier_sizes": (100.0,), "outlier_shares": (1.0,)}
-    f = presets.gpb(line, Position(2.0, dims=1), learn="all", **few)
-    found = []
-    for g in (f, copy.deepcopy(f).compile()):
-        e = g.smooth(every, Gaussian(prior.mean[:4, ::2], prior.scale_tril[::2, ::2]), dt=0.5)
-        (e.mean.square().mean() + e.log_likelihood.mean()).backward()
-        found.append((e.mean.detach(), e.info.outlier.detach(), *(p.grad for p in g.parameters())))
-    for slow, fast in zip(*found, strict=True):
-        assert slow.isfinite().all()
-        torch.testing.assert_close(fast, slow, rtol=1e-7, atol=1e-7 * slow.abs().max().item())
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])

@@ -85,7 +85,7 @@ def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
         learn = ("manoeuvre_factors", "noise_levels")
         f = presets.gpb(line, Position(STD, dims=1), manoeuvres="hard", learn=learn, **FEW_OUTLIERS)
         f = f.compile() if compiled else f
-        e = f.smooth(z - z[:, :1], prior)
+        e = f(z - z[:, :1], prior)
         (e.mean.square().sum() + e.info.filtered.mean.square().sum()).backward()
         found.append([e.mean, e.covariance, e.info.outlier, *(p.grad for p in f.parameters())])
     for one, other in zip(*found, strict=True):

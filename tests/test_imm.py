@@ -1,6 +1,5 @@
 """Interacting models are what moment-form arithmetic says, keep every model alive, and take any filter inside."""
 
-import copy
 import math
 from functools import partial
 
@@ -152,18 +151,6 @@ def test_steps_of_time_may_differ_and_sensors_may_bend():
     station = torch.zeros(STEPS, 2, dtype=torch.float64)
     many = f(z, PRIOR, dt=torch.stack([dt, dt.flip(0)]), u=station)
     same(many.mean[1], f(z[1], PRIOR, dt=dt.flip(0), u=station).mean)
-
-
-@pytest.mark.slow
-def test_compiled_it_gives_the_same_and_the_same_gradients():
-    f = presets.imm([bank()[k] for k in (0, 2, 3)], SENSOR, learn=("transition", "q", "rate", "limit", "std"))
-    found = []
-    for g in (f, copy.deepcopy(f).compile()):
-        e = g(measured(4), PRIOR, dt=DT)
-        (e.mean.square().mean() + e.log_likelihood.mean()).backward()
-        found.append((e.mean.detach(), e.info.probabilities.detach(), *(p.grad for p in g.parameters())))
-    for slow, fast in zip(*found, strict=True):
-        same(fast, slow, 1e-8)
 
 
 @pytest.mark.slow

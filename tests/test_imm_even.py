@@ -1,7 +1,5 @@
 """Models that switch to the others with equal probability mix two beliefs: the moments are those of a full mixture."""
 
-import copy
-
 import pytest
 import torch
 from hypothesis import given, settings
@@ -148,18 +146,6 @@ def test_its_gradient_is_exact():
 
     start = (*PRIOR, *f.parameters())
     assert torch.autograd.gradcheck(score, [x.detach().clone().requires_grad_() for x in start], fast_mode=True)
-
-
-@pytest.mark.slow
-def test_compiled_it_gives_the_same_and_the_same_gradients():
-    f = presets.imm(bank()[:3], SENSOR, learn=("stay", "q", "std"))
-    found = []
-    for g in (f, copy.deepcopy(f).compile()):
-        e = g(measured(4), PRIOR, dt=times())
-        (e.mean.square().mean() + e.log_likelihood.mean()).backward()
-        found.append((e.mean.detach(), e.info.probabilities.detach(), *(p.grad for p in g.parameters())))
-    for slow, fast in zip(*found, strict=True):
-        same(fast, slow, 1e-8)
 
 
 def test_under_vmap_it_is_the_batch():

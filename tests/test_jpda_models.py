@@ -231,7 +231,7 @@ def test_a_filter_runs_on_the_measurements_in_gates_alone(monkeypatch):
 ])  # fmt: skip
 def test_gradients_are_those_of_finite_differences(name, learn):
     f = around(name, learn=learn, temperature=0.1)
-    z, names = crowd(4), [parameter for parameter, _ in f.named_parameters()]
+    z, names = crowd(2), [parameter for parameter, _ in f.named_parameters()]
 
     def run(*values):
         estimate = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, start(name)))

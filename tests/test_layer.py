@@ -1,6 +1,7 @@
 """The patterns of the page about filters as layers do what it says of them."""
 
 import json
+import re
 import warnings
 
 import layer
@@ -21,6 +22,17 @@ from torchfra.sensors import Position
 def page():
     """What the page defines, without the lines that use it."""
     return layer.code_of(layer.PAGE.read_text())
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """All that the page leaves when it has run from its first line to its last."""
+    scope: dict[str, object] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("page"))
+        for block in re.findall(r"^```python\n(.*?)^```$", layer.PAGE.read_text(), re.DOTALL | re.MULTILINE):
+            exec(compile(block, str(layer.PAGE), "exec"), scope)
+    return scope
 
 
 @pytest.fixture
@@ -82,20 +94,14 @@ def test_the_density_of_hidden_measurements_is_that_of_a_joint_gaussian(page, mo
 
 
 @pytest.mark.slow
-def test_an_exported_step_is_saved_and_runs_for_other_numbers_of_tracks(page, tmp_path):
-    model = page["layer"](presets.rsrckf(ConstantVelocity(q=0.1), Position(2.0)))
-    z, features, _, prior = page["simulate"](5, 4, 0)
-    step = page["Step"](model, Gaussian(prior.mean.expand(5, -1), prior.scale_tril))
-    state, tracks = [x.clone() for x in tree.flatten(step.like)], {0: torch.export.Dim.AUTO}
-    given = (state, z[:, 0], features[:, 0])
-    program = torch.export.export(step, given, dynamic_shapes=([tracks] * len(state), tracks, tracks))
-    assert not [node for node in program.graph.nodes if "torchfra" in str(node.target)]
-    torch.export.save(program, tmp_path / "step.pt2")
-    run, state = torch.export.load(tmp_path / "step.pt2").module(), [x[:3] for x in state]
+def test_the_step_that_the_page_exports_and_loads_again_runs_for_other_numbers_of_tracks(ran):
+    assert not [node for node in ran["program"].graph.nodes if "torchfra" in str(node.target)]
+    z, features, _, prior = ran["simulate"](3, 4, 1)
+    step = ran["Step"](ran["model"], Gaussian(prior.mean.expand(3, -1), prior.scale_tril))
+    state = expected = [x.clone() for x in tree.flatten(step.like)]
     for k in range(4):
-        state = run(state, z[:3, k], features[:3, k])
-    expected = model(z[:3], features[:3], prior)
-    torch.testing.assert_close(tree.unflatten(step.like, iter(state)).belief.mean, expected.mean[:, -1])
+        state, expected = (run(now, z[:, k], features[:, k]) for run, now in ((ran["run"], state), (step, expected)))
+    torch.testing.assert_close(state, expected)
 
 
 @needs_one_graph

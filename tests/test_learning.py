@@ -144,6 +144,7 @@ def test_noise_for_each_element_learns_each(scenario):
 def test_a_soft_decision_becomes_the_hard_one_as_its_temperature_falls(name, make):
     scenario = without_acceleration(scenarios.bearings_outliers("std"))
     tracks = scenario.simulate(8, 3)
+    tracks = tracks._replace(z=tracks.z[:, :40], u=tracks.u[:40])
     hard, soft = make(name), make(name, temperature=1e-7)
     a, b = estimate(hard, tracks), estimate(soft, tracks)
     assert a.info.adaptive.any()
@@ -207,8 +208,7 @@ def benign(steps=30):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), [  # over fewer steps: the battery, of every filter
-    ("iaukf", {}), ("fra_srckf", {"temperature": 1.0}),
-    ("fra", {"temperature": 1.0, "plain": 0.5, "provisional": "likeliest", "final": "likeliest"}),
+    ("iaukf", {}),
     ("fra", {"temperature": 1.0, "per_element": True, "states": (slice(0, 2), slice(2, 4)), "share": (1.0, 0.5)}),
 ], ids=str)  # fmt: skip
 def test_gradients_through_thirty_steps_are_those_of_finite_differences(name, options, make):
@@ -243,13 +243,13 @@ def test_gradients_through_thirty_steps_are_those_of_finite_differences(name, op
 @pytest.mark.parametrize(("name", "options"), [
     ("mr_ckf", {}), ("fra", {}), ("fra", {"temperature": 1.0}),
 ])  # fmt: skip
-def test_a_thousand_tracks_of_outliers_have_gradients_without_a_nan(name, options, make):
+def test_hundreds_of_tracks_of_outliers_have_gradients_without_a_nan(name, options, make):
     scenario = without_acceleration(scenarios.bearings_outliers("std", truth_noise=0.01))
-    tracks = scenario.simulate(1000, 77)
+    tracks = scenario.simulate(300, 77)
     tracks = tracks._replace(z=tracks.z[:, :50], u=tracks.u[:50], truth=tracks.truth[:, :50])
     f = make(name, learn="all", **options)
     names, shared = zip(*f.named_parameters(), strict=True)
-    own = [p.detach().expand(1000).clone().requires_grad_() for p in shared]  # each track its own gradient
+    own = [p.detach().expand(300).clone().requires_grad_() for p in shared]  # each track its own gradient
     call = (tracks.z, tracks.prior)
     e = torch.func.functional_call(f, dict(zip(names, own, strict=True)), call, {"u": tracks.u})
     loss = torchfra.losses.robust_mse(e.mean, tracks.truth, scenario.position, 100.0)

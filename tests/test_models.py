@@ -331,6 +331,13 @@ def test_metrics_are_what_numpy_says_and_unknown_truth_does_not_count():
         metrics.nees(estimate, truth, slice(1, 3))
 
 
+def test_an_estimate_as_a_distribution_has_its_mean_and_its_covariance():
+    mean, root = torch.randn(3, 5, 2).double(), torch.randn(3, 5, 2, 2).double().tril() + 3 * torch.eye(2).double()
+    estimate = Estimate(mean, root, mean[..., 0], mean[..., 0], None)
+    torch.testing.assert_close(estimate.to_distribution().mean, mean)
+    torch.testing.assert_close(estimate.to_distribution().covariance_matrix, estimate.covariance)
+
+
 def test_an_estimate_that_is_nan_has_diverged():
     truth = torch.zeros(3, 5, 2).double()
     mean = truth.clone()

@@ -20,6 +20,7 @@ from torchfra.motion import (
     Singer,
     UnknownTurn,
 )
+from torchfra.scenarios.reentry import Reentry
 
 STEP = 1.5
 
@@ -101,8 +102,7 @@ def test_the_noise_of_a_turn_whose_rate_drifts_is_its_integral_along_the_turn(ra
     torch.testing.assert_close(covariance(motion, mean=mean), expected, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("spectral", [True, False])
-@pytest.mark.parametrize(("rear", "steering"), [(0.0, 0.0), (1.3, 0.25), (0.4, -0.4)])
+@pytest.mark.parametrize(("rear", "steering", "spectral"), [(0.0, 0.0, True), (1.3, 0.25, True), (0.4, -0.4, False)])
 def test_the_noise_of_a_bicycle_is_its_integral_along_the_arc(rear, steering, spectral):
     mean = tensor(3, 4, 7, 2.0, steering)
     motion = Bicycle(2.7, 0.7, 0.02, rear=rear, spectral=spectral)
@@ -122,6 +122,15 @@ def test_the_noise_of_a_bicycle_is_its_integral_along_the_arc(rear, steering, sp
 def test_states_follow_the_differential_equation(motion, speeds, x):
     expected = [float(v) for v in flow(speeds, [mpf(float(v)) for v in x], STEP)]
     torch.testing.assert_close(motion(x, torch.tensor(STEP).double()), tensor(*expected), rtol=0, atol=1e-10)
+
+
+def test_a_reentry_by_the_method_of_runge_and_kutta_needs_no_finer_steps_and_one_by_eulers_does():
+    rough, fine = Reentry(), Reentry(method="rk4")
+    start = exact_end = tensor(6500.4e3, 349.14e3, -1809.3, -6796.7, 0.6932)
+    for _ in range(64):
+        exact_end = fine(exact_end, tensor(1 / 64).squeeze())
+    torch.testing.assert_close(fine(start, tensor(1.0).squeeze()), exact_end, rtol=0, atol=1e-5)
+    assert (rough(start, tensor(1.0).squeeze()) - exact_end).abs().max() > 0.1
 
 
 @pytest.mark.parametrize("motion", [

@@ -178,15 +178,6 @@ def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, track
     assert torch.autograd.gradcheck(loss, values, atol=1e-5)
 
 
-@pytest.mark.slow
-def test_kernels_give_the_same(scenario, tracks):
-    eager = presets.iaukf(scenario.motion, scenario.sensor)
-    fast = presets.iaukf(scenario.motion, scenario.sensor).compile()
-    torch.testing.assert_close(
-        fast(tracks.z, tracks.prior).mean, eager(tracks.z, tracks.prior).mean, rtol=1e-9, atol=1e-12
-    )
-
-
 def test_an_argument_out_of_range_is_named(scenario):
     motion, sensor = scenario.motion, scenario.sensor
     for options, message in (

@@ -14,7 +14,7 @@ from learned.okf import LEAST, OKF, AnyNoise, Tracks, mse, optimised, prior, sam
 from torchfra import presets
 from torchfra.sensors import RangeBearing
 
-SMALL = ["--draws", "1", "--tracks", "24", "--iterations", "1", "--no-compile"]
+SMALL = ["--draws", "1", "--tracks", "24", "--iterations", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -273,7 +273,7 @@ def test_what_adam_has_learned_has_smaller_errors(tracks):
 
 @pytest.mark.slow
 def test_a_fit_of_the_same_filter_has_smaller_errors_than_sample_covariances():
-    options = okf.argparse.Namespace(iterations=6, no_compile=True, seed=0)
+    options = okf.argparse.Namespace(iterations=6, no_compile=False, seed=0)
     tracks, test, ways = lidar.simulate(24, 0), lidar.simulate(24, 1), okf.PROBLEMS["lidar"].ways
     with torch.no_grad():
         found, plain = (mse(ways[way](tracks, options)(test), test) for way in ("fit", "KF"))
@@ -293,7 +293,7 @@ def test_the_table_and_the_json_have_a_line_for_each_filter(tmp_path, capsys):
 
 def test_each_problem_has_a_table(tmp_path, capsys):
     out = tmp_path / "r.json"
-    options = [*SMALL, "--problems", "close,toy", "--filters", "fit radar", "--json", str(out)]
+    options = [*SMALL, "--problems", "close,toy", "--filters", "fit radar", "--iterations", "0", "--json", str(out)]
     assert okf.main(options) == 0
     found = json.loads(out.read_text())["found"]
     assert {name: list(ways) for name, ways in found.items()} == {

@@ -46,8 +46,7 @@ def test_regions_gather_tracks_in_any_registers(kind, on, monkeypatch):
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-@pytest.mark.parametrize("kind", WIDE)
+@pytest.mark.parametrize(("kind", "dtype"), [*zip(WIDE, (torch.float64, torch.float32, torch.float64), strict=True)])
 def test_a_filter_and_its_gradient_are_the_same_in_any_registers(kind, dtype, on):
     on(kind)
     scenario = scenarios.bearings_outliers()

@@ -26,7 +26,7 @@ AMPLIFIED = 1e3
 """By how many times as much as the same filter moves by a change of its data in the last digit."""
 LOST = 1e-2
 """What a change in the last digit moves by more than that, in units of its standard deviation, is left to chance."""
-DRAWS = 84
+DRAWS = 56
 
 ANCHORS = torch.tensor([[0.0, 0.0, 3.0], [200.0, 0.0, 2.0], [200.0, 150.0, 4.0], [0.0, 150.0, 1.0]]).double()
 FLAT = ANCHORS[:, :2].contiguous()

@@ -435,7 +435,7 @@ texts = st.one_of(
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(text=texts | st.binary(), name=st.sampled_from(["a.csv", "a.json", "a"]))
 def test_any_text_is_read_or_refused_with_a_value_error(write: Write, text: str | bytes, name: str) -> None:
     try:

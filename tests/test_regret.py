@@ -207,7 +207,8 @@ def test_learned_values_are_compared_and_are_no_candidates_for_the_best(tmp_path
         f.motion.q.set(q)
         torch.save(f.state_dict(), file)
     learned = [f"rsrckf={same}", f"rsrckf={other}"]
-    assert regret.main(["--filters", "fra", *learned, *FEW, "--json", str(tmp_path / "r.json")]) == 0
+    few = [*FEW, "--others", "srckf,rsrckf"]
+    assert regret.main(["--filters", "fra", *learned, *few, "--json", str(tmp_path / "r.json")]) == 0
     (cell,) = json.loads((tmp_path / "r.json").read_text())["cells"].values()
     of = cell["filtered"]["filters"]
     assert of[str(same)]["rmse"] == pytest.approx(of["rsrckf"]["rmse"])
@@ -215,7 +216,7 @@ def test_learned_values_are_compared_and_are_no_candidates_for_the_best(tmp_path
     assert cell["filtered"]["best"] not in (str(same), str(other), "fra")
     assert [line.split()[3] for line in capsys.readouterr().out.splitlines()[1:4]] == ["fra", "same", "other"]
     assert (
-        regret.main(["--filters", "rsrckf", str(other), "--own-models", *FEW, "--json", str(tmp_path / "o.json")]) == 0
+        regret.main(["--filters", "rsrckf", str(other), "--own-models", *few, "--json", str(tmp_path / "o.json")]) == 0
     )
     (cell,) = json.loads((tmp_path / "o.json").read_text())["cells"].values()
     assert cell["filtered"]["filters"][str(other)]["rmse"] == pytest.approx(of["rsrckf"]["rmse"])
@@ -249,6 +250,7 @@ def test_recorded_ranges_are_cells_of_one_run(tmp_path):
     places = [str(tmp_path / "ranges" / place) for place in ("a", "b")]
     assert [name for name, cell in known.items() if cell.runs == 1] == places
     arguments = ["--ranges", str(tmp_path / "ranges"), "--cells", f"{tmp_path}*", "--filters", "fra", "--quiet"]
+    arguments += ["--others", "srckf"]
     assert regret.main([*arguments, "--json", str(tmp_path / "r.json")]) == 0
     found = json.loads((tmp_path / "r.json").read_text())["cells"]
     assert list(found) == places

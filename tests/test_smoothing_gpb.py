@@ -144,16 +144,6 @@ def test_the_filter_says_the_same_whether_it_will_go_back_or_not():
     torch.testing.assert_close(f.smooth(z, PRIOR).info.filtered, f(z, PRIOR), rtol=0, atol=0)
 
 
-@pytest.mark.slow
-def test_a_compiled_filter_of_one_motion_smooths_as_one_that_is_not():
-    z, prior = simulated(runs=3, steps=6), Gaussian(START, ROOT)
-    z[0, 2], z[1, 3, 0] = nan, nan
-    eager, fast = few().smooth(z, prior), few().compile().smooth(z, prior)
-    torch.testing.assert_close(tuple(fast[:2]), tuple(eager[:2]), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(fast.info.probabilities, eager.info.probabilities, rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(fast.info.outlier, eager.info.outlier, rtol=1e-9, atol=1e-9)
-
-
 def test_values_may_differ_by_track():
     jumps, z = torch.tensor([[[10.0]], [[1000.0]]]).double(), measured("position", 3)
     make = partial(presets.gpb, ConstantAcceleration(0.1), Position(STD))

@@ -192,12 +192,11 @@ def test_gradients_are_exact():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag", [None, 2])
-def test_compiled_three_models_smooth_as_ones_that_are_not(lag):
+def test_compiled_three_models_smooth_as_ones_that_are_not():
     _, z = simulated(bank(), runs=3, steps=8)
     f = presets.imm_srckf(Bank([ConstantVelocity(q) for q in (0.01, 1.0, 25.0)]), Position(STD))
-    eager = f.smooth(z, PRIOR, lag=lag)
-    fast = f.compile().smooth(z, PRIOR, lag=lag)
+    eager = f.smooth(z, PRIOR)
+    fast = f.compile().smooth(z, PRIOR)
     torch.testing.assert_close(tuple(fast[:2]), tuple(eager[:2]), rtol=1e-10, atol=1e-10)
     torch.testing.assert_close(fast.info.probabilities, eager.info.probabilities, rtol=1e-10, atol=1e-10)
 

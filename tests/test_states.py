@@ -160,6 +160,17 @@ def test_each_motion_moves_its_own_part_for_itself(first):
         torch.testing.assert_close((motion.transition(DT) @ x.unsqueeze(-1)).squeeze(-1), moved)
 
 
+def test_known_changes_of_parts_stand_side_by_side():
+    class Pushed(ConstantVelocity):
+        def shift(self, dt, u):
+            return dt.unsqueeze(-1) * torch.tensor([0.0, 0.0, 1.0, 2.0]).double()
+
+    dt = torch.tensor([0.5, 2.0]).double()
+    expected = torch.tensor([[0.0, 0.0, 0.5, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 4.0, 0.0, 0.0]]).double()
+    torch.testing.assert_close(Augmented(Pushed(1.0), BIASES).shift(dt, None), expected)
+    assert Augmented(ConstantVelocity(1.0), BIASES).shift(dt, None) is None
+
+
 def test_a_bias_beside_a_target_leaves_its_motion_as_it_is_also_where_that_follows_the_acceleration():
     rng = torch.Generator().manual_seed(0)
     z = torch.randn(3, 12, 2, generator=rng, dtype=torch.float64).cumsum(1)

@@ -43,7 +43,7 @@ def run(tmp_path_factory):
     """What two iterations leave, and the folder."""
     out = tmp_path_factory.mktemp("gpb")
     with short():
-        return tune.tune(settings(tasks=PLAIN), out, quiet=True), out
+        return tune.tune(settings(tasks=PLAIN[::2]), out, quiet=True), out
 
 
 # ---------------------------------------------------------------- what is shared
@@ -227,7 +227,7 @@ def test_what_was_learned_goes_into_the_preset(run):
 def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
     result, out = run
     assert json.loads((out / "results.json").read_text()) == json.loads(json.dumps(result))
-    assert [task["weight"] for task in result["tasks"]] == [1, 1, 0]
+    assert [task["weight"] for task in result["tasks"]] == [1, 0]
     for task in result["tasks"]:
         best = task["rival"]["rmse_position"]
         for when in ("before", "after"):
@@ -249,9 +249,9 @@ def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, mon
 
     monkeypatch.setattr(checkpoints, "save", save_and_stop)
     with pytest.raises(KeyboardInterrupt):
-        tune.tune(settings(tasks=PLAIN), tmp_path, quiet=True)
+        tune.tune(settings(tasks=PLAIN[::2]), tmp_path, quiet=True)
     monkeypatch.setattr(checkpoints, "save", save)
-    resumed = tune.tune(settings(tasks=PLAIN), tmp_path, resume=True, quiet=True)
+    resumed = tune.tune(settings(tasks=PLAIN[::2]), tmp_path, resume=True, quiet=True)
     assert resumed["iterations"] == 2
     assert resumed["values"] == run[0]["values"]
 
@@ -314,7 +314,7 @@ def test_simulated_levels_and_outliers_come_as_often_as_their_chains_say():
 @pytest.mark.slow
 def test_levels_chains_and_sizes_a_factor_three_off_are_found_again(tmp_path, monkeypatch):
     """All but the calm level, which the agile one outweighs when both are merged."""
-    fewer = ["batch=8", "iterations=100", "lr=0.8", "validate_every=100"]
+    fewer = ["batch=8", "iterations=60", "lr=0.8", "validate_every=60"]
     values = tune.tune(configured("recover_gpb", fewer), tmp_path, quiet=True)["values"]
     learned, known = values["learned"], values["known"]
     for path in (

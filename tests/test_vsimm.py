@@ -167,9 +167,8 @@ def test_what_does_not_fit_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_a_hundred_thousand_steps_lose_no_track(dtype):
-    """The experiment's track end to end, again and again, in both precisions."""
+def test_a_hundred_thousand_steps_lose_no_track():
+    """The experiment's track end to end, again and again, in single precision."""
     scenario = adsb_turns()
     leg = scenario.simulate(1, 0).truth[0, :, :2]
     away = leg[-1] + torch.tensor([30.0, 0.0], dtype=torch.float64) - leg[0]
@@ -179,7 +178,7 @@ def test_a_hundred_thousand_steps_lose_no_track(dtype):
     prior = scenario.simulate(2, 0).prior
     f = presets.vsimm_srckf(adsb_models(), scenario.sensor).compile()
     with torch.no_grad():
-        e = f(z.to(dtype), prior._replace(mean=prior.mean.to(dtype)), dt=scenario.dt)
+        e = f(z.float(), prior._replace(mean=prior.mean.float()), dt=scenario.dt)
     error = (e.mean[..., :2].double() - truth).norm(dim=-1)
     assert not e.failed.any()
     assert e.info.probabilities.isfinite().all()
