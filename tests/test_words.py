@@ -57,7 +57,12 @@ def texts():
     """The code and pages of the project in one line each, by path."""
     folders = (ROOT / folder for folder in ("torchfra", "scripts", "train", ".github"))
     found = [path for folder in folders for kind in ("*.py", "*.md") for path in sorted(folder.rglob(kind))]
-    return {path.relative_to(ROOT): " ".join(path.read_text().lower().split()) for path in [ROOT / "README.md", *found]}
+    built = [ROOT / "scripts/docs/gallery" / folder for folder in ("examples", "pictures")]
+    found = [path for path in found if not any(folder in path.parents for folder in built)]
+    return {
+        path.relative_to(ROOT): " ".join(path.read_text(encoding="utf-8").lower().split())
+        for path in [ROOT / "README.md", *found]
+    }
 
 
 def replaced_words(text):
