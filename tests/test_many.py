@@ -161,7 +161,7 @@ def killed(moment, arguments):
         return called
 
     many.Growing.close = at(many.Growing.close, "within its table")
-    many.most_memory = at(many.most_memory, "after its table")
+    many.peak_memory = at(many.peak_memory, "after its table")
     return cli.main(arguments)
 
 

@@ -296,7 +296,7 @@ def test_a_hyperparameter_out_of_range_is_refused_with_its_name():
     for value in (0.0, -1.0, math.nan):
         with pytest.raises(ValueError, match="threshold: expected a value above 0"):
             Hyper(value, name="threshold")
-    with pytest.raises(ValueError, match="not on the edge"):
+    with pytest.raises(ValueError, match="expected a value inside its range, to learn it"):
         Hyper(math.inf, learn=True)
     with pytest.raises(ValueError, match=r"forgetting: expected a value in \[0, 1\], received 1.5"):
         fra(ConstantVelocity(1.0), Position(1.0), forgetting=1.5)
@@ -329,13 +329,6 @@ def test_metrics_are_what_numpy_says_and_unknown_truth_does_not_count():
     )
     with pytest.raises(ValueError, match="leading"):
         metrics.nees(estimate, truth, slice(1, 3))
-
-
-def test_an_estimate_as_a_distribution_has_its_mean_and_its_covariance():
-    mean, root = torch.randn(3, 5, 2).double(), torch.randn(3, 5, 2, 2).double().tril() + 3 * torch.eye(2).double()
-    estimate = Estimate(mean, root, mean[..., 0], mean[..., 0], None)
-    torch.testing.assert_close(estimate.to_distribution().mean, mean)
-    torch.testing.assert_close(estimate.to_distribution().covariance_matrix, estimate.covariance)
 
 
 def test_an_estimate_that_is_nan_has_diverged():

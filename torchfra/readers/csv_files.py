@@ -28,7 +28,7 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 _ABOVE, _BENEATH = 100, 2
 """Lines before a header, and of units beneath it, that loggers write."""
 _OTHER_UNIT = re.compile(r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|px|pixels?", re.IGNORECASE)
-"""A unit of positions that nobody converts."""
+"""A unit of positions that has no conversion here."""
 _LENGTH = re.compile(
     r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
 )
@@ -117,7 +117,7 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     """Leaves out the lines that a logger writes before the header, such as its version; returns their number.
 
     Raises:
-        ValueError: they tell a unit of lengths that nobody else does.
+        ValueError: they state a unit of lengths that neither the header nor an option states.
     """
     asked, lines = {*options.columns().values()}, _lines(rows.head, _ABOVE)
 
@@ -136,7 +136,7 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     if units and not options.units:
         found = _LENGTH.search(units[0])
         raise ValueError(
-            f"a line before the header says {found and found[0]} of lengths: say it by --units, such as mm"
+            f"a line before the header states lengths in {found and found[0]}: state it by --units, such as mm"
         )
     rows.head = rows.head[sum(map(len, above)) :]
     return header
