@@ -62,8 +62,8 @@ def texts():
 
 def replaced_words(text):
     """The replaced words of a text, each with its term."""
-    matches = ((re.search(rf"\b(?:{words})", text), term) for words, term in REPLACED.items())
-    return [f"{match[0]!r}: take {term!r}" for match, term in matches if match]
+    found = re.findall(rf"\b(?:{'|'.join(REPLACED)})", text)  # in one pass, which is several times faster
+    return [f"{word!r}: take {term!r}" for word in found for words, term in REPLACED.items() if re.match(words, word)]
 
 
 def test_replaced_words_do_not_come_back():

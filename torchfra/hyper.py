@@ -41,7 +41,10 @@ def same_values() -> Iterator[None]:
 
 
 def once(method: F) -> F:
-    """A method whose result depends on hyperparameters and on the dtype, device and rank of its argument alone."""
+    """Computes a method once inside of ``same_values``.
+
+    Its result depends on hyperparameters and on the dtype, device and rank of its argument alone.
+    """
 
     @wraps(method)
     def call(module: nn.Module, like: Tensor | None = None) -> Any:

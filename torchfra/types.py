@@ -1,4 +1,4 @@
-"""The tuples that all rooms share, the letters of shapes, and the vocabulary.
+"""The tuples that all packages share, the letters of shapes, and the vocabulary.
 
 Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` inputs of the models at a step, ``d`` the
 leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``

@@ -28,7 +28,7 @@ the altitude, or in both coordinates at once; so are 0, 0 degrees far from all e
 A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty cells,
 null and NaN in any letters are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in two units or
 with the name of a zone, clocks of 12 hours without AM and PM, those that are put back at the end of summer time,
-columns or keys that come twice, XML with entities, tracks that no target of their kind can follow, and files that
+columns or keys that come twice, XML with entities, tracks that nothing of its kind can have moved along, and files that
 hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not fill the memory.
 
 ``read_ranges`` reads ranges from anchors instead of positions.

@@ -28,7 +28,7 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 _ABOVE, _BENEATH = 100, 2
 """Lines before a header, and of units beneath it, that loggers write."""
 _OTHER_UNIT = re.compile(r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|px|pixels?", re.IGNORECASE)
-"""A unit of positions that has no conversion here."""
+"""A unit of positions that nobody converts."""
 _LENGTH = re.compile(
     r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
 )

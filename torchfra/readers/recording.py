@@ -1,4 +1,4 @@
-"""What a recording is."""
+"""Recordings: the track of a target, and the form of the file that it comes from."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchfra.readers.times import written
 
 @dataclass(frozen=True)
 class Source:
-    """How a file, table or DataFrame says its tracks, so that results can be said in the same way."""
+    """The form of the tracks in a file, table or DataFrame, so that results can be written in the same form."""
 
     name: str = ""
     """Of the file."""
