@@ -90,7 +90,7 @@ def test_rules_refuse_what_has_no_real_root():
         unscented(0.0)
     with pytest.raises(ValueError, match="kappa: expected a value above -6"):
         unscented(1.0, 0.0, -6.0)(6)
-    with pytest.raises(ValueError, match="choose beta"):
+    with pytest.raises(ValueError, match="weights: expected a centre whose weight leaves the covariance a real root"):
         unscented(1e-3, 0.0, 0.0)(6)
 
 
