@@ -159,6 +159,7 @@ def test_lightning_trains_a_filter(capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
 def test_two_processes_learn_what_one_learns(capsys, tmp_path):
     example, small = load("12_several_processes"), ["--iterations", "2", "--tracks", "4"]
     example.main(small)

@@ -85,7 +85,10 @@ def test_a_motion_of_a_user_gets_the_names_that_its_layout_tells():
         ({"components": ("x", "x", "y", "z")}, "components: expected different names"),
         ({"kinds": ("place",) * 4}, f"kinds: expected some of {', '.join(KINDS)}, received 'place'"),
         ({"kinds": ("bias",)}, "kinds: expected one for each of 4"),
-        ({"kinds": ("position", "position", "velocity", "angle")}, "angles: expected the components of kind angle"),
+        (
+            {"kinds": ("position", "position", "velocity", "angle")},
+            "angles: expected the numbers of the components of kind 'angle'",
+        ),
         ({"angles": (4,)}, r"angles: expected numbers of components, 0 to 3, received \(4,\)"),
     ],
 )
