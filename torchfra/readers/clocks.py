@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
 from torchfra.readers.options import ReadOptions
+from torchfra.readers.packed import packed
 from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import PARTS, found, name_words, plain, unit
 from torchfra.readers.spelling import SINCE_1970 as DATED
@@ -40,7 +41,8 @@ _FEW = 0.1
 _FINER = 2
 """How many times as many moments a column of times has to have, to be taken although another has the date."""
 _SAID = {"us": "microseconds", "ns": "nanoseconds"}
-_DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab"}
+_DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab",
+              "jd": "Julian days"}  # fmt: skip
 _HALF_DAY = 43_200.0
 _OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
 """Names of what of the week of GPS has passed."""
@@ -154,7 +156,9 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: clock.doubt)
-    if refusals and best.form == "seconds" and not len(_values(head.cells(best.columns[0]))):
+    column = best.columns[0]
+    no_seconds = column in found(head.names, "date") or not len(_values(head.cells(column)))
+    if refusals and best.form == "seconds" and no_seconds:
         raise refusals[0]
     moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
     finest = max(clocks, key=lambda clock: moments[clock])
@@ -198,6 +202,9 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
         return clock
     if len(some) and not len(values) and plain(name) in DATED:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
+    dates = [_values(head.cells(date)) for date in found(head.names, "date") if date != name]
+    if said := packed(values, dates):
+        raise ValueError(f"column {name}: expected times, received {values[0]:.15g}, which looks like {said}")
     return _numeric(name, values, options)
 
 
