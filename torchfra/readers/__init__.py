@@ -6,7 +6,7 @@ A file is one of these, gzipped or not (but for the last):
   comments (# or %); other lines before the header, lines of units beneath it and the header again are left out;
 - JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, or what
   receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090);
-- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, NMEA 0183 with RMC and GGA (extra);
+- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, NMEA 0183 with RMC and GGA (extra);
 - Parquet and Feather (extra).
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,

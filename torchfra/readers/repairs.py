@@ -23,6 +23,9 @@ _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
 
 
+_HELD, _ONCE, _FAR = 25, 0.1, 10.0
+"""Positions from which on they may be held, the share of them that may come once only, and how many of the finest steps
+lie between neighbours."""
 _YEAR, _HOUR = 366 * 86_400.0, 3600.0
 """s."""
 _PUT_BACK = 1.0
@@ -83,6 +86,13 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
         place = np.stack([columns.first[index], columns.second[index]], 1)
         targets.append(Target(full, columns.time[index], place, height, filled, sigma, index.astype(np.int64), repairs))
     good = [target for target in targets if len(target.time) >= 2]
+    zones = table.texts.get(layout.columns.get("zone", ""), [])
+    for target in good:
+        if len(several := {zones[row] for row in target.row if zones and zones[row]}) > 1:
+            raise ValueError(
+                f"expected positions of {layout.source.word} {target.name} in one zone of the grid, received "
+                f"{layout.columns['zone']} {', '.join(sorted(several)[:3])}: convert them to one, or to degrees"
+            )
     if not good:
         raise TooFewError(_too_few(targets, layout.source.word))
     # The counts of all targets sum to those of the file.
@@ -150,12 +160,24 @@ class _Columns:
         index = index[np.argsort(time, kind="stable")]
         self._check_same_times(index)
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
-        if not self.may_be_held:
-            return index, repairs
         moved = np.zeros(len(index), dtype=bool)
-        for column in (self.first, self.second, self.update):
+        for column in (self.first, self.second, self.update) if self.may_be_held else (self.first, self.second):
             moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
+        if not self.may_be_held and not self._are_held(index, moved):
+            return index, repairs
         return keep(index, moved, "held positions dropped"), repairs
+
+    def _are_held(self, index: NDArray[np.intp], moved: NDArray[np.bool_]) -> bool:
+        """Whether rows repeat a position until there is a new one, as logs of faster sensors do, and no target rests.
+
+        So it is where nearly all positions are repeated, which lie much farther apart than they are rounded.
+        """
+        starts = np.flatnonzero(moved)
+        if len(starts) < _HELD or (np.diff(starts) < 2).mean() > _ONCE:
+            return False
+        steps = [np.abs(np.diff(column[index][starts])) for column in (self.first, self.second)]
+        finest = [step[step > 0].min(initial=np.inf) for step in steps]
+        return bool(max(np.median(step / fine) for step, fine in zip(steps, finest, strict=True)) > _FAR)
 
     def _check_season(self, time: Array, index: NDArray[np.intp]) -> None:
         """Refuses times of a clock that is put back by an hour while rows go on."""
