@@ -77,6 +77,36 @@ def test_counts_of_seconds_are_taken_for_no_clocks(write, seconds):
     assert np.diff(track.time) == pytest.approx(np.diff(seconds))
 
 
+WRAPS = [("tod", 1, 86_400), ("time", 1, 86_400), ("tow", 1, 604_800), ("itow", 1000, 604_800_000),
+         ("time_us", 10_000, 2**32), ("time_ms", 1000, 2**32)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "step", "whole"), WRAPS)
+def test_counts_go_on_after_midnight_a_week_and_32_bits(write, name, step, whole):
+    (track,) = read(write(name, [(whole - 60 * step + step * i) % whole for i in range(ROWS)]))
+    assert np.ptp(np.diff(track.time)) == pytest.approx(0, abs=1e-6)
+    assert not track.repairs
+
+
+def test_days_of_other_targets_are_none_after_midnight(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{name},{600 * i},{50 + i / 1e4},7" for name in "ab" for i in range(144)]
+    path.write_text("\n".join(["id,tod,lat,lon", *rows]) + "\n", encoding="utf-8")
+    assert [track.time[0] for track in read(path)] == [0, 0]
+
+
+def test_times_of_a_logger_that_was_started_again_are_refused(write):
+    with pytest.raises(
+        ValueError, match=r"received 0.5 s behind 79 s in data row 81, t, as of a logger that was start"
+    ):
+        read(write("t", [i if i < 80 else i - 79.5 for i in range(ROWS)]))
+
+
+def test_pieces_in_another_order_are_put_in_time_order(write):
+    (track,) = read(write("t", [*range(60, ROWS), *range(60)]))
+    assert np.diff(track.time).tolist() == [1.0] * (ROWS - 1)
+
+
 @pytest.mark.parametrize(("epoch", "said"), [(1, "ticks of .NET"), (1601, "100 ns since 1601")])
 def test_counts_since_other_years_are_refused_with_how_to_convert_them(write, epoch, said):
     ticks = [int((moment - datetime(epoch, 1, 1)) / timedelta(microseconds=1)) * 10 for moment in moments(range(ROWS))]

@@ -36,6 +36,8 @@ YEAR_1980 = 315_532_800.0
 """Seconds since 1970; nothing was recorded before."""
 _YEAR_2286 = 1e10
 _DAY = 86_400.0
+_COUNTER, _LATE = 2.0**32, 3.0
+"""Units that 32 bits count, and how many usual steps the first time after that may be late."""
 _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
 _FINER = 2
@@ -115,6 +117,16 @@ class Clock:
                 "like times since a start: name another column by --time, or their unit by --time-format"
             )
         return time
+
+    def going_on(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits."""
+        steps = np.diff(time, prepend=time[:1])
+        if self.since_1970 or not per_second(self.form) or not ((back := steps < 0).any() and (steps > 0).any()):
+            return time
+        usual, ahead = np.median(steps[steps > 0]), np.zeros(len(time))
+        for whole in (_DAY, 7 * _DAY, _COUNTER / per_second(self.form)):
+            ahead[back & (np.abs(steps + whole - usual) <= _LATE * usual)] = whole
+        return np.asarray(time + np.cumsum(ahead))
 
     def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:
         """Refuses times of the day that go from 12:59 to 01:00."""

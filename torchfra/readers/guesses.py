@@ -75,7 +75,7 @@ def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
     fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
     small = [name for name, column in values.items() if np.abs(column).max() <= 180 and not _is_length(name)]
     degrees = [name for name in small if 2 * fine[name] > len(values[name])]
-    near = all(np.median(np.abs(np.diff(values[name]))) < _NEAR for name in degrees[:2])
+    near = all(np.median(np.abs(np.diff(values[name], prepend=values[name][0]))) < _NEAR for name in degrees[:2])
     if len(degrees) == 2 or (2 < len(degrees) < _FEW and near):
         lat, lon = degrees[:2] if np.abs(values[degrees[0]]).max() <= 90 else degrees[1::-1]
         return f"--lat {lat} --lon {lon}"

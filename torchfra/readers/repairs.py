@@ -26,6 +26,9 @@ _MANY = 0.1
 _HELD, _ONCE, _FAR = 25, 0.1, 10.0
 """Positions from which on they may be held, the share of them that may come once only, and how many of the finest steps
 lie between neighbours."""
+_RARELY, _MIXED = 0.04, 10
+"""Share of rows whose time may go back, and how often rows change their order for each of these, where a count begins
+anew."""
 _YEAR, _HOUR = 366 * 86_400.0, 3600.0
 """s."""
 _PUT_BACK = 1.0
@@ -148,6 +151,7 @@ class _Columns:
             return index if mask.all() else index[mask]
 
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
+        self.time[index] = self.clock.going_on(self.time[index])
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
@@ -156,6 +160,7 @@ class _Columns:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
         time = self.time[index]
         self._check_season(time, index)
+        self._check_restart(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
         index = index[np.argsort(time, kind="stable")]
         self._check_same_times(index)
@@ -191,6 +196,17 @@ class _Columns:
                 f"expected times that go on, received one {-steps[back[0]] / 60:.3g} minutes before that of the row "
                 f"before in data row {index[back[0] + 1] + 1}, {self.clock.column}, as of a clock that is put back an "
                 "hour at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
+            )
+
+    def _check_restart(self, time: Array, index: NDArray[np.intp]) -> None:
+        """Refuses counts of time that begin anew while rows go on, so that pieces of the track would be mixed."""
+        back = np.flatnonzero(np.diff(time) < 0)
+        mixed = np.count_nonzero(np.diff(np.argsort(time, kind="stable")) != 1)
+        if not self.dated and 0 < len(back) <= _RARELY * len(time) and mixed > _MIXED * len(back):
+            raise ValueError(
+                f"expected times that go on, received {time[back[0] + 1]:g} s behind {time[back[0]]:g} s in data row "
+                f"{index[back[0] + 1] + 1}, {self.clock.column}, as of a logger that was started again: name another "
+                "column by --time, or one that tells the pieces apart by --id"
             )
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
