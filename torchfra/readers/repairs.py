@@ -160,10 +160,11 @@ class _Columns:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
         time = self.time[index]
         self._check_season(time, index)
-        self._check_restart(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
-        index = index[np.argsort(time, kind="stable")]
-        self._check_same_times(index)
+        ordered = index[np.argsort(time, kind="stable")]
+        self._check_same_times(ordered)
+        self._check_restart(time, index)
+        index = ordered
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
         moved = np.zeros(len(index), dtype=bool)
         for column in (self.first, self.second, self.update) if self.may_be_held else (self.first, self.second):
