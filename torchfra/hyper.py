@@ -171,7 +171,7 @@ class Hyper(nn.Module):
             ValueError: the value is on the boundary of its range.
         """
         if not self.interior:
-            raise ValueError(f"{name}: to be learned it must lie inside its range, not on the edge: {self().tolist()}")
+            raise ValueError(f"{name}: expected a value inside its range, to learn it, received {self().tolist()}")
         raw = self.raw
         if "raw" in self._buffers:
             del self._buffers["raw"]

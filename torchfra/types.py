@@ -199,10 +199,6 @@ class Estimate(NamedTuple):
         finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
         return ~finite.all(-1)
 
-    def to_distribution(self) -> torch.distributions.MultivariateNormal:
-        """The estimate as a distribution over states, one per track and step."""
-        return torch.distributions.MultivariateNormal(self.mean, scale_tril=self.scale_tril, validate_args=False)
-
 
 class CompileError(RuntimeError):
     """A kernel is needed and cannot be compiled: there is no compiler, or it failed."""

@@ -103,7 +103,7 @@ def gpb(
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is as
             ``manoeuvres`` says, and 0 for one level.  A calm level that shares a belief with the others is
-            hardly ever told from them: with 0, targets that hardly manoeuvre are followed far less closely.
+            hardly distinguished from them: with 0, errors of targets that hardly manoeuvre are far larger.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation

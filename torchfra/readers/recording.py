@@ -19,7 +19,7 @@ class Source:
     name: str = ""
     """Of the file."""
     columns: dict[str, str] = field(default_factory=dict)
-    """What was taken from which column: ``time, x, y, z, latitude, longitude, altitude, id, sigma`` to its name."""
+    """Name of the column of each quantity: ``time, x, y, z, latitude, longitude, altitude, id, sigma``."""
     time: str = "seconds"
     """Of its times: ``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"iso"``, or a format of ``datetime.strptime``."""
     unit: float = 1.0

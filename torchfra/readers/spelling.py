@@ -71,7 +71,7 @@ _BEHIND = {"utm", "enu"}
 OTHER_UNIT = re.compile(
     r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|[\u00b5\u03bc]m|microns?|px|pixels?", re.IGNORECASE
 )
-"""A unit of positions that nobody converts."""
+"""A unit of positions that has no conversion here."""
 ZONES = {"zone", "utmzone", "zonenumber", "utmzonenumber", "gridzone"}
 """Names of columns with the zone of a grid, in which eastings and northings are."""
 _ELAPSED = {"t", "time", "elapsed", "elapsedtime", "timeelapsed", "timesinceboot", "zeit", "temps", "tiempo"}
