@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -112,6 +113,56 @@ def test_an_index_of_moments_tells_the_time_where_no_column_does(walk):
     cleaned = torchfra.clean(data, **settings())
     assert cleaned.index.equals(index)
     assert [*cleaned.columns[:4]] == ["x", "y", "clean_x", "clean_y"]
+
+
+def test_levels_of_an_index_are_columns(walk):
+    time, _, measured = walk
+    index = pandas.to_datetime(1_600_000_000 + time, unit="s").rename("time")
+    data = pandas.DataFrame(measured[:, :2], columns=["x", "y"], index=index)
+    cleaned = torchfra.clean(pandas.concat({"a": data, "b": data}, names=["id"]), **settings())
+    flag = cleaned["clean_flag"] == "outlier"
+    assert flag.loc["a"].to_numpy()[BAD]
+    assert flag.loc["b"].to_numpy()[BAD]
+
+
+@pytest.mark.parametrize("kind", ["timedelta", "datetime", "Timestamp", "period"])
+def test_times_may_be_of_any_type_of_pandas(walk, kind):
+    _, _, measured = walk
+    seconds = range(STEPS)
+    start = datetime(2024, 6, 3, 8, 15, tzinfo=timezone(timedelta(hours=2)))
+    moments = [start + timedelta(seconds=passed) for passed in seconds]
+    times = {
+        "timedelta": pandas.to_timedelta(seconds, unit="s"), "datetime": pandas.Series(moments, dtype=object),
+        "Timestamp": pandas.Series([*map(pandas.Timestamp, moments)], dtype=object),
+        "period": pandas.period_range("2024-06-03", periods=STEPS, freq="s"),
+    }[kind]  # fmt: skip
+    frame = pandas.DataFrame({"time": times, "x": measured[:, 0], "y": measured[:, 1]})
+    same = frame.assign(time=[*seconds])
+    speed = torchfra.clean(frame, **settings())["clean_speed"]
+    np.testing.assert_allclose(speed, torchfra.clean(same, **settings())["clean_speed"], rtol=1e-6)
+
+
+def test_a_list_of_datetimes_tells_the_time(walk):
+    _, _, measured = walk
+    moments = [datetime(2024, 6, 3, 8, 15) + timedelta(seconds=passed) for passed in range(STEPS)]
+    assert torchfra.clean((moments, measured), **settings()).recording.time[0] == 1_717_402_500
+
+
+def test_what_is_masked_is_missing(walk):
+    time, _, measured = walk
+    masked = np.ma.MaskedArray(measured, mask=measured == measured[7])
+    assert np.isnan(torchfra.clean((time, masked), **settings()).raw[7]).all()
+
+
+@pytest.mark.parametrize("dtype", ["int64", "float64", "Int64"])
+def test_a_form_of_digits_is_read_of_numbers_too(walk, dtype):
+    _, _, measured = walk
+    start = datetime(2024, 6, 3, 8, 15)
+    digits = [int(f"{start + timedelta(seconds=i):%Y%m%d%H%M%S}") for i in range(STEPS)]
+    frame = pandas.DataFrame({"time": pandas.array(digits, dtype=dtype), "x": measured[:, 0], "y": measured[:, 1]})
+    cleaned = torchfra.clean(frame, time_format="%Y%m%d%H%M%S", **settings())
+    same = torchfra.clean(frame.assign(time=range(STEPS)), **settings())
+    np.testing.assert_allclose(cleaned["clean_speed"], same["clean_speed"], rtol=1e-6)
 
 
 def points_of(walk, crs):

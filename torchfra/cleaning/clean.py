@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -164,14 +165,16 @@ def _with_points(frame: Any, points: Any) -> Any:
 
 
 def _sheet_of_frame(frame: Any) -> Sheet:
-    """The columns of a table; its index too where that tells the time and no column does."""
+    """The columns of a table; its index too where that tells the time or has levels, and no column has its name."""
     table = {str(name): frame.iloc[:, i] for i, name in enumerate(frame.columns)}
     if len(table) < frame.shape[1]:
         raise ValueError("data: expected every column once, received several of the same name")
     if taken := [name for name in table if name.startswith(PREFIX)]:
         raise ValueError(f"data: expected columns that are not cleaned yet, received {taken[0]}")
-    if frame.index.inferred_type == "datetime64" and (name := str(frame.index.name or "time")) not in table:
-        table[name] = frame.index.to_series()
+    index = frame.index
+    levels = {str(name or "time"): index.get_level_values(i) for i, name in enumerate(index.names)}
+    if index.nlevels > 1 or index.inferred_type in ("datetime64", "timedelta64"):
+        table |= {name: level.to_series() for name, level in levels.items() if name not in table}
     return Sheet([*table], [(len(frame), lambda name: _cells(table[name]))])
 
 
@@ -180,9 +183,22 @@ def _cells(column: Any) -> Any:
     kind = sys.modules["pandas"].api.types
     if kind.is_datetime64_any_dtype(column.dtype):
         return column.to_numpy(dtype="datetime64[ns]")
+    if kind.is_timedelta64_dtype(column.dtype):
+        return column.dt.total_seconds().to_numpy()
+    if isinstance(column.dtype, sys.modules["pandas"].PeriodDtype):
+        return _cells(column.dt.to_timestamp())
     if kind.is_numeric_dtype(column.dtype) and not kind.is_bool_dtype(column.dtype):
         return column.to_numpy(dtype=np.float64, na_value=np.nan)
-    return [None if missing else cell for cell, missing in zip(column.tolist(), column.isna().tolist(), strict=True)]
+    cells = [None if missing else cell for cell, missing in zip(column.tolist(), column.isna().tolist(), strict=True)]
+    return _moments(cells)
+
+
+def _moments(cells: list[Any]) -> Any:
+    """Cells that are all a ``datetime`` or None as an array, UTC where they name no zone; others as they are."""
+    if not any(cells) or not all(cell is None or isinstance(cell, datetime) for cell in cells):
+        return cells
+    plain = [cell.astimezone(timezone.utc).replace(tzinfo=None) if cell and cell.tzinfo else cell for cell in cells]
+    return np.array(plain, "datetime64[us]")
 
 
 def _joined(frame: Any, several: Sequence[Cleaned]) -> Any:
@@ -211,7 +227,11 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
         raise ValueError(
             f"data: expected a path, a DataFrame, recordings or (time, position), received {type(data).__name__}"
         )
-    time, position = np.asarray(data[0]), np.asarray(data[1], dtype=np.float64)
+    time, position = np.asarray(data[0]), np.array(data[1], dtype=np.float64)
+    if isinstance(data[1], np.ma.MaskedArray):
+        position[np.ma.getmaskarray(data[1])] = np.nan  # type: ignore[no-untyped-call]
+    if time.dtype == object:
+        time = np.asarray(_moments(time.tolist()))
     if time.ndim != 1 or position.ndim != 2 or position.shape[0] != len(time) or position.shape[1] not in (2, 3):
         raise ValueError(
             f"data: expected time (k,) and position (k, 2) or (k, 3), received {time.shape}, {position.shape}"

@@ -6,7 +6,7 @@ A file is one of these, gzipped or not (but for the last):
   comments (# or %); other lines before the header, lines of units beneath it and the header again are left out;
 - JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, or what
   receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090);
-- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, NMEA 0183 with RMC and GGA (extra);
+- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, NMEA 0183 with RMC and GGA (extra);
 - Parquet and Feather (extra).
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
@@ -25,11 +25,12 @@ degrees, minutes and seconds; letters of the sides stand in front, behind or in 
 Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in
 the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
 
-A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty cells,
-null and NaN in any letters are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in two units or
-with the name of a zone, clocks of 12 hours without AM and PM, those that are put back at the end of summer time,
-columns or keys that come twice, XML with entities, tracks that nothing of its kind can have moved along, and files that
-hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not fill the memory.
+A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty
+cells, null and NaN in any letters are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in two
+units or with the name of a zone, dates and clocks whose digits stand in one number (a ``time_format`` reads them),
+clocks of 12 hours without AM and PM, those that are put back at the end of summer time, columns or keys that come
+twice, XML with entities, tracks that no target of their kind can follow, and files that hold more than
+``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not fill the memory.
 
 ``read_ranges`` reads ranges from anchors instead of positions.
 """

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
 from torchfra.readers.options import ReadOptions
+from torchfra.readers.packed import packed
 from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import PARTS, found, name_words, plain, unit
 from torchfra.readers.spelling import SINCE_1970 as DATED
@@ -35,12 +36,15 @@ YEAR_1980 = 315_532_800.0
 """Seconds since 1970; nothing was recorded before."""
 _YEAR_2286 = 1e10
 _DAY = 86_400.0
+_COUNTER, _LATE = 2.0**32, 3.0
+"""Units that 32 bits count, and how many usual steps the first time after that may be late."""
 _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
 _FINER = 2
 """How many times as many moments a column of times has to have, to be taken although another has the date."""
 _SAID = {"us": "microseconds", "ns": "nanoseconds"}
-_DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab"}
+_DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab",
+              "jd": "Julian days"}  # fmt: skip
 _HALF_DAY = 43_200.0
 _OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
 """Names of what of the week of GPS has passed."""
@@ -114,6 +118,16 @@ class Clock:
             )
         return time
 
+    def going_on(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits."""
+        steps = np.diff(time, prepend=time[:1])
+        if self.since_1970 or not per_second(self.form) or not ((back := steps < 0).any() and (steps > 0).any()):
+            return time
+        usual, ahead = np.median(steps[steps > 0]), np.zeros(len(time))
+        for whole in (_DAY, 7 * _DAY, _COUNTER / per_second(self.form)):
+            ahead[back & (np.abs(steps + whole - usual) <= _LATE * usual)] = whole
+        return np.asarray(time + np.cumsum(ahead))
+
     def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:
         """Refuses times of the day that go from 12:59 to 01:00."""
         hours, back = time // 3600, steps <= -_HALF_DAY + 3600
@@ -154,7 +168,9 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: clock.doubt)
-    if refusals and best.form == "seconds" and not len(_values(head.cells(best.columns[0]))):
+    column = best.columns[0]
+    no_seconds = column in found(head.names, "date") or not len(_values(head.cells(column)))
+    if refusals and best.form == "seconds" and no_seconds:
         raise refusals[0]
     moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
     finest = max(clocks, key=lambda clock: moments[clock])
@@ -198,6 +214,9 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
         return clock
     if len(some) and not len(values) and plain(name) in DATED:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
+    dates = [_values(head.cells(date)) for date in found(head.names, "date") if date != name]
+    if said := packed(values, dates):
+        raise ValueError(f"column {name}: expected times, received {values[0]:.15g}, which looks like {said}")
     return _numeric(name, values, options)
 
 

@@ -147,6 +147,8 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
             advice = ", whose sign may part thousands or decimals: write it without, or say --decimal"
         return ValueError(f"expected {kind.said} {where}, received {short(cell)}{advice}")
 
+    if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu" and kind.form not in ("", "iso"):
+        cells = [None if cell != cell else f"{cell:.17g}" for cell in cells.tolist()]  # whose digits are the text
     values = _array(cells, kind) if isinstance(cells, np.ndarray) else _plain(cells, kind)
     if values is None or kind.words:
         convert = _converter(kind)

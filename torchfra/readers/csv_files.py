@@ -16,7 +16,7 @@ from torchfra.readers.columns import Cells, Head, number
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
-from torchfra.readers.spelling import RARER_UNITS, UNITS, is_header, places_in
+from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, is_header, places_in
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -25,10 +25,8 @@ UTF_8 = "utf-8-sig"
 _GUESSED_FROM = 100
 """Rows of which it is guessed what their columns hold."""
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
-_ABOVE, _BENEATH = 100, 2
+_ABOVE, _BENEATH = 100, 3
 """Lines before a header, and of units beneath it, that loggers write."""
-_OTHER_UNIT = re.compile(r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|px|pixels?", re.IGNORECASE)
-"""A unit of positions that nobody converts."""
 _LENGTH = re.compile(
     r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
 )
@@ -172,7 +170,7 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
     for cells in several:
         if len(cells) != len(names) or not at or not all(_WORDS.fullmatch(cells[i].strip("[]()")) for i in at):
             break
-        other = next((i for i in at if _OTHER_UNIT.fullmatch(cells[i].strip("[]()"))), None)
+        other = next((i for i in at if OTHER_UNIT.fullmatch(cells[i].strip("[]()"))), None)
         if other is not None and not options.units:
             raise ValueError(
                 f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the header: "
@@ -203,7 +201,11 @@ def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) 
         several = [_split(line, sign) for line in islice(io.StringIO(rows.head), _GUESSED_FROM)]
         full = [row for row in several if len(row) == len(names)]
         head = Head(names, lambda name: [row[int(name) - 1] for row in full])
-        raise ValueError(f"{headers}; received {listed(cells)}{looks_like(head) if options else ''}")
+        like = looks_like(head) if options else ""
+        raise ValueError(
+            f"{headers}; received {listed(cells)}"
+            + (like or "; without a header their numbers from 1 on are their names, such as --time 1 --lat 2 --lon 3")
+        )
     rows.head = sign.join(names) + "\n" + rows.head
     return True
 
@@ -226,7 +228,7 @@ def _split(line: str, sign: str) -> list[str]:
 
 
 def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterator[tuple[int, Cells]]:
-    place = {name: i for i, name in enumerate(names)}
+    place, known = {name: i for i, name in enumerate(names)}, is_header(names)
 
     def mended(row: list[str], before: int) -> list[str]:
         if row[0].lstrip().startswith(_COMMENTS):
@@ -234,7 +236,8 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
         if len(row) > len(names) and not any(row[len(names) :]):
             return row[: len(names)]
         if repairs is None:
-            raise ValueError(f"expected {len(names)} fields in data row {before + 1}, received {len(row)}")
+            doubt = "" if known else f"; or the header is another line than that of {listed(names)}"
+            raise ValueError(f"expected {len(names)} fields in data row {before + 1}, received {len(row)}{doubt}")
         repairs["rows with too many or too few fields emptied"] += 1
         return [""] * len(names)
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from torchfra.readers.clocks import FRAMES, days_of
+from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
 from torchfra.readers.columns import Array, Head, number
 from torchfra.readers.options import METRES
-from torchfra.readers.spelling import found, plain, unit
+from torchfra.readers.spelling import found, name_words, plain, unit
 from torchfra.readers.times import form_of
 
 _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
@@ -21,7 +21,13 @@ _NORTH = re.compile(r"nor[dt]|(?:^|[^a-z])[yn](?:$|[^a-z])")
 """In the name of a column of northings."""
 _RANGE, _BEARING = re.compile("(?:slant|ground)?range|distance|rho$|r$"), re.compile("azimuth|bearing|azi?$|theta$")
 """In the names of what a radar measures."""
+_TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp"}
+"""Words in names of times."""
+_SQUARE = re.compile(r"\s*(?:[0-9]{1,2}[C-HJ-NP-X])?\s*[A-HJ-Z]{2}\s*[0-9]{2,5}\s*[0-9]{2,5}\s*")
+"""A square of a national grid, or of MGRS, and where in it."""
 _WEEK = 604_800
+_NEAR = 2e-3
+"""Degrees between neighbouring fixes, of which metres, for robots, are more."""
 _FEW = 4
 """Columns of numbers up to which the first two may be x and y."""
 
@@ -38,8 +44,11 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
-    growing = [name for name, column in values.items() if len(column) > 1 and (np.diff(column) > 0).all()]
-    time = time or next(iter(likely + growing), "")
+    dated = [name for name, column in values.items() if column.min() > YEAR_1980]
+    newest_first = [name for name in dated if _grows(values[name][::-1])]
+    growing = newest_first + [name for name, column in values.items() if _grows(column)]
+    named = [name for name in values if {*name_words(name)} & _TIMES]
+    time = time or next(iter(likely + growing + named), "")
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     of_frames = plain(time) in FRAMES
@@ -51,24 +60,49 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
         return when if time else "; rows need a time, such as seconds since the first of them"
     if polar := _polar(values):
         return polar
+    if squares := [name for name in names if cells[name] and all(_SQUARE.fullmatch(str(cell)) for cell in cells[name])]:
+        return f"; {squares[0]} holds references such as {cells[squares[0]][0]}: convert them to degrees, or metres"
     places = _places({name: column for name, column in values.items() if name != time}, cells)
     return f"; looks like --time {time}{option} {places}{frames}" if time and places else ""
 
 
 def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
     """Options for two columns of numbers; "" where none can be positions."""
+    for role, other in (("lat", "lon"), ("x", "y")):
+        pairs = _alike(list(values), role, other)
+        if pairs:
+            return f"--{role} {pairs[0]} --{other} {pairs[1]}{_miles(pairs[0])}"
     fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
     small = [name for name, column in values.items() if np.abs(column).max() <= 180 and not _is_length(name)]
     degrees = [name for name in small if 2 * fine[name] > len(values[name])]
-    if len(degrees) >= 2:
+    near = all(np.median(np.abs(np.diff(values[name], prepend=values[name][0]))) < _NEAR for name in degrees[:2])
+    if len(degrees) == 2 or (2 < len(degrees) < _FEW and near):
         lat, lon = degrees[:2] if np.abs(values[degrees[0]]).max() <= 90 else degrees[1::-1]
         return f"--lat {lat} --lon {lon}"
     moving = [name for name, column in values.items() if len(np.unique(column)) > 1]
-    if not 2 <= len(moving) < _FEW:
+    if not 2 <= len(moving) < _FEW and len(degrees) < _FEW:
         return ""
     x, y = moving[:2] if _NORTH.search(moving[1].lower()) or not _NORTH.search(moving[0].lower()) else moving[1::-1]
-    miles = " --units nmi" if x.lower().endswith("nm") else ""
-    return f"--x {x} --y {y}{miles}"
+    return f"--x {x} --y {y}{_miles(x)}"
+
+
+def _miles(name: str) -> str:
+    return " --units nmi" if name.lower().endswith("nm") else ""
+
+
+def _grows(column: Array) -> bool:
+    return len(column) > 1 and bool((np.diff(column) > 0).all())
+
+
+def _alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
+    """Two names that differ in these words alone, such as ``Local_X`` and ``Local_Y``."""
+    words = {tuple(name_words(name)): name for name in names}
+    for several, name in words.items():
+        for i, word in enumerate(several):
+            pair = words.get((*several[:i], word.removesuffix(one) + other, *several[i + 1 :]))
+            if word in (one, f"t{one}", f"pos{one}") and pair:
+                return name, pair
+    return None
 
 
 def _polar(values: Collection[str]) -> str:

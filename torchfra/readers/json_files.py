@@ -71,7 +71,7 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
     records = parsed if isinstance(parsed, list) else [parsed]
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    records = _flat(records)
+    records = [_parted(record) for record in _flat(records)]
     names = list(dict.fromkeys(name for record in records for name in record))
     return names, len(records), lambda name: [record.get(name) for record in records]
 
@@ -101,6 +101,15 @@ def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]
             own |= {name if key.startswith("$") else f"{name}.{key}": cell for key, cell in inner}
         flat.append(own)
     return _flat(flat, depth - 1)
+
+
+def _parted(record: dict[str, Any]) -> dict[str, Any]:
+    """A record with two to four numbers in a list under names of their own: ``translation.1`` and so on."""
+    parted = dict[str, Any]()
+    for name, value in record.items():
+        few = isinstance(value, list) and 2 <= len(value) <= 4 and all(map(_is_number, value))
+        parted |= {f"{name}.{i + 1}": cell for i, cell in enumerate(value)} if few else {name: value}
+    return parted
 
 
 def _has_id(name: str, records: list[dict[str, Any]]) -> bool:

@@ -27,8 +27,11 @@ from torchfra.readers.spelling import (
     FLIGHT_LEVELS,
     MARKS,
     NAMES,
+    OTHER_UNIT,
     SHIPS,
+    ZONES,
     found,
+    name_words,
     plain,
     unit,
 )  # fmt: skip
@@ -39,6 +42,8 @@ _LIMITS = {"latitude": 90.0, "longitude": 180.0}
 _SIDES = {"latitude": "NS", "longitude": "EW"}
 _ABSENT = {"latitude": 91.0, "longitude": 181.0}
 """What receivers of ships say where they have no position."""
+_EASTINGS = {"east", "easting", "e", "rechtswert", "ostwert", "ost", "este"}
+"""Names of x in a grid, which has zones."""
 _SIDE = re.compile(
     "(?P<latitude>(?:ns|northsouth)(?:ind|indicator|hemisphere)?|lat(?:itude)?(?:ns|dir|direction|hem|hemi|hemisphere|ref))"
     "|(?P<longitude>(?:ew|eastwest)(?:ind|indicator|hemisphere)?|lon(?:g|gitude)?(?:ew|dir|direction|hem|hemi|hemisphere|ref))"
@@ -47,7 +52,7 @@ _SIDE = re.compile(
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Columns that hold feet, as aircraft send them; baroaltitude and geoaltitude of OpenSky hold metres."""
 
-_PRIVATE = ("call", "update", *MARKS)
+_PRIVATE = ("call", "update", "zone", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
 _MARK = Kind("true or false", words=(("true", 1.0), ("false", 0.0), ("1", 1.0), ("0", 0.0)))
 _PLAIN = (str, int, float, np.generic)
@@ -115,6 +120,8 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     clock, unused = _clock(head, options, columns)
     word = _word(head)
     columns |= _labels(head, asked, word)
+    zones = [name for name in head.names if plain(name) in ZONES | {"utm"} and plain(columns.get("x", "")) in _EASTINGS]
+    columns |= dict(zip(("zone",), zones, strict=False))
     length = _length(columns, options, word, head)
     noise = noise_of(head, asked, 1.0 if "latitude" in columns else length, word == "ship")
     wanted: Wanted = {clock.column: clock.kind}
@@ -247,6 +254,16 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         raise ValueError(f"expected one unit of lengths, received {listed(ends)}: convert one, or leave it out")
     if not options.units and (short := [column for column in lengths if plain(column).endswith("nm")]):
         raise ValueError(f"column {short[0]}: nm are nautical miles or nanometres: say --units nmi, or another")
+    for name in [columns[role] for role in ("latitude", "longitude") if role in columns] + lengths:
+        ending = name_words(name)[1:]
+        if ending and OTHER_UNIT.fullmatch(ending[-1]) and not (options.units and "x" in columns):
+            other = ", or say --units m, and read metres in the results as these" if "x" in columns else ""
+            raise ValueError(f"column {name}: expected metres or degrees, received {ending[-1]}: convert them{other}")
+    if {"xyvalid", "zvalid"} <= {*map(plain, head.names)} and plain(columns.get("x", "")) == "x":
+        raise ValueError(
+            "x, y, z: expected east, north and up, received north, east and down of an autopilot: --x y --y x, and "
+            "give z another name or its negative"
+        )
     feet = word == "aircraft" and plain(columns.get("altitude", "")) in _ALTITUDES_IN_FEET
     if options.units or units:
         return METRES[options.units] if options.units else units[0]
@@ -261,7 +278,7 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
 
 def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word: str) -> Kind | None:
     """What the numbers of a column are; None for text."""
-    if role in ("id", "call"):
+    if role in ("id", "call", "zone"):
         return None
     if role == "update":
         return Kind()
@@ -306,7 +323,7 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
 def _has_commas(head: Head, columns: Mapping[str, str]) -> bool:
     """Whether a coordinate or a time is written as 1,5 and none as 1.5."""
     cells = [str(cell) for name in (*columns.values(), *found(head.names, "time")) for cell in head.cells(name)]
-    parted = re.compile(r"[+-]?(?:[0-9]*|[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+),[0-9]*")
+    parted = re.compile(r"[+-]?(?:[0-9]*|[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+),[0-9]*(?:[eE][+-]?[0-9]+)?")
     return any(parted.fullmatch(cell.strip()) for cell in cells)
 
 

@@ -36,10 +36,10 @@ class ReadOptions:
     decimal: str | None = None
     """``"."`` or ``","``."""
     time_format: str | None = None
-    """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"`` and
-    ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS has passed,
-    beside a column of weeks; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of
-    ``datetime.strptime``."""
+    """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"``,
+    ``"jd"`` and ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS
+    has passed, beside a column of weeks; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of
+    ``datetime.strptime``, such as ``"%d%m%y %H%M%S"`` for two columns of digits."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -15,7 +15,7 @@ from torchfra.readers.layouts import Layout, layout_of
 from torchfra.readers.options import ReadOptions, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
-from torchfra.readers.sanity import check_metres, possible
+from torchfra.readers.sanity import check_metres, check_unit, possible
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
 
@@ -137,6 +137,8 @@ def _recordings(
     if not layout.degrees and not chosen.options.units:
         check_metres(recordings, layout)
     good = recordings if chosen.options.time_format else possible(recordings, layout)
+    if not layout.degrees and not chosen.options.units and not chosen.options.time_format:
+        check_unit(good, layout)
     return sorted(good, key=lambda recording: recording.name)
 
 

@@ -23,6 +23,12 @@ _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
 
 
+_HELD, _ONCE, _FAR = 25, 0.1, 10.0
+"""Positions from which on they may be held, the share of them that may come once only, and how many of the finest steps
+lie between neighbours."""
+_RARELY, _MIXED = 0.04, 10
+"""Share of rows whose time may go back, and how often rows change their order for each of these, where a count begins
+anew."""
 _YEAR, _HOUR = 366 * 86_400.0, 3600.0
 """s."""
 _PUT_BACK = 1.0
@@ -83,6 +89,13 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
         place = np.stack([columns.first[index], columns.second[index]], 1)
         targets.append(Target(full, columns.time[index], place, height, filled, sigma, index.astype(np.int64), repairs))
     good = [target for target in targets if len(target.time) >= 2]
+    zones = table.texts.get(layout.columns.get("zone", ""), [])
+    for target in good:
+        if len(several := {zones[row] for row in target.row if zones and zones[row]}) > 1:
+            raise ValueError(
+                f"expected positions of {layout.source.word} {target.name} in one zone of the grid, received "
+                f"{layout.columns['zone']} {', '.join(sorted(several)[:3])}: convert them to one, or to degrees"
+            )
     if not good:
         raise TooFewError(_too_few(targets, layout.source.word))
     # The counts of all targets sum to those of the file.
@@ -138,6 +151,7 @@ class _Columns:
             return index if mask.all() else index[mask]
 
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
+        self.time[index] = self.clock.going_on(self.time[index])
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
@@ -147,15 +161,29 @@ class _Columns:
         time = self.time[index]
         self._check_season(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
-        index = index[np.argsort(time, kind="stable")]
-        self._check_same_times(index)
+        ordered = index[np.argsort(time, kind="stable")]
+        self._check_same_times(ordered)
+        self._check_restart(time, index)
+        index = ordered
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
-        if not self.may_be_held:
-            return index, repairs
         moved = np.zeros(len(index), dtype=bool)
-        for column in (self.first, self.second, self.update):
+        for column in (self.first, self.second, self.update) if self.may_be_held else (self.first, self.second):
             moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
+        if not self.may_be_held and not self._are_held(index, moved):
+            return index, repairs
         return keep(index, moved, "held positions dropped"), repairs
+
+    def _are_held(self, index: NDArray[np.intp], moved: NDArray[np.bool_]) -> bool:
+        """Whether rows repeat a position until there is a new one, as logs of faster sensors do, and no target rests.
+
+        So it is where nearly all positions are repeated, which lie much farther apart than they are rounded.
+        """
+        starts = np.flatnonzero(moved)
+        if len(starts) < _HELD or (np.diff(starts) < 2).mean() > _ONCE:
+            return False
+        steps = [np.abs(np.diff(column[index][starts])) for column in (self.first, self.second)]
+        finest = [step[step > 0].min(initial=np.inf) for step in steps]
+        return bool(max(np.median(step / fine) for step, fine in zip(steps, finest, strict=True)) > _FAR)
 
     def _check_season(self, time: Array, index: NDArray[np.intp]) -> None:
         """Refuses times of a clock that is put back by an hour while rows go on."""
@@ -169,6 +197,17 @@ class _Columns:
                 f"expected times that go on, received one {-steps[back[0]] / 60:.3g} minutes before that of the row "
                 f"before in data row {index[back[0] + 1] + 1}, {self.clock.column}, as of a clock that is put back an "
                 "hour at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
+            )
+
+    def _check_restart(self, time: Array, index: NDArray[np.intp]) -> None:
+        """Refuses counts of time that begin anew while rows go on, so that pieces of the track would be mixed."""
+        back = np.flatnonzero(np.diff(time) < 0)
+        mixed = np.count_nonzero(np.diff(np.argsort(time, kind="stable")) != 1)
+        if not self.dated and 0 < len(back) <= _RARELY * len(time) and mixed > _MIXED * len(back):
+            raise ValueError(
+                f"expected times that go on, received {time[back[0] + 1]:g} s behind {time[back[0]]:g} s in data row "
+                f"{index[back[0] + 1] + 1}, {self.clock.column}, as of a logger that was started again: name another "
+                "column by --time, or one that tells the pieces apart by --id"
             )
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:

@@ -10,6 +10,7 @@ from torchfra.readers.clocks import days_of
 from torchfra.readers.layouts import Layout
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import plural
+from torchfra.readers.spelling import unit as unit_of
 from torchfra.readers.times import PER_SECOND, SINCE_1970, per_second
 
 _MANY = 25
@@ -18,6 +19,8 @@ _SHORTEST = 1.0
 """Seconds that such a track lasts at least."""
 _FASTEST = 5000.0
 """Speed that half of the steps stay below, m/s."""
+_FASTEST_METRES = 1000.0
+"""Speed over 30 s up to which x and y without a unit are taken as metres, m/s."""
 _FASTEST_SHIP = 150.0
 """Speed that half of the steps of a ship stay below, m/s; numbers of aircraft of search and rescue begin with
 ``_RESCUE``."""
@@ -73,6 +76,21 @@ def check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
         f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: say --lat {y} "
         f"--lon {x}; or --units m if they are metres"
     )
+
+
+def check_unit(recordings: Sequence[Recording], layout: Layout) -> None:
+    """Refuses x and y whose unit nobody says, and that move faster than all but rockets if they are metres.
+
+    Raises:
+        ValueError: all do.
+    """
+    names = [layout.columns["x"], layout.columns["y"]]
+    speeds = [speed_across(recording) for recording in recordings if len(recording.time) >= _MANY]
+    if speeds and min(speeds) > _FASTEST_METRES and not any(unit_of(name, asked=True) for name in names):
+        raise ValueError(
+            f"expected metres in {' and '.join(names)}, received a speed of {min(speeds):,.0f} m/s: say their unit, "
+            "such as --units mm, or --units m if they are metres"
+        )
 
 
 def _impossible(recording: Recording) -> str:

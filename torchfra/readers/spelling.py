@@ -27,7 +27,7 @@ NAMES = {
              "gpstime", "itow", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
-             "timegmt", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
+             "timegmt", "isotime", "tst", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
              "timeofday", "secondsofday", "tod", "sod",
              "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
@@ -43,13 +43,12 @@ NAMES = {
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
                  "heightaboveellipsoid", "enhancedaltitude"),
-    "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid", "vesselid", "shipid",
-           "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier", "tagid", "uavid",
-           "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip", "tripid", "imo",
-           "trajid", "trajectoryid", "trajectory",
-           "playerid", "player", "animalid", "animal", "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat",
-           "imei", "userid", "user", "entityid", "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner",
-           "bib", "uuid", "id", "name"),
+    "id": ("icao24", "icao", "hex", "mmsi", "sid", "stormid", "trackid", "tracknumber", "targetid", "objectid",
+           "vesselid", "shipid", "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier",
+           "tagid", "uavid", "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip",
+           "tripid", "imo", "trajid", "trajectoryid", "trajectory", "playerid", "player", "animalid", "animal",
+           "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid", "user", "entityid",
+           "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid", "id", "name"),
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
@@ -69,6 +68,12 @@ _IN_FRONT = {
     "enu", "pose", "point", "transform", "translation", "header",
 }  # fmt: skip
 _BEHIND = {"utm", "enu"}
+OTHER_UNIT = re.compile(
+    r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|[\u00b5\u03bc]m|microns?|px|pixels?", re.IGNORECASE
+)
+"""A unit of positions that has no conversion here."""
+ZONES = {"zone", "utmzone", "zonenumber", "utmzonenumber", "gridzone"}
+"""Names of columns with the zone of a grid, in which eastings and northings are."""
 _ELAPSED = {"t", "time", "elapsed", "elapsedtime", "timeelapsed", "timesinceboot", "zeit", "temps", "tiempo"}
 """Names of times whose unit may be one of ``RARER_UNITS``; "utc_hour" is a part of a time."""
 PARTS = {"year", "month", "day", "hour", "hours", "minute", "minutes", "min", "second", "seconds", "sec"}
@@ -159,7 +164,7 @@ def name_words(name: str) -> list[str]:
     Letters stand without their marks.
     """
     bare = unicodedata.normalize("NFKD", name.strip())
-    bare = "".join(letter for letter in bare if not unicodedata.combining(letter))
+    bare = "".join(letter for letter in bare if not unicodedata.combining(letter)).replace("\u03bc", "u")
     parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", bare).lower()
     return re.findall(r"[a-z0-9]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
 

@@ -24,6 +24,7 @@ from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions
+from torchfra.readers.plt_files import is_plt, plt_sheet
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.spelling import found, plain
 from torchfra.readers.vbo_files import is_vbo, vbo_sheet
@@ -104,6 +105,8 @@ def read_table(
         start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
         if is_vbo(start, suffix):
             return vbo_sheet(file, max_bytes)
+        if is_plt(start, suffix):
+            return plt_sheet(file, max_bytes)
         if is_igc(start, suffix):
             return igc_sheet(file, max_bytes)
         if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):

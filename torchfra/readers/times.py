@@ -14,8 +14,8 @@ SINCE_1970 = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units in a second of numbers that may count since 1970, by what a ``time_format`` calls them."""
 PER_SECOND = {**SINCE_1970, "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86_400}
 """Those and the units of numbers that count since some start only."""
-DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0}
-"""Which day the first of 1970 is, where numbers are days of Excel, modified Julian days or those of Matlab."""
+DAY_OF_1970 = {"excel": 25_569.0, "mjd": 40_587.0, "matlab": 719_529.0, "jd": 2_440_587.5}
+"""Which day the first of 1970 is, where numbers are days of Excel, modified or full Julian days, or those of Matlab."""
 SPLIT = {"s ms": 1e3, "s us": 1e6, "s ns": 1e9}
 """Whole seconds, and parts of a second in a column of their own: how many of these a second has."""
 GPS = {"gps": 1.0, "gps_ms": 1e3}
@@ -38,6 +38,9 @@ CLOCK = "%H:%M:%S"
 """Times of the day without a date: seconds since midnight, and a day more after each midnight."""
 HALF_CLOCK = "%I:%M:%S"
 """Times of the day on a clock of 12 hours; AM or PM follows."""
+_PACKED = re.compile("(?:%[YymdjHMS]){2,}(?: (?:%[YymdjHMS]){2,})*")
+"""Forms of numbers whose digits are a date or a clock."""
+_DIGITS, _SIZES = re.compile(r"[0-9]+(?:\.[0-9]*)?"), {"Y": 4, "j": 3}
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _ISO = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
@@ -172,6 +175,9 @@ def seconds_of(text: str, form: str) -> float:
     if form in SPLIT:
         whole, part = map(float, text.split())
         return whole + part / SPLIT[form]
+    if _PACKED.fullmatch(form):
+        text, part = _unpacked(text, form)
+        return seconds_of(text, " ".join(re.sub("(?<=.)%", "-%", word) for word in form.split())) + part
     bare = form.replace(".%f", "")
     pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
     if _MONTH_OF_FORM.search(bare):  # as numbers: names in ``strptime`` are those of the locale
@@ -180,6 +186,25 @@ def seconds_of(text: str, form: str) -> float:
     if is_clock(form):
         return (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     return _since_1970(moment - _ahead(form))
+
+
+def _unpacked(text: str, form: str) -> tuple[str, float]:
+    """Numbers whose digits are a date or a clock, parted by hyphens, and what of a second is behind the point.
+
+    They may lack zeros in front, which ``strptime`` alone would take from the next part.
+    """
+    words, forms = text.split(), form.split()
+    if len(words) != len(forms) or not all(map(_DIGITS.fullmatch, words)):
+        raise ValueError(f"expected digits of {form}, received {text!r}")
+    parted = []
+    for word, of in zip(words, forms, strict=True):
+        sizes = [_SIZES.get(letter, 2) for letter in of[1::2]]
+        digits = word.partition(".")[0].zfill(sum(sizes))
+        if len(digits) > sum(sizes):
+            raise ValueError(f"expected {sum(sizes)} digits of {of}, received {word!r}")
+        ends = np.cumsum(sizes).tolist()
+        parted.append("-".join(digits[end - size : end] for end, size in zip(ends, sizes, strict=True)))
+    return " ".join(parted), float(f"0.{words[-1].partition('.')[2] or 0}")
 
 
 def _number_of_month(name: re.Match[str]) -> str:

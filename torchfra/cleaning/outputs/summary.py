@@ -65,6 +65,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(f"Normalised innovation squared per axis (NIS): {of['nis']:.2f}; it is 1 if sigma and q are right")
     if of["doubt"]:
         said.append(of["doubt"])
+    if _is_unlikely(of):
+        said.append(UNLIKELY)
     if of["repairs"]:
         said.append(f"Repaired: {in_words(of['repairs'])}")
     return said
@@ -80,6 +82,18 @@ def headline(of: Mapping[str, Any]) -> str:
     if unclear:
         text += f", {unclear:,} unclear"
     return text + ("; FAILED: NaN or infinity" if of["failed"] else "")
+
+
+UNLIKELY = (
+    "A third of the fixes or more were rejected: do not trust the path. Columns, units or times may be other than "
+    "taken, or the target may move as none of its kind does (--bank, --sigma)"
+)
+"""What is said of a track that its fixes contradict."""
+
+
+def _is_unlikely(of: Mapping[str, Any]) -> bool:
+    """Whether so many fixes were rejected that it is rather the path that is wrong."""
+    return bool(3 * of["flags"]["outlier"] >= of["fixes"] > 0)
 
 
 COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", "moved", "std", "sigma")
@@ -115,6 +129,8 @@ def overview(results: Sequence[Cleaned]) -> list[str]:
     said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
     if doubtful := [of["name"] for of in every if of["doubt"]]:
         said.append(f"Sigma is unsure of {listed(doubtful)}")
+    if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
+        said.append(f"Not to be trusted (a third of their fixes rejected): {listed(unlikely)}")
     if failed := [of["name"] for of in every if of["failed"]]:
         said.append(f"FAILED: NaN or infinity in {listed(failed)}")
     if repairs := sum((Counter(of["repairs"]) for of in every), Counter[str]()):

@@ -1,0 +1,221 @@
+"""Files of laboratories, autopilots and open data are read as their makers mean them, or refused with what to do."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import torchfra
+from torchfra.cleaning.outputs.summary import UNLIKELY, overview, sentences
+from torchfra.readers import read
+
+ROWS = 60
+EAST = np.arange(ROWS) * 0.5
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(lines, name="a.csv"):
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
+# ---------------------------------------------------------------- units and axes
+
+
+@pytest.mark.parametrize("unit", ["px", "pixels", "micron", "\u00b5m", "\u03bcm", "inch"])
+def test_a_unit_that_nobody_converts_is_refused_in_a_name_too(write, unit):
+    path = write([f"time,Gaze X [{unit}],Gaze Y [{unit}]", *(f"{i},{x},0" for i, x in enumerate(EAST))])
+    names = {"x": f"Gaze X [{unit}]", "y": f"Gaze Y [{unit}]"}
+    with pytest.raises(ValueError, match=r"column Gaze X .*: expected metres or degrees, received .* or say --units m"):
+        read(path, **names)
+    assert len(read(path, units="m", **names)[0].time) == ROWS
+
+
+def test_radians_are_refused_whatever_the_unit_of_lengths(write):
+    path = write(["time,lat_rad,lon_rad", *(f"{i},{0.8 + i / 1e6},0.1" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=r"column lat_rad: expected metres or degrees, received rad: convert them$"):
+        read(path, lat="lat_rad", lon="lon_rad", units="m")
+
+
+def test_three_lines_beneath_a_header_are_looked_at_for_units(write):
+    above = ["POSITION_T,POSITION_X,POSITION_Y", "T,X,Y", "T,X,Y", "(sec),(micron),(micron)"]
+    with pytest.raises(ValueError, match=r"column POSITION_X: .* received \(micron\) beneath the header"):
+        read(write([*above, *(f"{i},{x},0" for i, x in enumerate(EAST))]))
+
+
+def test_north_east_and_down_of_an_autopilot_are_refused(write):
+    rows = [f"{i},{x},0,-40,1,1" for i, x in enumerate(EAST)]
+    with pytest.raises(ValueError, match=r"received north, east and down of an autopilot: --x y --y x, and give z"):
+        read(write(["time,x,y,z,xy_valid,z_valid", *rows]))
+    turned = write(["time,x,y,down,xy_valid,z_valid", *rows])
+    assert np.ptp(read(turned, x="y", y="x")[0].position, axis=0).tolist() == [0, EAST[-1]]
+
+
+def test_a_speed_that_only_rockets_have_asks_for_the_unit_of_metres(write):
+    path = write(["time,x,y", *(f"{i / 100},{15 * i},0" for i in range(1000))])
+    with pytest.raises(ValueError, match=r"received a speed of 1,\d00 m/s: say their unit, such as --units mm, or"):
+        read(path)
+    assert read(path, units="mm")[0].position[1, 0] == 0.015
+    assert read(path, units="m")[0].position[1, 0] == 15
+
+
+@pytest.mark.parametrize("name", ["zone", "UTM zone"])
+def test_a_target_that_changes_the_zone_of_its_grid_is_refused(write, name):
+    rows = [
+        f"{i},{'32U' if i < 40 else '33U'},{700_000 + x if i < 40 else 200_000 + x},5e6" for i, x in enumerate(EAST)
+    ]
+    with pytest.raises(ValueError, match=r"in one zone of the grid, received .*zone 32U, 33U: convert them to one"):
+        read(write([f"time,{name},easting,northing", *rows]))
+    rows = [f"{i % 30},{i // 30},3{i // 30}U,{700_000 + x},5e6" for i, x in enumerate(EAST)]
+    assert len(read(write([f"time,id,{name},easting,northing", *rows]))) == 2
+
+
+def test_zones_of_a_shop_are_no_zones_of_a_grid(write):
+    assert len(read(write(["time,zone,x,y", *(f"{i},{i // 20},{x},0" for i, x in enumerate(EAST))]))) == 1
+
+
+# ---------------------------------------------------------------- targets and repeated positions
+
+
+def test_storms_of_one_name_are_parted_by_what_numbers_them(write):
+    rows = [f"20212{s}8N,NOT_NAMED,2021-09-{1 + i // 8:02} {i % 8 * 3:02}:00:00,{18 + s + i / 50},{140 - i / 50:.2f}"
+            for s in range(2) for i in range(ROWS)]  # fmt: skip
+    beneath = " , , ,degrees_north,degrees_east"
+    tracks = read(write(["SID,NAME,ISO_TIME,LAT,LON", beneath, *rows]))
+    assert [track.name for track in tracks] == ["2021208N", "2021218N"]
+
+
+def repeated(times, seed=5):
+    """Positions to 0.1 mm that are each there so many times."""
+    east = 1.4 * np.arange(ROWS) + np.random.default_rng(seed).normal(scale=2, size=ROWS)
+    held = np.repeat(east, times)
+    return ["time,x,y", *(f"{i / 10},{x:.4f},{x / 3:.4f}" for i, x in enumerate(held))]
+
+
+def test_positions_that_a_faster_log_repeats_are_held(write):
+    (track,) = read(write(repeated(10)))
+    assert track.row.tolist() == [10 * i for i in range(ROWS)]
+    assert track.repairs == {"held positions dropped": 9 * ROWS}
+
+
+def test_a_target_that_rests_at_times_is_not_held(write):
+    times = np.ones(ROWS, int)
+    times[[10, 30]] = 200
+    assert len(read(write(repeated(times)))[0].time) == times.sum()
+
+
+def test_rounded_positions_of_a_slow_target_are_not_held(write):
+    rows = [f"{i},{0.3 * i:.0f},0" for i in range(600)]
+    assert len(read(write(["time,x,y", *rows]))[0].time) == 600
+
+
+# ---------------------------------------------------------------- messages
+
+
+def test_columns_that_differ_in_x_and_y_are_suggested(write):
+    for x, y in (("ball_x", "ball_y"), ("Local_X", "Local_Y"), ("xCenter", "yCenter"), ("tx", "ty")):
+        rows = [f"{i},7,{50 + i / 1e5:.5f},{7 + i / 1e5:.5f},{i / 7:.4f},{i / 9:.4f}" for i in range(ROWS)]
+        with pytest.raises(ValueError, match=f"looks like --time ts_ms --x {x} --y {y}"):
+            read(write([f"ts_ms,shot,{x},{y},heading,width", *rows]))
+
+
+def test_latitudes_of_a_message_are_suggested(write):
+    path = write(
+        ["timestamp,GPS.lat,GPS.lon", *(f"{1_700_000_000 + i},{500_000_000 + i},{70_000_000 + i}" for i in range(ROWS))]
+    )
+    (track,) = read(path)
+    assert track.origin[:2] == pytest.approx((50, 7))
+
+
+def test_poses_of_robots_are_not_suggested_as_degrees(write):
+    rows = [
+        f"{1_400_000_000 + i / 30:.4f} {i / 99:.4f} {i / 88:.4f} 1.3 {0.8:.4f} {-0.3533:.4f} 0.0838 0.3596"
+        for i in range(ROWS)
+    ]
+    with pytest.raises(ValueError, match=r"looks like --time 1 --x 2 --y 3$"):
+        read(write(rows))
+
+
+def test_a_file_that_begins_with_its_newest_row_is_understood_without_a_header(write):
+    rows = [f"{37.75 + i / 1e4:.5f} {-122.4 - i / 1e4:.5f} {i % 2} {1_700_000_000 - 60 * i}" for i in range(ROWS)]
+    with pytest.raises(ValueError, match=r"looks like --time 4 --lat 1 --lon 2$"):
+        read(write(rows))
+
+
+def test_a_file_without_a_header_is_told_how_to_name_columns(write):
+    with pytest.raises(ValueError, match=r"without a header their numbers from 1 on are their names, such as --time 1"):
+        read(write(["AL09, 3, 4", *("a, b, c" for _ in range(ROWS))]))
+
+
+def test_rows_that_do_not_fit_a_doubtful_header_tell_it(write):
+    path = write(["OEM = 2.0", "COMMENT", *(f"2024-06-03T08:15:00 {i} 2 3" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=r"received 1; or the header is another line than that of OEM, =, 2.0"):
+        read(path)
+
+
+@pytest.mark.parametrize("reference", ["SU 40000 5{:04}", "32UMU40000{:05}"])
+def test_references_of_a_grid_are_named(write, reference):
+    path = write(["time,where", *(f"{i},{reference.format(i)}" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=r"where holds references such as .*: convert them to degrees, or metres"):
+        read(path)
+
+
+def test_decimal_commas_may_have_exponents(write):
+    rows = [f"{i / 10:.3E};{50 + i / 1e4:.9E};{7:.9E}".replace(".", ",") for i in range(ROWS)]
+    assert np.diff(read(write(["Time (s);Latitude;Longitude", *rows]))[0].time) == pytest.approx(0.1)
+
+
+# ---------------------------------------------------------------- other formats
+
+
+def test_lists_of_numbers_in_records_are_columns(write):
+    records = [
+        {"timestamp": 1_700_000_000_000_000 + 50_000 * i, "translation": [x, x / 2, 0.0]} for i, x in enumerate(EAST)
+    ]
+    path = write([json.dumps(records)], "ego_pose.json")
+    with pytest.raises(ValueError, match=r"looks like --time timestamp --x translation.1 --y translation.2"):
+        read(path)
+    (track,) = read(path, x="translation.1", y="translation.2")
+    assert track.position[:, 0].tolist() == EAST.tolist()
+
+
+PLT = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
+
+
+def test_plt_is_read_in_metres_and_utc(write):
+    rows = [f"{50 + i / 1e4},{7},0,{-777 if i == 3 else 1000},{45_446 + (29_700 + i) / 86_400:.10f},2024-06-03,08:15:00"
+            for i in range(ROWS)]  # fmt: skip
+    (track,) = read(write([*PLT, *rows], "a.plt"))
+    assert track.time[0] == 1_717_402_500
+    assert np.diff(track.time) == pytest.approx(1)
+    assert track.origin == pytest.approx((50, 7, 304.8))
+    assert track.repairs == {"altitudes missing": 1}
+
+
+def test_microseconds_are_no_seconds(write):
+    for unit in ("\u00b5s", "\u03bcs", "us"):
+        (track,) = read(write([f"time [{unit}],x,y", *(f"{1_000_000 * i},{x},0" for i, x in enumerate(EAST))]))
+        assert track.time[1] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("row", ["50,7", "50,7,0,10,tomorrow", "50,7,0,10,1e300"])
+def test_a_line_that_is_no_fix_of_plt_is_refused(write, row):
+    with pytest.raises(ValueError, match=r"expected latitude, longitude, 0 or 1, feet and days in line 7"):
+        read(write([*PLT, row], "a.plt"))
+
+
+# ---------------------------------------------------------------- what is said of a path
+
+
+def test_a_path_that_its_fixes_contradict_is_said_not_to_be_trusted():
+    time, jumps = np.arange(0, 20, 1 / 60), np.random.default_rng(2)
+    places = np.repeat(jumps.uniform(0, 2000, (60, 2)), 20, axis=0) + jumps.normal(scale=8, size=(1200, 2))
+    cleaned = torchfra.clean((time, places), bank="aircraft", sigma=0.3)
+    assert UNLIKELY in sentences(cleaned)
+    assert overview([cleaned])[-1].startswith("Not to be trusted")
