@@ -11,7 +11,7 @@ from torchfra import presets, tree
 from torchfra.association import ChiSquare, Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Bearings, Position
-from torchfra.targets import SPRT, FieldOfView, OnePoint, Targets, Triangulation
+from torchfra.targets import Deletion, Existence, FieldOfView, OnePoint, Targets, Triangulation
 
 STD, RATE, SPEED = 0.005, 0.5, 15.0
 PLACES = {"left": (0.0, 0.0), "right": (800.0, 0.0), "third": (400.0, -300.0)}
@@ -29,8 +29,8 @@ def manager(names=("left", "right"), *, triangulation=True, seconds=0.5, angle=0
     radar = presets.jpda(MOTION, Position(5.0), clutter=Clutter(1e6, rate=1.0), detection=0.9)
     rule = Triangulation(SPEED, seconds=seconds, angle=angle) if triangulation else None
     return Targets(
-        radar, birth=OnePoint(SPEED), confirmation=SPRT(), sensors={name: camera() for name in names},
-        triangulation=rule, **options,
+        radar, birth=OnePoint(SPEED), confirmation=Existence(), deletion=Deletion(5, spread=40.0),
+        sensors={name: camera() for name in names}, triangulation=rule, **options,
     )  # fmt: skip
 
 
@@ -56,7 +56,8 @@ def run(targets, scans, state=None, last=0):
     state = targets.init() if state is None else state
     with torch.no_grad():
         for t, name, z in scans:
-            state, last = targets.step(state, z, dt=t - last, u=torch.tensor(PLACES[name]), sensor=name), t
+            state = targets.step(state, z, dt=t - last, u=torch.tensor(PLACES[name]), sensor=name)
+            last = max(t, last)
     return state
 
 
@@ -166,7 +167,11 @@ def test_a_line_begins_targets_in_one_scan_only():
 def test_bearings_alone_track_without_another_sensor():
     left, right = (camera(Bearings(STD, stations=[PLACES[name]])) for name in ("left", "right"))
     targets = Targets(
-        left, birth=OnePoint(SPEED), confirmation=SPRT(), sensors={"right": right}, triangulation=Triangulation(SPEED)
+        left,
+        birth=OnePoint(SPEED),
+        confirmation=Existence(),
+        sensors={"right": right},
+        triangulation=Triangulation(SPEED),
     )
     state, last = targets.init(), 0
     for t, name, z in scans_of((300.0, 500.0), (5.0, 3.0), 8):
@@ -176,8 +181,9 @@ def test_bearings_alone_track_without_another_sensor():
 
 def test_a_late_bearing_begins_the_target_that_it_would_have_begun():
     scans, targets = list(scans_of((300.0, 500.0), (5.0, 3.0), 4)), manager(seconds=1.5, lag=2.0)
-    late = run(targets, [scans[0], *scans[2:5], scans[1], *scans[5:]])
-    for one, other in zip(tree.flatten(run(targets, scans).confirmed), tree.flatten(late.confirmed), strict=True):
+    state, late = run(targets, scans), run(targets, [scans[0], *scans[2:5], scans[1], *scans[5:]])
+    assert len(state.belief.mean)
+    for one, other in zip(state.belief, late.belief, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
 
 
