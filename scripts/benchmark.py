@@ -40,8 +40,7 @@ from benchmarks.training import training
 from torchfra import keep_memory
 from torchfra.catalogue import SCENARIOS, track_filters
 from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
-from torchfra.running.atomic_write import write_json
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 
 BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]
 KINDS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
@@ -113,10 +112,9 @@ def benchmark(options: argparse.Namespace) -> None:
         if kind == "scaling" and options.figure is not None:
             draw(done, options.figure)
         rows += done
-    if options.json is not None:
-        settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}
-        settings |= {"threads": threads, "keep_memory": keep_memory()}
-        write_json(options.json, {"settings": settings, "versions": versions(), "rows": rows})
+    settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}
+    settings |= {"threads": threads, "keep_memory": keep_memory()}
+    write_results(options.json, {"settings": settings, "rows": rows})
 
 
 if __name__ == "__main__":

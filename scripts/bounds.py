@@ -22,19 +22,10 @@ from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
-from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
-from torchfra.running.atomic_write import write_json
+from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
 
 Found = dict[str, Any]
@@ -47,8 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--filters", metavar="A,B", help="those of them that go with a cell (default: all)")
     add_jobs_option(p)
     add_runs_options(p, 200, seed=11)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
@@ -83,8 +73,7 @@ def bounds(options: argparse.Namespace) -> None:
     if not options.quiet:
         print(table(found))
         print(summary(found), flush=True)
-    if options.json is not None:
-        write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "cells": found})
+    write_results(options.json, {"runs": options.runs, "seed": options.seed, "cells": found})
 
 
 def of_cell(cell: str, listed: list[str] | None, runs: int, seed: int) -> Found | None:

@@ -19,12 +19,11 @@ from torch import Tensor
 
 import torchfra
 from torchfra import Gaussian, presets
-from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
-from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 
@@ -45,8 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--no-compile", action="store_true", help="run interpreted, without a C++ compiler")
     p.add_argument("--seed", type=int, default=13, metavar="S", help="of the first fit (default: 13)")
     add_jobs_option(p)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return exit_status("certainty", lambda: certainty(p.parse_args(arguments)))
 
 
@@ -71,9 +69,8 @@ def certainty(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     if not options.quiet:
         rows = [[name, f"{of['inside']:.1%}", f"{of['rms']:.2f}"] for name, of in found.items()]
         print(text_table([f"value, {options.fits} fits", "in the interval", "RMS error / standard error"], rows))
-    if options.json is not None:
-        settings = {name: value for name, value in vars(options).items() if not isinstance(value, Path)}
-        write_json(options.json, {"settings": settings, "versions": versions(), "values": found})
+    settings = {name: value for name, value in vars(options).items() if not isinstance(value, Path)}
+    write_results(options.json, {"settings": settings, "values": found})
     return found
 
 

@@ -12,7 +12,7 @@ outliers of 100 m to 10 km, half of them in bursts, of which every second one ha
 A case is a truth at a period and noise.  Its figures, over all runs:
 
 - the error across the ground (root mean square) at the fixes that are no outliers over that of these fixes as they are;
-- the error at all fixes over that of a smoother of constant velocity that is told sigma and the outliers, and whose
+- the error at all fixes over that of a smoother of constant velocity that has the true sigma and outliers, and whose
   process noise is the one that makes its error least;
 - precision of flagged outliers, and recall of those beyond 6 sigma;
 - sigma found over the true one, the mean over the runs;
@@ -25,8 +25,8 @@ Errors and sigma are asked of every case, shares of all cases of a period as one
 Five kinds are harder, and asked for by name: late, ships of 5 to 19 m/s with time stamps off by 0.2 s, one in five by
 2 s; lasting, ships whose errors last 20 s; heights, drones with heights in steps of 25 ft, one in ten missing; animals,
 fixes of 24 min, 2 h and 4 h for 1, 5 and 10 s and noise of 100, 500 and 1000 m for 3, 15 and 30 m; slow, a walk, a
-bike, a car, a drone and a boat with white noise, alone and beside errors that last 10, 20 or 40 s, half as large and
-as large.
+bike, a car, a drone and a boat with white noise, alone and with errors correlated over 10, 20 or 40 s, half as large
+and as large.
 """
 
 from __future__ import annotations
@@ -46,19 +46,10 @@ from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import HARDER, KINDS, truths
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    exit_status,
-    make_parser,
-    numbers_in,
-)
+from torchfra.cli.command import Failures, add_output_options, check_files, exit_status, make_parser, numbers_in
 from torchfra.readers.recording import Recording
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 
 Cleaner = Callable[[Sequence[Recording]], Sequence[Cleaned]]
 TOGETHER = 64
@@ -88,8 +79,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--clean", metavar="MODULE:NAME", default="torchfra.cleaning:clean_tracks", help=cleaner)
     p.add_argument("--cases", action="store_true", help="print a line for each case, too")
     p.add_argument("--plot", type=Path, metavar="FILE", help="PNG: every case against the bounds")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return p
 
 
@@ -106,12 +96,10 @@ def check(options: argparse.Namespace) -> None:
     if not options.quiet:
         lines = f"{cases_table(found)}\n\n" if options.cases else ""
         print(f"{lines}{table(found)}\n\n{bounds_table(found)}\n\n{seconds:.0f} s of cleaning", flush=True)
-    if options.json is not None:
-        told = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
-        head = {name: getattr(options, name) for name in told}
-        with failures.of("json"):
-            write_json(options.json, {**head, "seconds": seconds, "versions": versions(), "bounds": verdicts(found),
-                                      "cases": found})  # fmt: skip
+    named = ("kinds", "flights", "steps", "runs", "seed", "ghosts", "clean")
+    head = {name: getattr(options, name) for name in named}
+    with failures.of("json"):
+        write_results(options.json, {**head, "seconds": seconds, "bounds": verdicts(found), "cases": found})
     if options.plot is not None:
         from cleaning.picture import picture  # matplotlib takes long to import
 

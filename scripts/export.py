@@ -72,17 +72,19 @@ def example(options: argparse.Namespace) -> None:
     prior = Gaussian(*(x.to(dtype) for x in tracks.prior))
     inputs = data(scenario, tracks.z.to(dtype), tracks.u, options.inputs)
     with TemporaryDirectory() as place:
-        found, told = run(compiled(files, options.filter, Path(place)), prior, inputs)
+        found, timing = run(compiled(files, options.filter, Path(place)), prior, inputs)
     difference = compare(stepped(f, prior, inputs), found, f.motion.size)
     for name, text in files.items():
         write_text(folder / name, text)
-    print(f"{printable(str(folder))}: {told}, largest relative difference from the filter {difference:.1e}", flush=True)
+    print(
+        f"{printable(str(folder))}: {timing}, largest relative difference from the filter {difference:.1e}", flush=True
+    )
     if not math.isfinite(difference):
         raise IncompleteError(f"{options.filter}: a step is not finite")
 
 
 def data(scenario: Scenario, z: Tensor, u: Tensor | None, extra: str | None) -> dict[str, Tensor]:
-    """What goes into the steps ``(B, T, ...)``, with noise that changes from step to step where it is told."""
+    """What goes into the steps ``(B, T, ...)``, with noise that changes from step to step where it is an input."""
     inputs = {"z": z, "dt": z.new_full(z.shape[:2], scenario.dt)}
     if u is not None:
         inputs["u"] = u.to(z).expand(*z.shape[:2], -1)

@@ -14,7 +14,7 @@ every step, at every 50th, or never.  The tables:
   of other tracks, and that between the means of two halves of the tracks; both are 1 where a batch of this size knows
   the direction;
 - the slope of the error of ``fra`` in the logarithm of its gate, by soft decisions and by differences of hard ones;
-- what checkpoints keep for the way back.
+- what checkpoints keep for the backward pass.
 
 Losses are mean squared errors over all steps and components, in units of the variance of the measurement noise.
 """
@@ -37,8 +37,7 @@ from torch.autograd.graph import saved_tensors_hooks
 from torchfra import learnable, plotting
 from torchfra.catalogue import make_filter
 from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
+    add_output_options,
     add_runs_options,
     check_files,
     check_list,
@@ -51,9 +50,8 @@ from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.filters import Filter
 from torchfra.fitting.descent import bounded
 from torchfra.plotting.style import finish, line_styles
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
 from torchfra.tree import flatten
 from torchfra.types import Estimate, Gaussian
@@ -89,8 +87,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: the tables as curves")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add_runs_options(p, 100, seed=1)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
@@ -127,8 +124,7 @@ def gradients(options: argparse.Namespace) -> None:
     found["kept"] = kept(made("srckf", 28.0, VALUES), tracks, short)
     if not options.quiet:
         print("\n\n".join(tables(found)), flush=True)
-    if options.json is not None:
-        write_json(options.json, {"runs": options.runs, "seed": options.seed, "versions": versions(), "found": found})
+    write_results(options.json, {"runs": options.runs, "seed": options.seed, "found": found})
     if options.figure is not None:
         plotting.save(figure(found), options.figure)
 
@@ -284,7 +280,7 @@ def with_error(each: Tensor) -> Numbers:
 
 
 def kept(f: Filter, tracks: Tracks, steps: int) -> dict[str, Numbers]:
-    """MB that are kept for the way back, without and with checkpoints, and by how much their gradients differ."""
+    """MB that are kept for the backward pass, without and with checkpoints, and by how much their gradients differ."""
     _, whole = of_tracks(f, tracks, steps)
     state = sum(x.nbytes for x in flatten(f.init(tracks.prior))[0]) / 1e6
     found = {"none": {"between": saved(f, tracks, steps, None), "at once": 0.0, "difference": 0.0}}

@@ -21,11 +21,10 @@ import torch
 from torch import nn
 
 from torchfra import losses, presets
-from torchfra.cli.command import add_json_option, add_quiet_option, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 
@@ -44,8 +43,7 @@ def main(argv: list[str] | None = None) -> int:
     p.add_argument("--tracks", type=int, default=200, metavar="N", help="that judge (default: 200)")
     p.add_argument("--teachers", default=",".join(TEACHERS), metavar="A,B", help=f"of {','.join(TEACHERS)} (all)")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the first tracks (default: 0)")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     options = p.parse_args(argv)
     check_list(p, "teachers", options.teachers, TEACHERS)
     return exit_status("layer", lambda: compare(options))
@@ -81,9 +79,8 @@ def compare(options: argparse.Namespace) -> None:
     if not options.quiet:
         rows = [[name, *(f"{x:.2f}" for x in errors)] for name, errors in found.items()]
         print(text_table(["", "on line m", "smoothed m"], rows))
-    if options.json is not None:
-        settings = {name: getattr(options, name) for name in ("steps", "tracks", "teachers", "seed")}
-        write_json(options.json, {**settings, "versions": versions(), "errors": found})
+    settings = {name: getattr(options, name) for name in ("steps", "tracks", "teachers", "seed")}
+    write_results(options.json, {**settings, "errors": found})
 
 
 def code_of(page: str) -> dict[str, Any]:

@@ -29,8 +29,7 @@ from learned.lorenz import DT, SETTINGS, Setting, Tracks, models, simulate
 import torchfra
 from torchfra.catalogue import make_filter, track_filters
 from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
+    add_output_options,
     add_runs_options,
     check_files,
     check_list,
@@ -40,9 +39,8 @@ from torchfra.cli.command import (
 )
 from torchfra.filters import Filter
 from torchfra.motion import Motion
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
 
 FILTERS, FITTED = "ekf,ukf,srckf,ghckf,rsrckf,gpb", "srckf,rsrckf"
@@ -70,8 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--variances", metavar="A,B", default="1,0.001", help="of the measurement noise (default: 1,0.001)")
     p.add_argument("--network", type=int, default=200, metavar="N", help="iterations, or 0 (default: 200)")
     add_runs_options(p, 200, seed=1)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
@@ -104,9 +101,8 @@ def compare(options: argparse.Namespace) -> None:
         found.setdefault(name, {})[f"{variance:g}"] = of_setting(SETTINGS[name], variance, options)
     if not options.quiet:
         print(table(found), flush=True)
-    if options.json is not None:
-        kept = {"runs": options.runs, "seed": options.seed, "iterations": options.network, "versions": versions()}
-        write_json(options.json, {**kept, "errors": found})
+    kept = {"runs": options.runs, "seed": options.seed, "iterations": options.network}
+    write_results(options.json, {**kept, "errors": found})
 
 
 def of_setting(setting: Setting, variance: float, options: argparse.Namespace) -> dict[str, float]:

@@ -29,9 +29,8 @@ from pyarrow import dataset, parquet
 
 from torchfra.cleaning.many import summed
 from torchfra.cli.command import add_json_option, check_files, exit_status, make_parser, numbers_in
-from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import text_table
 
 FIXES, STEP = 100, 5.0
@@ -66,8 +65,7 @@ def measure(options: argparse.Namespace) -> None:
     names = list(found[0])
     print(text_table(names, [[f"{of[name]:,.3g}" if of[name] < 100 else f"{of[name]:,.0f}" for name in names]
                              for of in found]))  # fmt: skip
-    if options.json is not None:
-        write_json(options.json, {"versions": versions(), "seed": options.seed, "jobs": options.jobs, "runs": found})
+    write_results(options.json, {"seed": options.seed, "jobs": options.jobs, "runs": found})
 
 
 def measured(folder: Path, tracks: int, options: argparse.Namespace) -> dict[str, float]:

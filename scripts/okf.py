@@ -37,19 +37,11 @@ from torch import Tensor
 
 import torchfra
 from torchfra import presets
-from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.fitting import Batch
 from torchfra.motion import ConstantVelocity, UnknownTurn
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import RangeBearing
 from torchfra.tables import formed_table, significant
 from torchfra.types import Estimate, Gaussian
@@ -74,8 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--iterations", type=int, default=ITERATIONS, metavar="N", help=f"of a fit (default: {ITERATIONS})")
     p.add_argument("--no-compile", action="store_true", help="run interpreted")
     p.add_argument("--seed", type=int, default=1, metavar="S", help="of the first draw (default: 1)")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
@@ -109,9 +100,8 @@ def compare(options: argparse.Namespace) -> None:
     if not options.quiet:
         for name, ways in found.items():
             print(f"{name}\n\n{table(ways, PUBLISHED if name == 'lidar' else {})}\n", flush=True)
-    if options.json is not None:
-        kept = {name: getattr(options, name) for name in ("draws", "tracks", "iterations", "seed")}
-        write_json(options.json, {**kept, "versions": versions(), "found": found, "published": PUBLISHED})
+    kept = {name: getattr(options, name) for name in ("draws", "tracks", "iterations", "seed")}
+    write_results(options.json, {**kept, "found": found, "published": PUBLISHED})
 
 
 def of_draw(problem: Problem, seed: int, options: argparse.Namespace) -> dict[str, dict[str, float]]:

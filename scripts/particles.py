@@ -7,7 +7,7 @@ step continues all of them in every way; the estimate is the mean over all conti
 there are particles: likely ones for sure, the others by chance, so that no weight is biased.  Nothing is merged; with
 many particles it is what the values of ``gpb`` imply, but for the cubature of a sensor that bends.
 
-Cells: the first bearings experiment with a good start and outliers in standard deviations; the turns of the second one
+Cells: the first bearings experiment with a good prior and outliers in standard deviations; the turns of the second one
 measured by position with outliers in covariance; and the first with bursts.
 
 Source: Chen & Liu (2000), "Mixture Kalman Filters"; Fearnhead & Clifford (2003) for which continuations are kept.
@@ -24,22 +24,13 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.scenarios import Tracks
 from torchfra.sensors import Position
 from torchfra.tables import text_table
@@ -83,10 +74,10 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
 def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
     """Two for each regime: the prior as given, and widened."""
     mean, root = prior
-    log_regimes, poor = f.regimes.initial_distribution(mean[:1]).log(), f.prior_outlier(mean)
+    log_regimes, outlying = f.regimes.initial_distribution(mean[:1]).log(), f.prior_outlier(mean)
     regimes = len(log_regimes)
     roots = torch.stack([root, f.prior_inflation(mean).sqrt() * root]).repeat_interleave(regimes, 0)
-    weights = (torch.stack([torch.log1p(-poor), poor.log()]).unsqueeze(-1) + log_regimes).flatten()
+    weights = (torch.stack([torch.log1p(-outlying), outlying.log()]).unsqueeze(-1) + log_regimes).flatten()
     regime = torch.arange(regimes).repeat(2)
     return Particles(Gaussian(mean.expand(2 * regimes, -1), roots), regime, torch.zeros_like(regime).bool(), weights)
 
@@ -102,9 +93,9 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
     sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.measured)  # (C, R, N)
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
-    told = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
-    told = told - 0.5 * frame.measured.sum() * sizes.log()
-    log_weight = before.log_weight + log_regimes + log_outlier(f, before, measured).unsqueeze(1) + told
+    log_density = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
+    log_density = log_density - 0.5 * frame.measured.sum() * sizes.log()
+    log_weight = before.log_weight + log_regimes + log_outlier(f, before, measured).unsqueeze(1) + log_density
     log_weight = (log_weight - log_weight.flatten().logsumexp(0)).nan_to_num(nan=-torch.inf)
     means = [posterior_mean(predicted, whitened, *pair, s) for s, pair in zip(sizes, rooted, strict=True)]
     estimate = (log_weight.exp().unsqueeze(-1) * torch.stack(means)).sum((0, 1, 2))
@@ -165,7 +156,7 @@ def threshold(ordered: Tensor, count: int) -> tuple[int, Tensor]:
 def cells(runs: int, seed: int) -> dict[str, tuple[GPB, Tracks]]:
     """By name the filter, whose levels of process noise share a belief as in each particle, and the tracks."""
     made = {}
-    for name, outliers in (("1, good start, std", "std"), ("1, good start, bursts", "bursts")):
+    for name, outliers in (("1, good prior, std", "std"), ("1, good prior, bursts", "bursts")):
         scenario = scenarios.bearings_outliers(outliers, initial="truth")
         f = presets.gpb(scenario.motion, scenario.sensor, separate_levels=0)
         made[name] = f, scenario.simulate(runs, seed)
@@ -200,8 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = make_parser(__doc__)
     p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
     add_runs_options(p, 20, seed=3)
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return exit_status("particles", lambda: particles(p.parse_args(arguments)))
 
 
@@ -222,9 +212,8 @@ def particles(options: argparse.Namespace) -> None:
             text_table(["cell", "gpb m", "lagged m", "one belief m", "particles m", "gpb above"], rows, align="<>>>>>"),
             flush=True,
         )
-    if options.json is not None:
-        settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
-        write_json(options.json, settings | {"versions": versions(), "cells": results})
+    settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
+    write_results(options.json, settings | {"cells": results})
     failures = Failures()
     failures.messages += [f"{name}: an error that is not finite" for name, of in results.items()
                           if not all(map(math.isfinite, of.values()))]  # fmt: skip

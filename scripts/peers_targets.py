@@ -11,8 +11,8 @@
 
 Targets fly nearly straight in a square; positions are measured, some are missed, false ones lie anywhere.  All trackers
 know the models, the detection and the density of false measurements, and end a target after five scans without one,
-torchfra's also when its score has fallen by the log of 1e-4, or with ``--misses 0`` by its confirmation alone; none is
-told how many there are.  Prints for each tracker
+torchfra's also when its score has fallen by the log of 1e-4, or with ``--misses 0`` by its confirmation alone; none
+knows their number.  Prints for each tracker
 GOSPA (cutoff 100 m, mean over scans and runs) with the parts of its square, how often a target's track became another
 one, how often a target was lost and found again and how many tracks were of no target per run, and milliseconds of the
 processor per scan, which others on the machine disturb least.  Each tracker of Stone Soup runs in a process of its own,
@@ -48,8 +48,7 @@ from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
 from torchfra.motion import Bank, ConstantVelocity
-from torchfra.running.atomic_write import write_json
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.sensors import Position
 from torchfra.tables import text_table
 from torchfra.targets import SPRT, ClutterMap, Deletion, Existence, OnePoint, Stitching, Targets, TwoPoint, Visibility
@@ -136,10 +135,9 @@ def compare(options: argparse.Namespace) -> None:
     cells = [[f"{row[key]:.2f}" if isinstance(row[key], float) else str(row[key]) for key in row] for row in rows]
     if rows:
         print(text_table([key.replace("_", " ") for key in rows[0]], cells))
-    if options.json is not None:
-        harbours = [str(path) for path in options.harbour or ()]
-        settings = vars(options) | {"json": str(options.json), "harbour": harbours}
-        write_json(options.json, {"settings": settings, "versions": versions(), "rows": rows})
+    harbours = [str(path) for path in options.harbour or ()]
+    settings = vars(options) | {"json": str(options.json), "harbour": harbours}
+    write_results(options.json, {"settings": settings, "rows": rows})
 
 
 def simulation(options: argparse.Namespace) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ Kinds, each with one setting of motion, sensor and filters for all of its record
 
 A table has for each recording what presets reach beside what others have published: the root mean square error, on line
 and smoothed, per axis or of the distance as the published figures are, and the normalised estimation error squared of
-positions per dimension, on line and smoothed, which is 1 where covariances are honest; and the percentage of steps
+positions per dimension, on line and smoothed, which is 1 where covariances are consistent; and the percentage of steps
 whose error is beyond the protection level of 1e-3.  Covariances of filters that take errors for white contain a bias
 that lasts for the whole recording.
 """
@@ -36,21 +36,12 @@ from recorded_bench.picture import picture
 from recorded_bench.tracks import Figures, Followed, followed, judged
 
 from torchfra.catalogue import track_filters
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.evaluation.compiling import brief
 from torchfra.filters import Filter
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import significant, text_table
 from torchfra.types import CompileError
 
@@ -73,8 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the network (default: 0)")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: path and error over time of each recording")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
@@ -147,11 +137,10 @@ def write(options: argparse.Namespace, tracks: list[Any], found: dict[str, dict[
     kind, failures = KINDS[options.kind], Failures()
     if not options.quiet:
         print(f"{table(kind, tracks, found)}\n{kind.NOTE}", flush=True)
-    if options.json is not None:
-        figures = {name: of_filters(of) for name, of in found.items()}
-        published = {track.name: {kind.METRIC: track.published} for track in tracks}
-        with failures.of("json"):
-            write_json(options.json, {options.kind: figures, "published": published, "versions": versions()})
+    figures = {name: of_filters(of) for name, of in found.items()}
+    published = {track.name: {kind.METRIC: track.published} for track in tracks}
+    with failures.of("json"):
+        write_results(options.json, {options.kind: figures, "published": published})
     if options.figure is not None:
         from torchfra import plotting  # matplotlib takes long to import
 

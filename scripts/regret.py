@@ -6,7 +6,7 @@
     python scripts/regret.py --smooth --cells '2-*' --runs 100
     python scripts/regret.py --filters gpb --cells 'stated-*-none' --runs 100
 
-Cells: scenario 1 of the bearings experiments with the paper's start and with a good one, and scenario 2; recorded
+Cells: scenario 1 of the bearings experiments with the paper's prior and with a good one, and scenario 2; recorded
 flights by bearings, position and radar; each with outliers none, covariance, std and bursts; simulated ranges with
 outliers; tracks drawn from the models that are stated to filters, with and without outliers, or with process or
 measurement noise that is stated several times off (stated-*); and recorded ranges, where folders of them are given.
@@ -19,7 +19,7 @@ they have.  The 95 % interval is of a bootstrap over the runs, which are the sam
 
 With --smooth no filter is compared with another: one table has the errors of each as it filters, 1 and 5 steps later,
 and smoothed, the change from the first to the last, and the NEES of positions per dimension, which is 1 where
-covariances are honest; --plot draws one run of the last cell by the last filter, with bands.
+covariances are consistent; --plot draws one run of the last cell by the last filter, with bands.
 """
 
 from __future__ import annotations
@@ -37,23 +37,14 @@ from regrets.show import not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
 
 from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters
-from torchfra.cli.command import (
-    Failures,
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
 from torchfra.cli.compare_command import WORTHWHILE
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.evaluation import run
 from torchfra.evaluation.compiling import compiled
 from torchfra.filters import Filter
-from torchfra.running.atomic_write import write_json
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.scenarios import Scenario
 
 USUAL_STEPS = 100
@@ -91,8 +82,7 @@ def parser() -> argparse.ArgumentParser:
     add_compile_option(p, f"in cells of {WORTHWHILE:,} steps or more")
     p.add_argument("--plot", type=Path, metavar="FILE", help="with --smooth, PNG: errors of one run, with bands")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: cells by filters, coloured by the ratio")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return p
 
 
@@ -145,10 +135,9 @@ def gains(options: argparse.Namespace) -> None:
     failures = Failures()
     if not options.quiet:
         print(smoothed.table(results), flush=True)
-    if options.json is not None:
-        head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "versions": versions()}
-        with failures.of("json"):
-            write_json(options.json, {**head, "cells": results})
+    head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES}
+    with failures.of("json"):
+        write_results(options.json, {**head, "cells": results})
     if options.plot is not None:
         from torchfra import plotting  # matplotlib takes long to import
 
@@ -208,11 +197,10 @@ def write(
     if not options.quiet:
         for kind in KINDS:
             print(f"{table(results, compared, kind)}\n{summary_lines(of, kind)}\n", flush=True)
-    if options.json is not None:
-        head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "versions": versions()}
-        head |= {"compared": compared, "learned": learned, "own_models": options.own_models}
-        with failures.of("json"):
-            write_json(options.json, {**head, "summary": of, "cells": results})
+    head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES}
+    head |= {"compared": compared, "learned": learned, "own_models": options.own_models}
+    with failures.of("json"):
+        write_results(options.json, {**head, "summary": of, "cells": results})
     if options.figure is not None:
         from torchfra import plotting  # matplotlib takes long to import
 

@@ -30,8 +30,7 @@ from torchfra import plotting
 from torchfra.catalogue import learned_filter, make_scenario, track_filters
 from torchfra.cli.command import (
     Failures,
-    add_json_option,
-    add_quiet_option,
+    add_output_options,
     add_runs_options,
     check_files,
     check_folder,
@@ -69,9 +68,8 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     p.add_argument("--compile", action="store_true", help="run compiled kernels")
-    add_json_option(p)
     p.add_argument("--plots", type=Path, metavar="DIR", help="write the figures there")
-    add_quiet_option(p)
+    add_output_options(p)
     return p
 
 

@@ -23,18 +23,9 @@ from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
 from torchfra.association import ChiSquare
-from torchfra.cli.command import (
-    add_json_option,
-    add_quiet_option,
-    add_runs_options,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
 from torchfra.plotting import save
-from torchfra.running.atomic_write import write_json
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import text_table
 from torchfra.targets import Deletion, Merging, Targets, TwoPoint, collect
 
@@ -55,8 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights (default: 360)")
     p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, else the folded ones")
     p.add_argument("--compile", action="store_true", help="run filters compiled to machine code")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     options = p.parse_args(arguments)
     check_list(p, "what", options.what, WHAT)
     if options.scans < 2:
@@ -84,9 +74,8 @@ def compare(options: argparse.Namespace) -> None:
         keys = list(dict.fromkeys(key for figures in found.values() for key in figures))
         rows = [[key, *(f"{of[key]:.4g}" if key in of else "" for of in found.values())] for key in keys]
         print(text_table(["", *found], rows))
-    if options.json is not None:
-        settings = {"runs": options.runs, "seed": options.seed, "scans": options.scans}
-        write_json(options.json, {"settings": settings, "versions": versions(), **found})
+    settings = {"runs": options.runs, "seed": options.seed, "scans": options.scans}
+    write_results(options.json, {"settings": settings, **found})
 
 
 def many(runs: int, seed: int, compiled: bool) -> dict[str, float]:

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from torchfra.cli.command import add_json_option, add_quiet_option, check_files, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, exit_status, make_parser
 from torchfra.readers import Recording, flyable, read, resample
 from torchfra.readers.columns import Array
-from torchfra.running.atomic_write import write_json
+from torchfra.running.versions import write_results
 from torchfra.tables import text_table
 
 DT, MAX_GAP, SHORTEST, NEAR = 5.0, 30.0, 21, 30.0
@@ -30,8 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     p.add_argument("files", metavar="FILE", nargs="+", type=Path, help="recorded tracks")
-    add_json_option(p)
-    add_quiet_option(p)
+    add_output_options(p)
     return exit_status("time_stamps", lambda: compare(p.parse_args(arguments)))
 
 
@@ -53,8 +52,7 @@ def compare(options: argparse.Namespace) -> None:
     if not options.quiet:
         rows = [[name, *(f"{value:.1f}" for value in row)] for name, row in result.items()]
         print(text_table(["", *(f"{q:.0%}" for q in QUANTILES)], rows))
-    if options.json is not None:
-        write_json(options.json, {"quantiles": QUANTILES, **result})
+    write_results(options.json, {"quantiles": QUANTILES, **result})
 
 
 def motion(recordings: Sequence[Recording]) -> dict[str, Array]:

@@ -210,7 +210,7 @@ def test_what_stone_soup_has_and_torchfra_has_not_is_refused(soup):
         soup.sensor(model)
     with pytest.raises(ValueError, match="model: expected a linear Gaussian transition model"):
         soup.motion(model)
-    with pytest.raises(ValueError, match="detections: expected some of the same size"):
+    with pytest.raises(ValueError, match="detections: expected one or more, all of one size"):
         soup.measurements([])
     with pytest.raises(ValueError, match="times: expected one for each of"):
         soup.detections(torch.zeros(2, 2), [START])

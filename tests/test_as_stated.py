@@ -35,8 +35,8 @@ def error_and_nees(f, models):
     scenario, of = tracks(models)
     with torch.no_grad():
         estimate = f(of.z, of.prior, dt=scenario.dt)
-    honest = nees(estimate, of.truth)[:, FIRST:].mean() / scenario.motion.size
-    return float(rmse(estimate.mean, of.truth, scenario.position)[FIRST:].mean()), float(honest)
+    consistency = nees(estimate, of.truth)[:, FIRST:].mean() / scenario.motion.size
+    return float(rmse(estimate.mean, of.truth, scenario.position)[FIRST:].mean()), float(consistency)
 
 
 @functools.cache
@@ -51,9 +51,9 @@ def plain_error(number):
 def test_a_filter_that_claims_to_be_a_kalman_filter_or_more_is_one_where_its_models_hold(name, number):
     models = MODELS[number]
     scenario, _ = tracks(models)
-    found, honest = error_and_nees(getattr(presets, name)(scenario.motion, scenario.sensor), models)
+    found, consistency = error_and_nees(getattr(presets, name)(scenario.motion, scenario.sensor), models)
     assert found < 1.02 * plain_error(number)
-    assert 0.9 < honest < 1.1
+    assert 0.9 < consistency < 1.1
 
 
 @pytest.mark.parametrize("name", PRICES)
@@ -98,9 +98,9 @@ def test_gpb_with_a_bank_that_switches_is_as_good_as_interacting_models(chain):
     models = {"index": 0.1, "motion": "bank"}
     scenario, _ = tracks(models)
     plain, _ = error_and_nees(presets.imm_srckf(scenario.bank, scenario.sensor, stay=0.95), models)
-    found, honest = error_and_nees(presets.gpb(scenario.bank, scenario.sensor, **chain), models)
+    found, consistency = error_and_nees(presets.gpb(scenario.bank, scenario.sensor, **chain), models)
     assert found < (1.01 if chain else 1.04) * plain
-    assert 0.9 < honest < (1.1 if chain else 1.5)  # 1.5: it expects motions to last longer than these do
+    assert 0.9 < consistency < (1.1 if chain else 1.5)  # 1.5: it expects motions to last longer than these do
 
 
 @pytest.mark.slow
@@ -108,9 +108,9 @@ def test_gpb_with_a_bank_is_a_kalman_filter_where_only_its_first_motion_is_flown
     scenario, _ = tracks({"index": 0.1})
     bank = as_stated("bank", index=0.1).bank
     plain, _ = error_and_nees(presets.srckf(scenario.motion, scenario.sensor), {"index": 0.1})
-    found, honest = error_and_nees(presets.gpb(bank, scenario.sensor), {"index": 0.1})
+    found, consistency = error_and_nees(presets.gpb(bank, scenario.sensor), {"index": 0.1})
     assert found < 1.02 * plain
-    assert 0.9 < honest < 1.1
+    assert 0.9 < consistency < 1.1
 
 
 @pytest.mark.parametrize("motion", ["velocity", "acceleration", "turn"])

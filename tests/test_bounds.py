@@ -22,7 +22,7 @@ ROOT = torch.tensor([30.0, 30.0, 5.0, 5.0]).double().diag()
 
 
 def linear(q=0.5, steps=30, **law):
-    """Constant velocity with process noise, positions, an honest prior."""
+    """Constant velocity with process noise, positions, a consistent prior."""
     motion, sensor = ConstantVelocity(q), Position(10.0)
     one = torch.tensor(1.0).double()
     matrix, root = motion.transition(one), motion.process_noise(one)

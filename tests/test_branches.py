@@ -23,7 +23,7 @@ def estimate(f, tracks):
 
 @pytest.fixture(scope="module")
 def poor():
-    """A poor start: many of these first steps are abnormal, and every branch wins some."""
+    """A bad prior: many of these first steps are abnormal, and every branch wins some."""
     tracks = without_acceleration(scenarios.bearings_outliers("std")).simulate(24, 3)
     return tracks._replace(z=tracks.z[:, :30], u=tracks.u[:30], truth=tracks.truth[:, :30])
 
@@ -84,7 +84,7 @@ def test_with_nothing_measured_after_it_the_largest_odds_decide(make, poor, odds
 
 
 def test_a_false_alarm_is_plain_and_then_the_plain_branch_helps():
-    """No outliers, a good start: what the gate finds abnormal is neither an outlier nor a manoeuvre."""
+    """No outliers, a good prior: what the gate finds abnormal is neither an outlier nor a manoeuvre."""
     scenario = scenarios.bearings_outliers("none", initial="truth")
     tracks = scenario.simulate(60, 8)
 

@@ -45,7 +45,6 @@ def test_a_manager_of_targets_follows_them_all_without_a_switch():
 
 @pytest.mark.parametrize(("options", "name"), [
     ({"count": 0}, "count"), ({"count": 2.5}, "count"), ({"clutter": 0}, "clutter"), ({"detection": 1.5}, "detection"),
-    ({"region": 0.0}, "region"),
 ])  # fmt: skip
 def test_arguments_out_of_range_are_named(options, name):
     with pytest.raises(ValueError, match=f"{name}: expected"):

@@ -54,15 +54,15 @@ def test_an_honest_filter_is_within_its_bounds_and_one_that_is_too_sure_is_not()
     prior = torchfra.Gaussian(torch.zeros(200, 4).double(), 10 * torch.eye(4).double())
     tracks = torchfra.scenarios.Tracks(truth, truth[..., :2] + 10 * draw(200, 40, 2), None, prior)
     filters = {
-        "honest": torchfra.presets.srckf(motion, sensor),
+        "consistent": torchfra.presets.srckf(motion, sensor),
         "sure": torchfra.presets.srckf(motion, torchfra.sensors.Position(5.0)),
     }
     results = torchfra.compare(filters, tracks).results
     for key in ("anees", "anis"):
-        assert results["honest"][f"{key}_inside"] > 0.85
+        assert results["consistent"][f"{key}_inside"] > 0.85
         assert results["sure"][f"{key}_inside"] < 0.1
-        low, high = results["honest"][f"{key}_bounds"]
-        assert low < results["honest"][key][0] < high < results["sure"][key][0]
+        low, high = results["consistent"][f"{key}_bounds"]
+        assert low < results["consistent"][key][0] < high < results["sure"][key][0]
 
 
 def test_the_bound_is_a_share_of_the_error(comparison):

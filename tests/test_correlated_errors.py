@@ -1,4 +1,4 @@
-"""Errors that last are one argument of any sensor: exact where all is linear, with every preset, in its own states."""
+"""Time-correlated errors are one argument of any sensor: exact where all is linear, with every preset."""
 
 import math
 

@@ -184,8 +184,8 @@ def test_faults_that_last_are_found_and_leave_the_robot_in_its_place(capsys):
     text = capsys.readouterr().out
     white, robust, lasting = (float(x) for x in re.findall(r"RMSE +([\d.]+) m", text))
     assert lasting < 0.4 * min(white, robust)
-    *_, honest = (float(x) for x in re.findall(r"dimension +([\d.]+)", text))
-    assert 0.5 < honest < 2.0
+    *_, consistency = (float(x) for x in re.findall(r"dimension +([\d.]+)", text))
+    assert 0.5 < consistency < 2.0
     found, false = numbers(r"([\d.]+)%", text)
     assert found > 80.0
     assert false < 10.0

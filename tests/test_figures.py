@@ -15,7 +15,7 @@ from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.cleaning.outputs.colours import APART
 from torchfra.evaluation import evaluate, flight, leaders, measure, results_of
 from torchfra.evaluation.fixes import deviations, fixes
-from torchfra.evaluation.flights import FAR, typical_run
+from torchfra.evaluation.flights import OUTLYING, typical_run
 from torchfra.plotting.labels import spread_apart
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded
@@ -33,7 +33,7 @@ def result(error, spread=2.0, diverged=0):
 
 @pytest.fixture(scope="module")
 def bearings():
-    """Scenario 1 from a good start: eight runs through three filters, and a flight."""
+    """Scenario 1 from a good prior: eight runs through three filters, and a flight."""
     scenario = make_scenario("bearings-outliers", initial="truth")
     filters = scenario_filters(["srckf", "rmckf", "rsrckf"], scenario)
     metrics = measure(scenario, filters, runs=8)
@@ -293,7 +293,7 @@ def test_a_measurement_is_off_by_the_stated_standard_deviations():
     off = deviations(scenario, tracks._replace(z=z))
     assert off.shape == (1, 60, 1)
     assert off[0, 7, 0] == pytest.approx(6.0)
-    assert (off[0, :, 0] > FAR).sum() == 1
+    assert (off[0, :, 0] > OUTLYING).sum() == 1
 
 
 # ---------------------------------------------------------------- quantiles

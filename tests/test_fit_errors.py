@@ -61,16 +61,16 @@ def test_the_scores_are_the_gradients_of_single_tracks():
     assert torch.allclose(sums.curvature(vector.raw()[None, None]).scores[0, 0], expected)
 
 
-def test_a_track_whose_loss_is_chaotic_is_told_from_those_that_are_calm(monkeypatch):
+def test_a_track_whose_loss_is_chaotic_is_distinguished_from_the_others(monkeypatch):
     f, z = start(learn=("q", "std")), walks(0, 6, 6)[1]
     vector, sums = sums_of(f, z)
     raw = vector.raw()[None, None]
-    assert sums.calm(raw).all()
+    assert sums.not_chaotic(raw).all()
     loss, gradient, bends = sums.of_tracks(raw)
     bends[:, 2] *= 1000
     bends[:, 4] = torch.nan
     monkeypatch.setattr(sums, "of_tracks", lambda raw: (loss, gradient, bends))
-    assert sums.calm(raw).tolist() == [True, True, False, True, False, True]
+    assert sums.not_chaotic(raw).tolist() == [True, True, False, True, False, True]
 
 
 def test_weights_count_tracks_as_often_and_groups_keep_them_apart():

@@ -1,4 +1,4 @@
-"""A recording whose time stamps are off becomes a track that can be flown, while its path and its turns stay."""
+"""A recording whose time stamps are off becomes a track of possible speeds, while its path and its turns stay."""
 
 import gzip
 import json

@@ -56,7 +56,7 @@ ALMOST_NONE = {
     "self_transition": (0.6, 0.8, TINY),
     "restart": (0.5, 0.5 - TINY, TINY),
 }
-"""Outliers, jumps and poor starts hardly ever happen."""
+"""Outliers, jumps and bad priors hardly ever happen."""
 
 
 def measured(name="position", batch=2, seed=0, outliers=True):

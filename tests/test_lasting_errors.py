@@ -1,4 +1,4 @@
-"""Errors that last from fix to fix are seen and said, and uncertainties know of them."""
+"""Time-correlated errors are seen and said, and uncertainties know of them."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def voyage(seed, std, seconds=0.0, count=500):
 
 @pytest.fixture(scope="module")
 def cleaned():
-    """Voyages with errors that last and without, cleaned as one batch: by name their truths and what comes of them."""
+    """Voyages with time-correlated errors and without, cleaned as one batch: by name their truths and results."""
     voyages = {
         "20 s": [voyage(seed, 6.0, 20.0) for seed in range(3)],
         "15 s": [voyage(0, 6.0, 15.0)],
@@ -48,27 +48,27 @@ def test_bands_hold_the_truth_where_errors_last(cleaned):
 
 
 SEEN, ASSUMED = (
-    "Errors that last: those of neighbouring fixes are alike over about ",
-    "Errors that last: not told from motion ",
+    "Time-correlated errors: of ",
+    "Time-correlated errors: not distinguishable from motion ",
 )
 
 
 def said(one):
-    """What is said of errors that last."""
-    return [line for line in one.found.said if line.startswith("Errors that last")]
+    """What is said of time-correlated errors."""
+    return [line for line in one.found.said if line.startswith("Time-correlated errors")]
 
 
 def test_errors_that_last_are_said_with_their_size_and_time(cleaned):
     (line,) = said(cleaned["15 s"][0][0])
     assert line.startswith(SEEN)
-    seconds, metres = line.removeprefix(SEEN).split(";")[0].split(" s, by ")
-    assert 10.0 <= float(seconds) <= 40.0
+    metres, seconds = line.removeprefix(SEEN).split(";")[0].split(" over about ")
+    assert 10.0 <= float(seconds.removesuffix(" s")) <= 40.0
     assert 3.0 < float(metres.removesuffix(" m")) < 12.0
 
 
 def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma(cleaned):
     results = [cleaned[name][0][0] for name in ("15 s", "few and white")]
-    assert "Errors that last: 1 of 2" in notes(results)
+    assert "Time-correlated errors: 1 of 2" in notes(results)
     assert not any(line.startswith("Sigma is unsure") for line in overview(results))
 
 

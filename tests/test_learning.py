@@ -33,7 +33,7 @@ def test_values_on_the_edge_stay_as_they_are_under_all_and_are_refused_by_name(m
     f = make("fra", fading_max=torch.inf, learn="all")
     assert not f.fading.fading_max.raw.requires_grad
     assert f.fading.weakening.raw.requires_grad
-    with pytest.raises(ValueError, match="not on the edge"):
+    with pytest.raises(ValueError, match="expected a value inside its range, to learn it"):
         make("fra", fading_max=torch.inf, learn=("fading_max",))
 
 

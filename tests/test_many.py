@@ -157,7 +157,7 @@ def killed(moment, arguments):
 
     many.write = at(many.write, "before its table")
     many.Growing.close = at(many.Growing.close, "within its table")
-    many.most_memory = at(many.most_memory, "after its table")
+    many.peak_memory = at(many.peak_memory, "after its table")
     return cli.main(arguments)
 
 

@@ -296,7 +296,7 @@ def test_a_hyperparameter_out_of_range_is_refused_with_its_name():
     for value in (0.0, -1.0, math.nan):
         with pytest.raises(ValueError, match="threshold: expected a value above 0"):
             Hyper(value, name="threshold")
-    with pytest.raises(ValueError, match="not on the edge"):
+    with pytest.raises(ValueError, match="expected a value inside its range, to learn it"):
         Hyper(math.inf, learn=True)
     with pytest.raises(ValueError, match=r"forgetting: expected a value in \[0, 1\], received 1.5"):
         fra(ConstantVelocity(1.0), Position(1.0), forgetting=1.5)

@@ -12,7 +12,7 @@ import torch
 from learned import campus
 from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.compass import steadied
-from recorded_bench.tracks import followed, judged
+from recorded_bench.tracks import Track, followed, judged
 
 from torchfra.angles import wrap
 from torchfra.types import Estimate, Gaussian
@@ -171,7 +171,8 @@ def simulated(seed, steps=240):
     std = torch.where(torch.arange(steps) // 30 % 2 == 0, 1.0, 30.0).unsqueeze(-1)
     z = truth + std * torch.randn(steps, 2, generator=rng, dtype=torch.float64)
     prior = Gaussian(torch.tensor([3.0, 4.0, 0.0, 0.0]).double(), torch.eye(4).double())
-    return campus.Day(z, u, torch.ones(steps).double(), truth, prior)
+    dt = torch.ones(steps, dtype=torch.float64)
+    return Track("", z, u, dt, truth, prior, fixes=None, published={}, per_axis=True)
 
 
 def says(mean, **info):

@@ -231,7 +231,7 @@ def test_a_filter_around_another_sensor_follows_what_changes_in_it():
     close(after.belief, made_with(50.0).step(state, z[:, 1], sensor=RADAR)[0].belief)
     twin = copy.deepcopy(f)
     close(twin.step(state, z[:, 1], sensor=RADAR)[0].belief, after.belief)
-    assert twin.with_sensor(RADAR).home is twin
+    assert twin.with_sensor(RADAR).viewed is twin
     assert set(f.state_dict()) == set(made("gpb").state_dict())
 
 

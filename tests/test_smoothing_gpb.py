@@ -23,7 +23,7 @@ ROOT = torch.tensor([5.0, 5.0, 3.0, 3.0]).double().diag()
 
 
 def few():
-    """Two levels, one size of outliers, no jumps, no poor start: of few steps all histories can be told."""
+    """Two levels, one size of outliers, no jumps, no bad prior: of few steps all histories can be told."""
     return presets.gpb(
         ConstantVelocity(1.0),
         Position(STD),

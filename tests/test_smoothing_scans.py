@@ -49,11 +49,11 @@ def test_a_target_that_seemed_lost_goes_back_through_the_wider_prediction():
     scans[4:9] = 1e4  # something else, far away
     f, prior = jpda(detection=0.9, lost=0.05), Gaussian(STARTS[:1], ROOT)
     smoothed = f.smooth(scans, prior)
-    state, searched = f.init(prior), [0.0]
+    state, inflations = f.init(prior), [0.0]
     for scan in scans:
         state, _ = f.step(state, scan)
-        searched.append(state.searched.item())
-    times = 4 ** np.diff(searched).clip(0)
+        inflations.append(state.inflations.item())
+    times = 4 ** np.diff(inflations).clip(0)
     assert times.max() > 2
     dt = torch.tensor(1.0).double()
     F, SQ = MOTION.transition(dt).numpy(), MOTION.process_noise(dt).numpy()
@@ -91,5 +91,5 @@ def test_batches_vmap_and_lags_give_the_same(crossing, scans):
 
 def test_constant_gains_are_not_smoothed_and_say_why():
     f = presets.alphabeta(MOTION, SENSOR)
-    with pytest.raises(NotImplementedError, match=r"AlphaBetaBank: constant gains state no process noise"):
+    with pytest.raises(NotImplementedError, match=r"AlphaBetaBank: constant gains have no process noise"):
         f.smooth(torch.zeros(5, 2).double(), Gaussian(STARTS[0], ROOT))

@@ -99,7 +99,7 @@ def test_motions_that_do_not_go_together_are_named_with_their_states():
         Augmented(ConstantVelocity(1.0))
     with pytest.raises(ValueError, match=r"others: expected motions .* received Bank, RandomWalk"):
         Augmented(aircraft(), BIASES)
-    with pytest.raises(ValueError, match="others: expected none that follows an acceleration"):
+    with pytest.raises(ValueError, match="others: expected none that adapts to an estimated acceleration"):
         Augmented(ConstantVelocity(1.0), CurrentStatistical(0.1, 1.0))
     turn, bicycle = UnknownTurn(1.0, 0.1), Bicycle(2.7, 1.0, 0.1)
     with pytest.raises(ValueError, match=r"UnknownTurn of \[x, y, vx, vy, rate\]; Bicycle of \[x, y, speed, heading,"):

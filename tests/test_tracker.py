@@ -242,7 +242,7 @@ def test_what_is_not_all_there_leaves_the_track_as_it_was(missing):
     t, other = tracker(made()), tracker(made())
     fed(t, events())
     values = {name: x for name, x in t.state_dict().items() if name != missing}
-    with pytest.raises(ValueError, match=f"values: expected all that state_dict gives, received none of '{missing}'"):
+    with pytest.raises(ValueError, match=f"values: expected all entries of state_dict, received none of '{missing}'"):
         other.load_state_dict(values)
     assert (other.time, other.counts["used"]) == (0.0, 0)
     close(other.belief, tracker(made()).belief)

@@ -45,13 +45,13 @@ def test_sets_are_those_of_the_rule_for_every_set_and_many_probabilities():
     for first in itertools.permutations(range(5), 3):
         mu = g.dirichlet([0.3] * 3, 20)
         active = torch.eye(5, dtype=torch.float64)[list(first)].expand(20, 3, 5)
-        chosen, goes_on = f.subset.choose(active, torch.from_numpy(mu).log())
+        chosen, stays_active = f.subset.choose(active, torch.from_numpy(mu).log())
         for k in range(20):
             expected = oracles.likely_set(dict(zip(first, mu[k], strict=True)), 3, 0.05, 0.5, CALLS)
             found = chosen[k].argmax(-1).tolist()
             assert sorted(found) == expected
             for place, model in enumerate(first):
-                assert (found[place] == model) == bool(goes_on[k, place])
+                assert (found[place] == model) == bool(stays_active[k, place])
 
 
 def test_transitions_are_the_papers_matrix_and_rows_sum_to_one():
@@ -81,8 +81,8 @@ def test_a_matrix_of_ones_own_is_shared_out_among_those_that_run():
 def between(f, was, now):
     """The transition between two sets, given by models in their places."""
     eye = torch.eye(5, dtype=torch.float64)
-    goes_on = torch.tensor([float(model in now) for model in was], dtype=torch.float64)
-    return f.subset.matrix(f.matrix(eye), eye[list(was)], eye[list(now)], goes_on)
+    stays_active = torch.tensor([float(model in now) for model in was], dtype=torch.float64)
+    return f.subset.matrix(f.matrix(eye), eye[list(was)], eye[list(now)], stays_active)
 
 
 def test_the_whole_bank_as_set_is_an_imm():

@@ -41,7 +41,10 @@ def same_values() -> Iterator[None]:
 
 
 def once(method: F) -> F:
-    """A method whose result depends on hyperparameters and on the dtype, device and rank of its argument alone."""
+    """Computes a method once inside of ``same_values``.
+
+    Its result depends on hyperparameters and on the dtype, device and rank of its argument alone.
+    """
 
     @wraps(method)
     def call(module: nn.Module, like: Tensor | None = None) -> Any:
@@ -171,7 +174,7 @@ class Hyper(nn.Module):
             ValueError: the value is on the boundary of its range.
         """
         if not self.interior:
-            raise ValueError(f"{name}: to be learned it must lie inside its range, not on the edge: {self().tolist()}")
+            raise ValueError(f"{name}: expected a value inside its range, to learn it, received {self().tolist()}")
         raw = self.raw
         if "raw" in self._buffers:
             del self._buffers["raw"]

@@ -64,7 +64,7 @@ def robust_mse(mean: Tensor, truth: Tensor, states: slice, scale: float, *, angl
 
 
 def nll(estimate: Estimate, truth: Tensor, states: slice | None = None, *, angles: Collection[int] = ()) -> Tensor:
-    """Negative log density of the truth under the estimate: rewards small errors and honest covariances.
+    """Negative log density of the truth under the estimate: rewards small errors and consistent covariances.
 
     Args:
         estimate: of tracks ``(..., T, n)``.

@@ -1,4 +1,4 @@
-"""The tuples that all rooms share, the letters of shapes, and the vocabulary.
+"""The tuples that all packages share, the letters of shapes, and the vocabulary.
 
 Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` inputs of the models at a step, ``d`` the
 leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
@@ -198,10 +198,6 @@ class Estimate(NamedTuple):
         """``(...)`` True for each track with NaN or infinity at some step; ``failure`` has the step and the cause."""
         finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
         return ~finite.all(-1)
-
-    def to_distribution(self) -> torch.distributions.MultivariateNormal:
-        """The estimate as a distribution over states, one per track and step."""
-        return torch.distributions.MultivariateNormal(self.mean, scale_tril=self.scale_tril, validate_args=False)
 
 
 class CompileError(RuntimeError):

@@ -72,7 +72,7 @@ def _recorded(task: Task, config: Config, held_out: bool) -> Scenario:
 
 @cache
 def _mended(files: tuple[str, ...], held_out: bool, max_gap: float | None) -> list[readers.Recording]:
-    """Recorded tracks that can be flown, which takes seconds to find out; as they are if there is no ``max_gap``."""
+    """Recorded tracks with corrected time stamps, which takes seconds; as they are if there is no ``max_gap``."""
     paths = [Path(file) for file in files] or readers.samples("calibration", "gliders")
     recordings = [recording for path in paths for recording in readers.read(path)]
     kept = [recording for i, recording in enumerate(recordings) if (i % 5 == 4) == held_out]

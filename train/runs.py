@@ -19,9 +19,9 @@ def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
 
 
 def fra_bearings() -> Config:
-    """Both bearings scenarios at once: one set of values for a poor start, a good one, outliers and a manoeuvre.
+    """Both bearings scenarios at once: one set of values for a bad prior, a good one, outliers and a manoeuvre.
 
-    Good starts end near 60 m and the manoeuvre near 250 m: the weights make relative errors count, most of all where
+    Good priors end near 60 m and the manoeuvre near 250 m: the weights make relative errors count, most of all where
     the plain robust filters are hard to beat.  The scale is beyond the error of any track that does not diverge, so
     that the loss is nearly the mean squared error and the worst tracks dominate.
     """
@@ -36,7 +36,7 @@ def fra_bearings() -> Config:
         ),
         learn=("threshold", "weakening", "forgetting", "fading_max", "gate", "preference", "q", "std"),
         scale=500.0,
-        skip=9,  # the errors of the first steps are those of the poor start, whatever the filter does
+        skip=9,  # the errors of the first steps are those of the bad prior, whatever the filter does
         batch=48,
         iterations=90,
         lr=0.15,

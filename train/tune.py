@@ -1,7 +1,7 @@
 """Learns a filter's hyperparameters on tracks: by gradient descent, or by a search.
 
     python -m train.tune fra_bearings                          both bearings scenarios, a minute on two cores
-    python -m train.tune fra_bearings --resume                 continues from the last checkpoint, to the same bits
+    python -m train.tune fra_bearings --resume                 continues from the last checkpoint, bit by bit
     python -m train.tune fra_bearings iterations=50 lr=0.1     any field of train.config.Config
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
     python -m train.tune noise scenario=own.py:make            one's own simulator: a function that makes a Scenario
@@ -33,7 +33,7 @@ from torch import Tensor
 
 from torchfra import plotting
 from torchfra.catalogue import FILTERS
-from torchfra.cli.command import Failures, check_files, check_folder, exit_status, make_parser
+from torchfra.cli.command import Failures, add_quiet_option, check_files, check_folder, exit_status, make_parser
 from torchfra.fitting.descent import bounded, falling
 from torchfra.hyper import hypers, named
 from torchfra.running import distributed
@@ -261,7 +261,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("changes", metavar="KEY=VALUE", nargs="*", help="fields of train.config.Config")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: out/train/RUN)")
     parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint, if there is one")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, and nothing printed but errors")
+    add_quiet_option(parser)
 
     def work() -> None:
         options = parser.parse_intermixed_args(arguments)

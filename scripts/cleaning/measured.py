@@ -96,7 +96,7 @@ def measured(case: Case, steps: int, seed: int, ghosts: float = GHOSTS) -> Measu
 
 
 def _harder(run: Measured, rng: np.random.Generator) -> Measured:
-    """The run with errors that last, wrong time stamps, or the heights of a transponder, as its truth has them."""
+    """The run with time-correlated errors, wrong time stamps, or heights of a transponder, as its truth has them."""
     truth, noise, count = run.case.truth, run.noise, len(run.window)
     if truth.lasting:
         step = truth.dt * float(run.window[1] - run.window[0])

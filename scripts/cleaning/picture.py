@@ -17,7 +17,7 @@ COLOURS = {
     "drones": "#CC79A7", "ranges": "#000000", "late": "#999999", "lasting": "#332288", "heights": "#882255",
     "animals": "#F0E442",
 }  # fmt: skip
-"""Of the kinds; they can be told apart by the colour-blind (Okabe and Ito)."""
+"""Colours of the kinds, which the colour-blind can distinguish (Okabe and Ito)."""
 PANELS = {
     "of_raw": ("error over that of the raw fixes", (0.0, 1.6)),
     "of_best": ("error over the best constant velocity's", (0.4, 1.6)),

@@ -25,7 +25,7 @@ GROUPS = {
 """Kinds of flights, and the folders of the sample package that hold them."""
 KINDS = (*GROUPS, "ships", "drones", "ranges")
 HARDER = ("late", "lasting", "heights", "animals", "slow")
-"""Kinds whose errors are more than white noise: ships with wrong time stamps and with errors that last, drones with the
+"""Kinds whose errors are not white: ships with wrong time stamps and with time-correlated errors, drones with the
 heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; and who walks,
 cycles, drives, flies a drone or sails, with errors some of which are slow."""
 SLOW = ((0.0, 0.0), *((seconds, size) for size in (0.5, 1.0) for seconds in (10.0, 20.0, 40.0)))
@@ -125,7 +125,7 @@ def _simulated(kind: str, name: str, rng: np.random.Generator) -> Truth:
 
 
 def _slow(number: int) -> list[Truth]:
-    """One of each who goes along, with errors that last for each of the times, and as large as each of the sizes."""
+    """One target of each kind, with time-correlated errors of each of the times and sizes."""
     found = []
     for who in (*MANNERS, "drone", "boat"):
         rng = np.random.default_rng(number)

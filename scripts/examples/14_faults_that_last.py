@@ -1,8 +1,8 @@
 """Satellite positions that are wrong for minutes: the error is in the state, and a fault is one of its models.
 
-You learn how errors that last are modelled (``GaussMarkov`` beside the motion, ``Biased`` around the sensor) and how
-interacting models find out when the sensor is faulty.  A robot that measures its own way is simulated: its positions
-are off by a few metres that last for a minute, and once, for some minutes, by tens of metres.
+You learn how time-correlated errors are modelled (``GaussMarkov`` beside the motion, ``Biased`` around the sensor) and
+how interacting models detect that the sensor is faulty.  A robot with odometry is simulated: its satellite positions
+have errors of a few metres, correlated over a minute, and once, for some minutes, of tens of metres.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from torchfra.sensors import Biased, Position
 
 LIKE = {"dtype": torch.float64}
 WALKS = 0.05, 1e-6, 1e-7  # of position, heading error and scale: m^2/s, rad^2/s, 1/s
-STD, ERROR, TIME = 1.0, 3.0, 60.0  # of positions: m white, m that last, and how long, s
+STD, ERROR, TIME = 1.0, 3.0, 60.0  # of positions: white, m; time-correlated, m, and their time constant, s
 FAULT, WANDER = 40.0, 0.8  # how far off a faulty position is, and how far that wanders in a second, m
 START = 1.0, 1.0, 0.05, 0.05  # standard deviations at the start: m, m, rad, 1
 # P(now | was), of a step of 1 s: no fault, one begins, lasts, ends
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
     filters = {
         "srckf, white errors": presets.srckf(Odometry(*WALKS), Position(white)),
         "rsrckf, white errors": presets.rsrckf(Odometry(*WALKS), Position(white)),
-        "imm, errors that last": with_faults(),
+        "imm, time-correlated errors": with_faults(),
     }
     for name, f in filters.items():
         start = Gaussian(torch.zeros(f.motion.size, **LIKE), whole[: f.motion.size].diag())
@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
             estimate = f(z, start, u=u)
         error = metrics.rmse(estimate.mean, truth, slice(0, 2)).square().mean().sqrt()
         nees = metrics.nees(estimate, truth, slice(0, 2)).mean() / 2
-        print(f"{name:<22} position RMSE {error:5.1f} m, NEES per dimension {nees:6.1f} (1 is honest)")
+        print(f"{name:<27} position RMSE {error:5.1f} m, NEES per dimension {nees:6.1f} (1 is consistent)")
     faulty = estimate.info.probabilities[..., 1:3].sum(-1) > 0.5
     print(f"faulty, it says, in {faulty[wrong].double().mean():.0%} of the steps of a fault, "
           f"and in {faulty[~wrong].double().mean():.1%} of the others")  # fmt: skip

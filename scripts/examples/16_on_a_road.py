@@ -1,9 +1,9 @@
-"""A car that is known to keep to a road: the road is one more thing that is measured, at every step, as 0.
+"""A car that keeps to a known road: the road is a pseudo-measurement, which is 0 at every step.
 
-You learn how to say what is known besides the measurements (a road, a wall, an altitude): a sensor that reads how far
-off the state is, ``Stacked`` behind the real one, whose measurement is always 0.  Its standard deviation is how far off
-cars are, here twice, as each keeps to its side for long.  Only an equality may be repeated so.  Of a limit (a speed, a
-region) a filter would learn anew at every step what it was told at the one before.
+You learn how to state an equality constraint (a road, a wall, an altitude): a sensor of the state's violation of it,
+``Stacked`` behind the real one, whose measurement is always 0.  Its standard deviation is that of cars across the
+road, here twice, as each keeps to its side for long.  An inequality (a speed limit, a region) is no such measurement: a
+filter would count the same information again at every step.
 """
 
 import argparse

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import torch
+from recorded_bench.tracks import Track
 from torch import Tensor, nn
 
 from torchfra.filters import Filter
@@ -35,21 +36,6 @@ SCALE = 10.0 * math.sqrt(2)
 """Error of a position, m, from which on it counts by its logarithm."""
 PENALTY = 40.0
 """On the mean square of what the weight has beyond a half, m^2."""
-
-
-class Day(NamedTuple):
-    """A day, or pieces of one."""
-
-    z: Tensor
-    """``(..., T, 2)`` positions, m, NaN without a new fix."""
-    u: Tensor
-    """``(..., T, 2)`` speed of the wheels, m/s, and heading, rad."""
-    dt: Tensor
-    """``(..., T)`` seconds that lead to each step."""
-    truth: Tensor
-    """``(..., T, 2)`` m."""
-    prior: Gaussian
-    """Of the first filter."""
 
 
 class Heard(NamedTuple):
@@ -110,7 +96,7 @@ def averaged(x: Tensor, steps: int) -> Tensor:
     return (total - torch.cat([torch.zeros_like(x[..., :steps]), total[..., :-steps]], -1)[..., : x.shape[-1]]) / steps
 
 
-def varied(day: Day, rng: torch.Generator) -> Day:
+def varied(day: Track, rng: torch.Generator) -> Track:
     """Pieces of a day, each of which begins near its truth, with the prior's other components."""
     steps, length = len(day.z), min(LENGTH, len(day.z))
 
@@ -131,10 +117,12 @@ def varied(day: Day, rng: torch.Generator) -> Day:
     near = day.truth[here[:, 0]] + START * torch.randn(PIECES, 2, generator=rng, dtype=day.z.dtype)
     mean = torch.cat([near, day.prior.mean[2:].expand(PIECES, -1)], -1)
     root = torch.block_diag(START * torch.eye(2).to(mean), day.prior.scale_tril[2:, 2:]).expand(PIECES, -1, -1)
-    return Day(day.truth[here] + factor * turned, day.u[here], day.dt[here], day.truth[here], Gaussian(mean, root))
+    assert day.u is not None
+    z, prior = day.truth[here] + factor * turned, Gaussian(mean, root)
+    return day._replace(z=z, u=day.u[here], dt=day.dt[here], truth=day.truth[here], prior=prior)
 
 
-def heard(day: Day, filters: Sequence[Filter], extended: Callable[[Gaussian], Gaussian]) -> Heard:
+def heard(day: Track, filters: Sequence[Filter], extended: Callable[[Gaussian], Gaussian]) -> Heard:
     """What two filters say of a day; ``extended`` makes the second one's prior of the first one's."""
     with torch.no_grad():
         first, second = (
@@ -146,7 +134,7 @@ def heard(day: Day, filters: Sequence[Filter], extended: Callable[[Gaussian], Ga
 
 
 def learned(
-    days: Sequence[Day],
+    days: Sequence[Track],
     filters: Sequence[Filter],
     extended: Callable[[Gaussian], Gaussian],
     seed: int = 0,
@@ -155,7 +143,7 @@ def learned(
     """Networks after Adam has followed the errors of weighed positions on days and on pieces of them.
 
     Args:
-        days: all of each.
+        days: all of each, as ``recorded_bench.nclt`` reads them; their prior is of the first filter.
         filters: two, which themselves do not learn; ``signals`` says what is asked of them.
         extended: makes the second one's prior of the first one's.
         seed: of the networks' first weights and of the pieces.

@@ -12,7 +12,7 @@ from torchfra import plotting, presets
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 
-SETTLED = 18
+CONVERGED = 18
 """Samples before sample 21, which do not count in the averages: filters start with sample 3."""
 FIRST = 3
 """The first sample that filters see."""
@@ -48,7 +48,7 @@ def averages(results: Results) -> dict[str, dict[str, float]]:
     """Over time, from sample 21 on: signed mean error, its largest size, RMSE and relative error by coordinate."""
     of_filters: dict[str, dict[str, float]] = {}
     for name, of in results.items():
-        over_time = {f"{q}_{axis}": np.array(of[f"{q}_{axis}"][SETTLED:]) for axis in "xy"
+        over_time = {f"{q}_{axis}": np.array(of[f"{q}_{axis}"][CONVERGED:]) for axis in "xy"
                      for q in ("mean_error", "rmse", "mape")}  # fmt: skip
         largest = {f"largest_{key}": float(np.abs(v).max()) for key, v in over_time.items() if "mean_error" in key}
         of_filters[name] = {key: float(values.mean()) for key, values in over_time.items()} | largest

@@ -91,8 +91,8 @@ def associations(study: Study) -> dict[str, dict[str, Any]]:
 def _cells(values: dict[str, Any]) -> list[str]:
     cells = [str(values[key]) if isinstance(values[key], int) else f"{values[key]:.2f}" for key in _KEYS.values()]
     for angle in ("azimuth", "elevation"):
-        settled = torch.tensor(values[f"rmse_{angle}"])[:, scans.SETTLED :]
-        cells.append(f"{1e3 * settled.square().mean().sqrt().item():.2f}")
+        converged = torch.tensor(values[f"rmse_{angle}"])[:, scans.CONVERGED :]
+        cells.append(f"{1e3 * converged.square().mean().sqrt().item():.2f}")
     return cells
 
 

@@ -13,7 +13,7 @@ from torchfra.coordinates import AZIMUTH, ELEVATION, from_cartesian
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
 
-SETTLED, LOST = 10, 100.0
+CONVERGED, LOST = 10, 100.0
 """Steps that do not count in averages, and the RMSE of a run, m, from which on a track of it is lost."""
 INVERSE_RANGE = 5
 """Component of the modified spherical state."""
@@ -71,17 +71,17 @@ def averages(of: dict[str, Tensor]) -> dict[str, Any]:
     """
     over_time = {f"rmse_{key}": of[key].square().mean(0).sqrt().tolist()
                  for key in ("range", "azimuth", "elevation", "position")}  # fmt: skip
-    settled = slice(SETTLED, None)
-    of_run = of["position"][..., settled].square().mean((-2, -1)).sqrt()
+    converged = slice(CONVERGED, None)
+    of_run = of["position"][..., converged].square().mean((-2, -1)).sqrt()
     lost = of_run > LOST
-    ranges = of["range"][..., settled].square()
+    ranges = of["range"][..., converged].square()
     return {
         "rmse": of_run.square().mean().sqrt().item(),
         "rmse_kept": of_run[~lost].square().mean().sqrt().item(),
         "median_run": of_run.median().item(),
         "lost": int(lost.sum()),
         "swaps": int(of["swaps"].sum()),
-        "raw_range": of["raw"][..., settled].square().nanmean().sqrt().item(),
+        "raw_range": of["raw"][..., converged].square().nanmean().sqrt().item(),
         "filtered_range": ranges.mean().sqrt().item(),
         "filtered_range_median_run": ranges.mean((-2, -1)).sqrt().median().item(),
         "ospa": of["ospa"].mean(0).tolist(),

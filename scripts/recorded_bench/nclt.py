@@ -1,4 +1,4 @@
-"""A robot on a campus: wheels, the heading of an inertial sensor, and satellite positions with errors that last.
+"""A robot on a campus: wheels, the heading of an inertial sensor, and satellite positions with time-correlated errors.
 
 A file is a day: rows of 1 s with ``time`` (s), ``gps_x`` and ``gps_y`` (m, empty without a new fix), ``wheel_left`` and
 ``wheel_right`` (m/s), ``yaw`` (rad, counter-clockwise from +x), ``truth_x`` and ``truth_y`` (m).  Other columns do not
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from learned.campus import Day, learned, signals
+from learned.campus import learned, signals
 from torch import Tensor
 
 from recorded_bench.compass import steadied
@@ -65,7 +65,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
 average."""
 OWN_PRESETS = IN_STATE = ("imm",)
-"""Presets that this kind has besides those that commands list, and those that have errors that last in their state."""
+"""Presets of this kind beside those that commands list, and those with time-correlated errors in their state."""
 MIXED = ("gpb", "imm")
 """Presets whose estimates a network weighs."""
 TURNS = (-0.62, -0.45)
@@ -76,7 +76,7 @@ MOVES = 0.1
 WHITE, SLIP = 1.2, 0.1
 """Of ``imm``: the part of a position's error that is white, m, and the density of the position's walk, m^2/s."""
 ERROR, TIME = 4.0, 80.0
-"""Standard deviation of the part that lasts, m, and how long it does, s."""
+"""Standard deviation, m, and time constant, s, of the time-correlated part of the errors."""
 FAULT, STEADY, MOVING = 50.0, 0.8, 6.0
 """Standard deviation of the error of a fault, m, and how far it wanders, m in 1 s, while steady and while moving."""
 TRANSITION = (
@@ -134,7 +134,7 @@ def turns(wheels: Tensor) -> Tensor:
 
 
 def learned_mixture(
-    tracks: Iterable[Track],
+    tracks: Sequence[Track],
     filters: Sequence[Filter],
     seed: int,
     progress: Callable[[range], Iterable[int]],
@@ -144,7 +144,7 @@ def learned_mixture(
     Raises:
         ValueError: a day without a truth at all of its steps.
     """
-    networks = learned([as_day(track) for track in tracks], filters, with_error, seed, progress)
+    networks = learned(tracks, filters, with_error, seed, progress)
 
     def mixture(track: Track, of: Sequence[Followed]) -> Followed:
         with torch.no_grad():
@@ -165,12 +165,6 @@ def learned_mixture(
         )
 
     return mixture
-
-
-def as_day(track: Track) -> Day:
-    """What networks learn from."""
-    assert track.u is not None
-    return Day(track.z, track.u, track.dt, track.truth, track.prior)
 
 
 def deviation(yaw: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ PUBLISHED: dict[str, Figures] = {
 OWN_PRESETS = ("gpb_odometry",)
 """Presets that this kind has besides those that commands list: ``gpb`` with the car's speed and turn rate."""
 IN_STATE = ()
-"""Presets that have errors that last in their state."""
+"""Presets that have time-correlated errors in their state."""
 LIGHT, TURN = 299792458.0, 7.2921151467e-5
 """Speed of light, m/s, and how fast the Earth turns, rad/s."""
 FLATTENING_SQUARED = 0.00669438
@@ -56,7 +56,7 @@ BIAS = 3.0
 """Standard deviation of what the pseudoranges of each satellite are off by, m: signals that are believed come some
 metres late.  Chosen on the first half of the drive for its NEES."""
 UNNOTICED = (0.05, 4 * BIAS)
-"""Of protection levels, as of a robot on a campus: four times the errors that last."""
+"""Fault of protection levels, as for a robot on a campus: four times the time-correlated errors."""
 WEAKEST = 30.0
 """Carrier-to-noise density below which a pseudorange counts as missing, dBHz."""
 LATE = (7.0, 14.0, 25.0, 45.0, 75.0, 120.0)

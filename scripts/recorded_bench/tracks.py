@@ -92,7 +92,7 @@ def judged(of: Followed, track: Track, metric: str) -> Found:
 
     Returns:
         That error and ``smoothed``, m, over all steps whose truth is known, and the mean normalised estimation error
-        squared per dimension of both, ``nees`` and ``nees_smoothed``, which is 1 where covariances are honest; and
+        squared per dimension of both, ``nees`` and ``nees_smoothed``, which is 1 where covariances are consistent; and
         ``beyond``, the percentage of steps on line whose error is beyond its protection level.  No number is finite
         where the track has failed.
     """

@@ -78,9 +78,9 @@ BIAS = 0.3
 UNNOTICED = (0.05, 4 * ERROR)
 """Of protection levels, as of a robot on a campus."""
 OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none"}}
-"""Arguments of presets, others than their defaults: who walks does nothing that the motion does not know."""
+"""Arguments of presets that differ from the defaults: a person who walks does not manoeuvre beyond the motion."""
 OWN_PRESETS = IN_STATE = ()
-"""Presets that this kind has besides those that commands list, and those that have errors that last in their state."""
+"""Presets of this kind beside those that commands list, and those with time-correlated errors in their state."""
 
 
 def make(name: str, track: Track) -> tuple[Filter, Gaussian]:

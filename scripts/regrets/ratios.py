@@ -116,6 +116,14 @@ def errors(
     return found
 
 
+def ratio(rmse: NDArray[np.float64], other: NDArray[np.float64]) -> dict[str, Any]:
+    """``ratio`` of one error to another, with its 95 % ``interval``, None of a single run."""
+    with np.errstate(invalid="ignore"):
+        of = rmse / other
+    interval = np.quantile(of[1:], [0.025, 0.975], method="inverted_cdf").tolist() if len(of) > 1 else None
+    return {"ratio": of[0].item(), "interval": interval}
+
+
 def ratios(found: Mapping[str, Errors], compared: Collection[str], limit: float) -> dict[str, Any]:
     """The best filter that is not compared, and of every filter the ratio of its error to that one's.
 
@@ -132,11 +140,7 @@ def ratios(found: Mapping[str, Errors], compared: Collection[str], limit: float)
     best = min((name for name in rmse if name not in compared), key=lambda name: rmse[name][0])
     filters = {}
     for name, values in rmse.items():
-        with np.errstate(invalid="ignore"):
-            ratio = values / rmse[best]
-        interval = np.quantile(ratio[1:], [0.025, 0.975], method="inverted_cdf").tolist() if len(ratio) > 1 else None
-        filters[name] = {"rmse": values[0].item(), "lost": found[name].lost(limit), "ratio": ratio[0].item(),
-                         "interval": interval}  # fmt: skip
+        filters[name] = {"rmse": values[0].item(), "lost": found[name].lost(limit), **ratio(values, rmse[best])}
     return {"best": best, "filters": filters}
 
 

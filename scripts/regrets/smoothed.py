@@ -1,15 +1,14 @@
-"""Filters and their smoothers on the same runs: errors, ratios with intervals, and how honest covariances are."""
+"""Filters and their smoothers on the same runs: errors, ratios with intervals, and how consistent covariances are."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from regrets.ratios import RESAMPLES, Errors, draws
+from regrets.ratios import RESAMPLES, Errors, draws, ratio
 from regrets.show import interval, metres, regret
 from torchfra import metrics
 from torchfra.filters import Filter
@@ -59,7 +58,7 @@ def errors(
     """By filter and kind the ``Errors``, and under ``"nees"`` by kind the mean of that of positions per dimension."""
     counts = draws(runs, seed, RESAMPLES if runs > 1 else 0)
     found: dict[str, dict[str, Any]] = {name: {kind: Errors(runs) for kind in KINDS} for name in filters}
-    honest: dict[str, dict[str, list[Tensor]]] = {name: {kind: [] for kind in KINDS} for name in filters}
+    nees: dict[str, dict[str, list[Tensor]]] = {name: {kind: [] for kind in KINDS} for name in filters}
     chunk = max(1, _STEPS // scenario.steps)
     with torch.no_grad():
         for first in progress_bar(range(0, runs, chunk), f"{chunk} runs", progress):
@@ -68,9 +67,9 @@ def errors(
                 for kind, estimate in estimates(f, scenario, tracks).items():
                     error = metrics.error(estimate.mean, tracks.truth, scenario.truth_position)
                     found[name][kind].add(error, counts[:, first : first + chunk])
-                    honest[name][kind].append(metrics.nees(estimate, tracks.truth, scenario.truth_position))
+                    nees[name][kind].append(metrics.nees(estimate, tracks.truth, scenario.truth_position))
     dims = scenario.motion.dims
-    for name, of in honest.items():
+    for name, of in nees.items():
         found[name]["nees"] = {kind: torch.cat(parts).nanmean().item() / dims for kind, parts in of.items()}
     return found
 
@@ -82,11 +81,7 @@ def results(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         filtered, of[name] = kinds["filtered"].rmse(), {}
         for kind in KINDS:
             values = kinds[kind].rmse()
-            with np.errstate(invalid="ignore"):
-                ratio = values / filtered
-            between = np.quantile(ratio[1:], [0.025, 0.975], method="inverted_cdf").tolist() if len(ratio) > 1 else None
-            of[name][kind] = {"rmse": values[0].item(), "ratio": ratio[0].item(), "interval": between,
-                              "nees": kinds["nees"][kind]}  # fmt: skip
+            of[name][kind] = {"rmse": values[0].item(), **ratio(values, filtered), "nees": kinds["nees"][kind]}
     return of
 
 

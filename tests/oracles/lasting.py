@@ -1,4 +1,4 @@
-"""A target among errors that last, by one large Gaussian: all states, errors and measurements of a track at once.
+"""A target among time-correlated errors, by one large Gaussian: all states, errors and measurements of a track at once.
 
 The covariance of errors at two times is std^2 exp(-|t - t'| / time), as Brown & Hwang (2012), section 3.6, have it; no
 state holds them.  Rasmussen & Williams (2006), eqs. (2.23)-(2.24) and (2.30), for a Gaussian given measurements.

@@ -99,7 +99,7 @@ def root_of(covariance: Any, what: str) -> Array:
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     largest = max(values.max(initial=0.0), np.finfo(float).tiny)
     if values.min(initial=0.0) < -_ROUNDING * largest or np.abs(matrix - matrix.T).max() > 1e-6 * largest:
-        raise ValueError(f"{what}: expected a covariance, received a matrix that is none, {matrix.tolist()}")
+        raise ValueError(f"{what}: expected a symmetric positive semidefinite matrix, received {matrix.tolist()}")
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
 

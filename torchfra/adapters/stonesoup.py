@@ -156,7 +156,7 @@ def measurements(detections: Iterable[Detection]) -> Timed:
     """
     found = sorted(detections, key=lambda detection: detection.timestamp)
     if len({detection.ndim for detection in found}) != 1:
-        raise ValueError("detections: expected some of the same size, received others, or none")
+        raise ValueError("detections: expected one or more, all of one size, received none or several sizes")
     rows = [np.asarray(detection.state_vector, dtype=float).reshape(-1) for detection in found]
     times = [detection.timestamp for detection in found]
     return Timed(times, torch.from_numpy(np.stack(rows)), _between(times))

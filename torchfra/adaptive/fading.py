@@ -38,7 +38,7 @@ class NoFading(nn.Module):
         """Whether there are no fading factors."""
         return type(self) is NoFading
 
-    def of(self, motion: Motion) -> NoFading:
+    def for_motion(self, motion: Motion) -> NoFading:
         """This module for the states of a motion."""
         return self
 
@@ -88,8 +88,9 @@ class Fading(NoFading):
         ValueError: a value out of its range.
 
     Source: Wang et al. (2021), eqs. (29)-(34); Zhou, Xi & Zhang (1990) for the strong tracking filter.
-    Differs: singular values are compared in units of the measurement noise, so that metres and radians mix; with equal
-    noise on all elements, as in the paper, that changes nothing.  ``fading_max``, ``rcond``, ``share`` are additions.
+    Differs: singular values are compared in units of the measurement noise, so that elements in metres and in radians
+    can be compared; with equal noise on all elements, as in the paper, that changes nothing.  ``fading_max``,
+    ``rcond`` and ``share`` are additions.
     """
 
     def __init__(
@@ -115,12 +116,12 @@ class Fading(NoFading):
             share = as_numbers(share, "share").double()
             self.share = Hyper(share, constraints.nonnegative, event_dim=1, name="share")
         self.rcond, self.trace, self._states_given = rcond, trace, states is not None
-        states = slice(0, 2) if states is None else states  # until ``of`` knows the motion
+        states = slice(0, 2) if states is None else states  # until ``for_motion`` knows it
         self.states = (states,) if isinstance(states, slice) else tuple(states)
         if self._states_given:
             self._check_share()
 
-    def of(self, motion: Motion) -> Fading:
+    def for_motion(self, motion: Motion) -> Fading:
         """A copy for the states of a motion, which shares the values; this module itself if ``states`` were given.
 
         Raises:
@@ -175,8 +176,8 @@ class Fading(NoFading):
         """
         d = whitened.reads
         root = prediction.belief.scale_tril[..., :d, :d]
-        # A prediction with a component of zero variance cannot fade: its zero pivots are replaced by ones here, and its
-        # factor is 1 in the end.
+        # A prediction with a component of zero variance cannot fade.  Its zero pivots are ones here, and its factor is
+        # 1 below (``undefined``).
         certain = root.diagonal(dim1=-2, dim2=-1) == 0
         h = torch.linalg.solve_triangular(
             root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False

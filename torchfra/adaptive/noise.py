@@ -155,7 +155,7 @@ class SageHusa(NominalNoise):
         """The estimate ``(..., m)`` of the variances by one measurement: ``e^2 - H P H^T``, or ``r^2 + H P H^T``."""
         predicted = whitened.spread.square().sum(-1)
         predicted = predicted if whitened.subtracted is None else predicted - whitened.subtracted.square().sum(-1)
-        # Finite, as the gradient at the bound of the estimate would be 0 times infinity.
+        # Finite: at the bound of the estimate the gradient would otherwise be 0 times infinity, which is NaN.
         squared = whitened.residual.square().clamp_max(torch.finfo(predicted.dtype).max)
         return squared + (predicted if self.adapt == "residual" else -predicted)
 

@@ -38,7 +38,7 @@ class Clusters(NamedTuple):
 
 
 class GatedScans(NamedTuple):
-    """R scans of J measurements against N targets: what both ways to sum over joint events start from."""
+    """R scans of J measurements against N targets: the input of each sum over joint events."""
 
     log_ratio: Tensor
     """``(R, N, J)`` log of detection probability times likelihood over clutter density; minus infinity if not gated."""
@@ -52,7 +52,7 @@ class GatedScans(NamedTuple):
 
 
 def same_cluster(gated: Tensor) -> Tensor:
-    """Which targets share measurements, directly or through others.
+    """The pairs of targets that share measurements, directly or through others.
 
     Args:
         gated: ``(..., N, J)`` bool, which measurements are in the gate of each target.

@@ -36,14 +36,15 @@ class Clutter(nn.Module):
     ) -> None:
         super().__init__()
         if (volume is None) == (extent is None):
-            raise ValueError("volume, extent: expected exactly one of the two")
+            received = "neither" if volume is None else "both"
+            raise ValueError(f"volume, extent: expected exactly one of the two, received {received}")
         self.volume = None if volume is None else Hyper(volume, name="volume")
         extent = None if extent is None else as_numbers(extent, "extent").double()
         self.extent = None if extent is None else Hyper(extent, event_dim=1, name="extent")
         self.rate = None if rate is None else Hyper(rate, name="rate")
 
     def check(self, sensor: Sensor) -> None:
-        """Whether this goes with a sensor.
+        """Checks that the density fits a sensor.
 
         Raises:
             ValueError: it does not.
@@ -62,7 +63,8 @@ class Clutter(nn.Module):
             extent = self.extent(z)
         else:
             assert self.volume is not None
-            # A measured elevation may lie beyond the vertical; a range of 0 has no density, and lies in no gate.
+            # A measured elevation may lie beyond the vertical, where the cosine is negative; at a range of 0 there is
+            # no density, and no gate contains it.
             metre = sensor.units_per_metre(z).abs()
             metre = torch.where((metre > 0) & metre.isfinite(), metre, 1.0)
             extent = self.volume(z).unsqueeze(-1) ** (1 / sensor.size) * metre
@@ -76,7 +78,7 @@ class Clutter(nn.Module):
             ValueError: no Poisson rate.
         """
         if self.rate is None:
-            raise ValueError("rate: expected that of a Poisson distribution, received none")
+            raise ValueError("rate: expected the rate of a Poisson distribution, received None")
         if self.volume is not None:
             density: Tensor = self.rate(z).log() - self.volume(z).log()
             return density.expand(z.shape[:-1])

@@ -36,7 +36,7 @@ class Gate(nn.Module):
     """Abstract: a subclass defines ``beyond``, and ``gate_probability`` if it is not 1."""
 
     def check(self, sensor: Sensor) -> None:
-        """Whether this goes with a sensor.
+        """Checks that the gate fits a sensor.
 
         Raises:
             ValueError: it does not.
@@ -69,7 +69,7 @@ class Euclidean(Gate):
     Args:
         size: radius, m.
         least: the gate also contains the ellipsoid of the innovation covariance with this probability, in [0, 1), for
-            predictions that are less certain than the sphere is wide, such as a poor prior.  0 for the sphere alone.
+            predictions that are less certain than the sphere is wide, such as a wide prior.  0 for the sphere alone.
 
     The sensor must know where in space a measurement lies (``Sensor.locate``).  The gate probability is taken as 1.
 
@@ -88,7 +88,7 @@ class Euclidean(Gate):
         self.least = least
 
     def check(self, sensor: Sensor) -> None:
-        """Whether the sensor measures where a target is.
+        """Checks that the sensor measures where a target is.
 
         Raises:
             ValueError: it does not.

@@ -78,7 +78,7 @@ def _gated_scans(
 
 
 def _associate(scans: GatedScans, exact: tuple[int, int]) -> Association:
-    """Each cluster the way that its size asks for."""
+    """The association of all clusters, each by the method for its size."""
     (targets, count), clusters, traced = scans.log_ratio.shape[-2:], scans.clusters, is_traced(scans.log_ratio)
     if is_elementary():
         check_sets(targets, count, exact)
@@ -104,8 +104,8 @@ class _Table(NamedTuple):
     first: Tensor
     """``(R, N)`` number of the first target of each target's cluster."""
     place: Tensor
-    """``(K,)`` number of the first target among those of all scans, ``run * N + head``."""
-    run: Tensor
+    """``(K,)`` number of the first target among those of all scans, ``scan * N + head``."""
+    scan: Tensor
     """``(K,)`` number of the scan."""
     head: Tensor
     """``(K,)`` number of the first target in its scan."""
@@ -120,7 +120,7 @@ class _Table(NamedTuple):
 def _associate_by_tables(
     scans: GatedScans, chosen: Tensor, table: tuple[int, int], solve: Solve, otherwise: Association
 ) -> Association:
-    """Association of some clusters, all by the same way to sum over their joint events.
+    """Association of some clusters, all by the same sum over their joint events.
 
     Args:
         scans: measurements against targets.
@@ -130,31 +130,31 @@ def _associate_by_tables(
         otherwise: the association of the other targets.
     """
     packed = _pack(scans, chosen, table)
-    weight = scans.clusters.weight[packed.run, packed.head]
+    weight = scans.clusters.weight[packed.scan, packed.head]
     solved = solve(packed.log_ratio, packed.log_miss, weight, scans.diffuse)
     return choose(chosen, _unpack(scans, packed, *solved), otherwise)
 
 
 def _pack(scans: GatedScans, chosen: Tensor, table: tuple[int, int]) -> _Table:
     """The chosen clusters as tables; where code is traced, a table for every target, since shapes must be known."""
-    runs, targets, _ = scans.log_ratio.shape
+    scan_count, targets, _ = scans.log_ratio.shape
     first = scans.clusters.members.to(torch.int64).argmax(-1)
-    numbers = torch.arange(runs * targets, device=chosen.device)
+    numbers = torch.arange(scan_count * targets, device=chosen.device)
     if is_traced(scans.log_ratio):
         place = numbers
     else:
         heads = chosen & (first == numbers[:targets])
         place = numbers[heads.flatten()]
         table = int(scans.clusters.size[heads].amax()), max(int(scans.clusters.gated[heads].amax()), 1)
-    run, head = place // targets, place % targets
-    members = scans.clusters.members[run, head]  # (K, N)
-    gated = (members.unsqueeze(-1) & scans.gated[run]).any(-2)  # (K, J)
+    scan, head = place // targets, place % targets
+    members = scans.clusters.members[scan, head]  # (K, N)
+    gated = (members.unsqueeze(-1) & scans.gated[scan]).any(-2)  # (K, J)
     rows, columns = _true_first(members, table[0]), _true_first(gated, table[1])  # (K, n), (K, j)
     used = members.gather(-1, rows)
-    log_ratio = scans.log_ratio[run.unsqueeze(-1), rows].gather(-1, columns.unsqueeze(-2).expand(-1, table[0], -1))
+    log_ratio = scans.log_ratio[scan.unsqueeze(-1), rows].gather(-1, columns.unsqueeze(-2).expand(-1, table[0], -1))
     log_ratio = torch.where(used.unsqueeze(-1), log_ratio, -torch.inf)
-    log_miss = torch.where(used, scans.log_miss[run.unsqueeze(-1), rows], 0.0)
-    return _Table(first, place, run, head, log_ratio, log_miss, gated)
+    log_miss = torch.where(used, scans.log_miss[scan.unsqueeze(-1), rows], 0.0)
+    return _Table(first, place, scan, head, log_ratio, log_miss, gated)
 
 
 def _true_first(mask: Tensor, count: int) -> Tensor:
@@ -164,11 +164,11 @@ def _true_first(mask: Tensor, count: int) -> Tensor:
 
 def _unpack(scans: GatedScans, packed: _Table, log_weights: Tensor, log_total: Tensor) -> Association:
     """Each target looks up its cluster's table, its row there, and the column of each measurement."""
-    runs, targets, _ = scans.log_ratio.shape
+    scan_count, targets, _ = scans.log_ratio.shape
     slots, columns = log_weights.shape[-2], log_weights.shape[-1] - 1
-    numbers = torch.arange(runs * targets, device=log_weights.device)
+    numbers = torch.arange(scan_count * targets, device=log_weights.device)
     tables = torch.zeros_like(numbers).index_put((packed.place,), numbers[: len(packed.place)])
-    table = tables[numbers[:runs].unsqueeze(-1) * targets + packed.first]  # (R, N)
+    table = tables[numbers[:scan_count].unsqueeze(-1) * targets + packed.first]  # (R, N)
     row = (scans.clusters.members.cumsum(-1) - 1).diagonal(dim1=-2, dim2=-1).clamp(0, slots - 1)
     target = log_weights[table, row]  # (R, N, j + 1)
     column = (packed.gated.cumsum(-1) * packed.gated)[table]  # 0 for measurements in no gate of the cluster

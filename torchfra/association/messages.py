@@ -24,7 +24,7 @@ _ITERATIONS, _TRACED_ITERATIONS = 200, 50
 def each_alone(scans: GatedScans) -> Association:
     """Association of each target by itself: exact for targets that share no measurement, meaningless for others."""
     log_ratio, gated = _poisson_ratio(scans), scans.gated
-    impossible = torch.where(gated.any(-1), -torch.inf, 0.0)  # an always measured target is missed if its gate is empty
+    impossible = torch.where(gated.any(-1), -torch.inf, 0.0)  # with an empty gate even such a target is missed
     log_miss = torch.where(scans.log_miss == -torch.inf, impossible, scans.log_miss)
     beliefs = torch.cat([log_miss.unsqueeze(-1), log_ratio], -1)
     log_total = beliefs.logsumexp(-1)

@@ -11,7 +11,7 @@ from torchfra.association.clusters import Association, GatedScans
 from torchfra.linalg.safe import safe_log
 
 _IMPOSSIBLE = -1e30
-"""Finite log weight of a measurement outside the gate; what is below a tenth of it is no event."""
+"""Finite log weight of a measurement outside the gate; an event below a tenth of it is impossible."""
 _NOTHING = 100 * _IMPOSSIBLE
 """Log weight of sets of more targets than there have been measurements."""
 
@@ -20,7 +20,7 @@ def check_sets(targets: int, count: int, exact: tuple[int, int]) -> None:
     """Checks that all joint events of a scan are summed, whatever its clusters are.
 
     Raises:
-        NotImplementedError: large clusters would go by belief propagation, whose rounds follow the data.
+        NotImplementedError: large clusters would use belief propagation, whose number of rounds depends on the data.
     """
     if targets > 1 and (targets > exact[0] or count > exact[1]):
         raise NotImplementedError(
@@ -135,7 +135,7 @@ def _of_sets(scans: GatedScans, log_sum: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _fewest(log_event: Tensor, misses: Tensor) -> Tensor:
-    """Only what has the fewest ``misses`` of targets that are always measured is possible."""
+    """Log weights of events; minus infinity without the fewest ``misses`` of targets that are always measured."""
     misses = torch.where(log_event > -torch.inf, misses, torch.inf)
     return torch.where(misses == misses.amin(-1, keepdim=True), log_event, -torch.inf)
 

@@ -71,7 +71,7 @@ def clean(
             where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
             ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
+        bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None chooses by the data.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
@@ -105,8 +105,8 @@ def clean(
             raise ValueError(f"dt: expected None for a DataFrame, whose rows are kept, received {dt}")
         points = None if words.keys() & _PLACES else _points(data)
         table = data if points is None else data.drop(columns=points.name).assign(**_coordinates(points))
-        told = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
-        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **told)
+        reading = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
+        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **reading)
         joined = _joined(data, clean_tracks(recordings, **settings))
         return joined if points is None else _with_points(joined, points)
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):

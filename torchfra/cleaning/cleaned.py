@@ -90,7 +90,7 @@ class Cleaned:
     outlier: Array
     """``(T,)`` probability that the fix is an outlier; NaN of filters that do not say."""
     manoeuvre: Array
-    """``(T,)`` probability of a regime other than the calm one; NaN likewise."""
+    """``(T,)`` probability of a regime other than the calm one; NaN where unknown."""
     flag: NDArray[np.str_]
     """``(T,)`` of ``FLAGS``."""
     found: Found
@@ -107,7 +107,7 @@ class Cleaned:
     def filters(self) -> tuple[GPB, ...]:
         """The default filter with what was found, as a module for each part of ``used``; none of other filters.
 
-        Each reads the positions of its axes, of a batch of one track, and goes on from any belief of these and their
+        Each takes the positions of its axes, of a batch of one track, and continues from any belief of these and their
         velocities.
         """
         return tuple(as_gpb(part.levels, part.sigma, part.model, part.dims) for part in self.used)

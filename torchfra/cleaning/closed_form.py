@@ -24,7 +24,7 @@ from torchfra.sensors.position import Position
 
 _LOG_TWO_PI = math.log(2 * math.pi)
 _LEAST = 1e-300
-"""Least probability that is told from 0."""
+"""Least probability that is distinguished from 0."""
 
 
 class Belief(NamedTuple):
@@ -122,7 +122,7 @@ class Levels(NamedTuple):
     duration: Tensor
     """``(J, B)`` mean time that a level lasts, s."""
     walk: Tensor
-    """``(J, B)`` densities of what moves the position alone, m^2/s: a target that comes and goes between two fixes."""
+    """``(J, B)`` densities of the random walk of a position, m^2/s, of a target that moves to and fro between fixes."""
 
     @property
     def log_restart(self) -> Tensor:

@@ -60,7 +60,7 @@ def clean_tracks(
     Args:
         recordings: from ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: of what targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
+        bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of your own; None chooses for each target by what the file says or
             by its speed.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.

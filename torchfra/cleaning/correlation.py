@@ -1,4 +1,4 @@
-"""Errors that last from fix to fix, as of a phone between houses: how likely they are, and uncertainties with them."""
+"""Time-correlated errors, as of a phone between houses: how likely they are, and uncertainties with them."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def log_likelihood(z: Tensor, gap: Tensor, variance: Tensor, q: Tensor, lasting:
 
 
 def widened(one: Cleaned, errors: Lasting | None) -> Cleaned:
-    """The result with covariances that know of time-correlated errors, as far as they are likely.
+    """The result with covariances that contain time-correlated errors, weighted by how likely these are.
 
     An estimate that is as sure as the mean of m fixes of independent errors has the error, besides, of the mean of m
     values of the process.
@@ -215,13 +215,10 @@ def _said(errors: Lasting) -> tuple[str]:
         duration(float(np.exp(share @ np.log(errors.seconds)))),
     )
     if likely > _SEEN_AS:
-        return (
-            f"Errors that last: those of neighbouring fixes are alike over about {seconds}, by {std}; "
-            "standard deviations are larger for that",
-        )
+        return (f"Time-correlated errors: of {std} over about {seconds}; standard deviations contain them",)
     return (
-        f"Errors that last: not told from motion here; standard deviations assume {std} over about {seconds} "
-        f"with a probability of {100 * likely:.0f} %",
+        "Time-correlated errors: not distinguishable from motion here; standard deviations assume "
+        f"{std} over about {seconds} with a probability of {100 * likely:.0f} %",
     )
 
 

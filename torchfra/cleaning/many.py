@@ -1,6 +1,6 @@
 """Tracks of a data set, cleaned part by part, each into a file of its own that is there completely or not at all.
 
-A part that is there is done, so that work which was ended at any moment goes on where it was.
+An existing part is done, so that work that was ended at any moment continues where it was.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torchfra.readers.datasets import DataSet
 from torchfra.readers.recording import Recording
 from torchfra.readers.sheets import listed
 from torchfra.running.atomic_write import write, write_json
-from torchfra.running.memory import most_memory
+from torchfra.running.memory import peak_memory
 from torchfra.version import __version__
 
 _TOGETHER = 25_000
@@ -127,7 +127,7 @@ def clean_part(work: Work, part: int) -> dict[str, Any]:
     write(table, fill)
     said: dict[str, Any] = {name: counts[name] for name in ("targets", "rows", "fixes", "outliers", "steps")}
     said |= {"repairs": dict(+repairs), "failed": failed}
-    said |= {"seconds": time.perf_counter() - begun, "memory": most_memory()}
+    said |= {"seconds": time.perf_counter() - begun, "memory": peak_memory()}
     write_json(facts, said)
     return said
 

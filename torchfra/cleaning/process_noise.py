@@ -18,8 +18,8 @@ _LEAST_SECONDS = 1.0
 LONGEST, _SHORTEST = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _LEAST_CHANGE = 0.03
-"""Where fixes come more rarely than any level ends: change of the velocity between two, m/s, from which on levels are
-told apart."""
+"""If fixes are rarer than changes of the level: change of the velocity between two, m/s, from which on levels can be
+distinguished."""
 _PERIODS = 3.0
 """Periods that levels last where these are longer: what many levels leave in the mean changes slowly."""
 _WALKS, _APART, _WALK_FIXES = 5, 2.5, 10.0

@@ -88,8 +88,8 @@ def hardly_surer(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
 def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
     """The lowest standard deviations ``(B,)`` that tracks do not rule out.
 
-    Where what is noise and what is motion can hardly be told apart, a sigma that is too large costs far more than one
-    that is too small: with it the path cuts corners, and without it the path goes through the fixes.
+    Where noise and motion can hardly be distinguished, too large a sigma costs far more than too small a one: with the
+    former the path cuts corners, with the latter it goes through the fixes.
 
     Args:
         part: with the levels as they were before the track.

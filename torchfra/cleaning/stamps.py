@@ -130,7 +130,7 @@ def in_place(recording: Recording, kind: str) -> tuple[Recording, Array]:
 
 
 def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
-    """With distances along the track smoothed by a filter that is told how far stamps that are off may move a fix.
+    """With distances along the track smoothed by a filter whose noise contains the shifts of fixes by wrong stamps.
 
     Errors along the track are then as large as those across it, and no larger: a filter of positions takes both as one.
     """

@@ -55,6 +55,12 @@ def add_quiet_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar, and print nothing but errors")
 
 
+def add_output_options(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--json FILE`` and ``--quiet``."""
+    add_json_option(parser)
+    add_quiet_option(parser)
+
+
 def add_runs_options(parser: argparse.ArgumentParser, runs: int, seed: int = 0) -> None:
     """Adds ``--runs M`` and ``--seed S`` with these defaults."""
     parser.add_argument("--runs", type=int, default=runs, metavar="M", help=f"Monte-Carlo runs (default: {runs})")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, track_filters
-from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.cli.command import Failures, add_output_options, check_files
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
@@ -30,7 +30,7 @@ from torchfra.evaluation import (
 from torchfra.filters import Filter
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
-from torchfra.running.pictures import picture_form
+from torchfra.running.pictures import picture_format
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
 
@@ -61,9 +61,9 @@ def add_to(command: argparse.ArgumentParser) -> None:
     command.epilog = _EXAMPLES
     add = command.add_argument
     add_source_options(add)
-    names = f"{', '.join(track_filters())}, of clutter-* {', '.join(scan_filters())}"
+    names = f"{', '.join(track_filters())}, for clutter-* {', '.join(scan_filters())}"
     add("--filters", metavar="A,B", help=f"out of {names} (default: all), or module:function, file.py:function")
-    own = "run this module or file first: filters and scenarios that it registers are known by their names"
+    own = "run this module or file first: filters and scenarios that it registers then have names here"
     add("--import", dest="modules", metavar="MODULE", action="append", default=[], help=own)
     learned = "also the filter NAME (default: fra) with values that training wrote, as 'learned'"
     add("--learned", metavar="[NAME=]FILE", help=learned)
@@ -71,23 +71,29 @@ def add_to(command: argparse.ArgumentParser) -> None:
         "--runs",
         type=int,
         metavar="M",
-        help="tracks (default: 100; of files each window, of recordings and tracks of your own each once)",
+        help="number of tracks (default: 100; for files each window, for recordings and your own tracks each once)",
     )
     add("--seed", type=int, default=0, metavar="S", help="seed of the random numbers (default: 0)")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more of all tracks together")
     add("--all", action="store_true", help="a line for each filter, also for those with the same errors")
-    scale = "position error above which a run has diverged, m (default: the scenario's, or one by its scale)"
+    scale = (
+        "position error above which a run has diverged, m (default: the scenario's, or ten times the error of a single "
+        "measurement)"
+    )
     add("--limit", type=float, metavar="M", help=scale)
     add("--figure", type=Path, metavar="FILE", help="PNG, PDF or SVG (default: compare-SCENARIO.png)")
-    add("--table", type=Path, metavar="FILE", help=f"intervals, tests and the bound, by its ending: {', '.join(FORMS)}")
+    add("--table", type=Path, metavar="FILE", help=f"table of intervals, tests and the bound: {', '.join(FORMS)}")
     add(
-        "--print", dest="printed", type=Path, metavar="FILE", help="PDF, SVG or PNG a column wide: errors and the bound"
+        "--print",
+        dest="printed",
+        type=Path,
+        metavar="FILE",
+        help="figure of errors and the bound, one column wide: PDF, SVG or PNG",
     )
     best = f"the first of them, {BASELINE} and the best others"
     add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
     add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run)
 
 
@@ -132,7 +138,7 @@ def _outputs(options: argparse.Namespace) -> dict[str, Path | None]:
         table_form(options.table)
     for option, path in (("figure", options.figure), ("print", options.printed)):
         if path is not None:
-            picture_form(path, option)
+            picture_format(path, option)
     return {"json": options.json, "figure": options.figure, "table": options.table, "print": options.printed}
 
 

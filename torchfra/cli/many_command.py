@@ -10,16 +10,15 @@ from typing import Any
 
 from torchfra.cleaning import DEFAULT, check_settings
 from torchfra.cleaning.many import Work, clean_part, summed
-from torchfra.cli.command import IncompleteError, add_json_option, add_quiet_option, check_files, check_folder, complain
+from torchfra.cli.command import IncompleteError, add_output_options, check_files, check_folder, complain
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data
 from torchfra.readers.repairs import in_words, plural
 from torchfra.running import distributed
-from torchfra.running.atomic_write import write_json
 from torchfra.running.jobs import add_jobs_option, check_jobs, finished
 from torchfra.running.progress import progress_bar
-from torchfra.running.versions import versions
+from torchfra.running.versions import write_results
 from torchfra.tables import duration, printable
 
 _ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as torchfra track does those of a file.
@@ -27,21 +26,23 @@ _ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as
 DATA is a file or a folder with files below it, whose rows are in any order: a target may have rows in all of them.
 Targets are divided into parts by a hash of their ids, each part is read from all files, and its cleaned tracks go to
 OUT/part-00000.parquet and so on: OUT is a data set itself, and its column row counts through the files of DATA in the
-order of their names. Memory does not grow with the data. A part is there as a whole or not at all, and one that is
-there is done: after Ctrl-C, kill -9 or a power cut the same command goes on where it was."""
+order of their names. Memory does not grow with the data. A part exists completely or not at all, and an existing one is
+done: after Ctrl-C, kill -9 or a power cut the same command continues where it was."""
 
 _EXAMPLES = """examples:
   torchfra many flights --out clean --jobs 8           # eight processes
   torchfra many flights --out clean --no-smooth --json clean.json
   torchrun --nproc-per-node 8 -m torchfra many flights --out clean     # or on several machines with one file system
 
-Where RANK and WORLD_SIZE are set, as by torchrun, each process takes every WORLD_SIZE-th part, from RANK on, and needs
-nothing of the others; the one that ends last sums up. The same command once more sums up what is there."""
+Where RANK and WORLD_SIZE are set, as by torchrun, each process takes every WORLD_SIZE-th part, from RANK on,
+independently of the others; the one that ends last writes the summary. The same command once more summarises the
+existing parts."""
 
 PARTS, FEWEST, MOST = 64, 100_000, 1_000_000
-"""Parts, and rows of one at least and at most: all files are read for each, and one that is not done begins anew."""
+"""Number of parts, and least and largest number of rows of one: all files are read for each, and an unfinished part
+begins anew."""
 _MOST_SAID = 5
-"""The most targets that failed that are named one by one."""
+"""Largest number of failed targets that are named one by one."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
@@ -55,8 +56,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add_jobs_option(command)
     add_cleaning_options(command.add_argument_group("cleaning").add_argument)
     add_reading_options(command.add_argument_group("reading").add_argument)
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run, together=False)
 
 
@@ -112,9 +112,8 @@ def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None
         tell(f"Left out: {unnamed:,} rows without an id")
     tell(f"Each process: {total['rows_per_second']:,.0f} rows a second, {total['memory'] / 1e6:,.0f} MB at most")
     tell(f"Written: {work.parts:,} parts in {printable(str(work.folder))}")
-    if options.json is not None:
-        settings = {"data": str(options.data), "rows": work.rows, **work.settings, **reading_of(options)}
-        write_json(options.json, {"versions": versions(), "settings": settings, "parts": work.parts, **total})
+    settings = {"data": str(options.data), "rows": work.rows, **work.settings, **reading_of(options)}
+    write_results(options.json, {"settings": settings, "parts": work.parts, **total})
     if failed := total["failed"]:
         lines = [f"{name}: {why}" for name, why in list(failed.items())[:_MOST_SAID]]
         if len(failed) > _MOST_SAID:

@@ -1,4 +1,4 @@
-"""Cleaned tracks as one page to look around in: the script that draws it is inside, or beside it for several pages."""
+"""Cleaned tracks as one interactive page: its script is inside, or beside it for several pages."""
 
 from __future__ import annotations
 

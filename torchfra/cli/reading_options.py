@@ -17,23 +17,23 @@ _ABOUT = {
     "z": ("COLUMN", "column of positions"),
     "lat": ("COLUMN", "column of latitudes"), "lon": ("COLUMN", "column of longitudes"),
     "alt": ("COLUMN", "column of altitudes"),
-    "id": ("COLUMN", "column that says which target a row is of"),
+    "id": ("COLUMN", "column with the target of a row"),
     "sigma_column": ("COLUMN", "column of the std of each fix per axis"),
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("SIGN", "sign between cells; or tab, space"),
     "decimal": ("SIGN", "sign before decimals: . or ,"),
     "time_format": ("FORM", f"times as {', '.join(FORMS)}, or such as 25fps or %%d.%%m.%%Y %%H:%%M:%%S"),
 }  # fmt: skip
-"""What each option is followed by, and what it is about."""
+"""Placeholder and help of each option."""
 READING = tuple(field.name for field in fields(ReadOptions))
-"""What the options are called in a namespace."""
+"""Names of the options in a namespace."""
 
 
 def add_reading_options(add: Callable[..., object]) -> None:
     """Adds ``--time COLUMN`` and the others, by the ``add_argument`` of a parser or of a group."""
     for name in READING:
         sign, about = _ABOUT[name]
-        add(f"--{name.replace('_', '-')}", metavar=sign, help=f"of files: {about}")
+        add(f"--{name.replace('_', '-')}", metavar=sign, help=f"for files: {about}")
 
 
 def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
@@ -43,14 +43,14 @@ def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
 
 def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES) -> None:
     """Adds ``--max-bytes N`` by a parser's ``add_argument``; without a ``default`` one sees whether it was given."""
-    about = f"text that a file may hold, unpacked: a row counts for 64 or more (default: {MAX_BYTES})"
+    about = f"largest size of a file's text, unpacked, bytes; a row counts for 64 or more (default: {MAX_BYTES})"
     add("--max-bytes", type=int, default=default, metavar="N", help=about)
 
 
 def add_cleaning_options(add: Callable[..., object]) -> None:
     """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
-    add("--bank", metavar="NAME", help=f"of what targets: {', '.join(KINDS)} (default: by the data)")
-    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; of fixes that have their own, a factor "
+    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: by the data)")
+    add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
         "(default: found from the data)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")

@@ -33,16 +33,16 @@ def add_source_options(add: Any) -> None:
     add("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}, {own}")
     add("--ranges", metavar="PATH", type=Path, nargs="+", help="instead of files, recorded ranges")
     add("--outliers", metavar="MODE", help="covariance (default), std, bursts (files and bearings-*), "
-        "offset (bearings-*) or none; of ranges-outliers short (default), nlos, both or none")  # fmt: skip
+        "offset (bearings-*) or none; for ranges-outliers short (default), nlos, both or none")  # fmt: skip
     add("--sensor", help="for files: bearings (default), radar or position")
-    add("--q", type=float, help=f"{q}0.25, of ranges 0.3)")
-    add("--dt", type=float, metavar="S", help="for files and ranges: seconds per step (default: 5, of ranges 0.1)")
+    add("--q", type=float, help=f"{q}0.25, for ranges 0.3)")
+    add("--dt", type=float, metavar="S", help="for files and ranges: seconds per step (default: 5, for ranges 0.1)")
     add("--steps", type=int, metavar="T", help="for files: steps per window (default: 120)")
-    repair = "for files: mend time stamps that are off by seconds, so that the tracks can be flown (default: --repair)"
+    repair = "for files: correct time stamps that are off by seconds, so that speeds are possible (default: --repair)"
     add("--repair", action=argparse.BooleanOptionalAction, help=repair)
-    add("--anchors", type=Path, metavar="FILE", help="for ranges: where the anchors are")
-    add("--reference", type=Path, metavar="FILE", help="for ranges: the path that was taken")
-    height = "for ranges: of the target, m (default: the median of the path's)"
+    add("--anchors", type=Path, metavar="FILE", help="for ranges: positions of the anchors")
+    add("--reference", type=Path, metavar="FILE", help="for ranges: true path of the target")
+    height = "for ranges: height of the target, m (default: the median of the path's)"
     add("--height", type=float, metavar="M", help=height)
     add_bound_option(add, default=None)
     add_reading_options(add)

@@ -12,7 +12,7 @@ from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
 from torchfra.cli import page
 from torchfra.cli import plan as plans
-from torchfra.cli.command import Failures, add_json_option, add_quiet_option, check_files
+from torchfra.cli.command import Failures, add_output_options, check_files
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.reading_options import add_bound_option, add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers import Recording
@@ -23,10 +23,10 @@ from torchfra.tables import printable
 
 FILES = """FILE holds one or several recorded tracks: CSV with a header (any delimiter; AIS logs and state vectors of
 OpenSky among it), JSON, GPX, KML, TCX, VBOX, IGC, GeoJSON, NMEA 0183, Parquet or Feather, gzipped or not. Columns are
-found by their names; what was taken is said, and the options for reading name others."""
+found by their names; the output states which were taken, and the options for reading name others."""
 
 _ABOUT = f"""Clean a recorded track: where the target was and how sure that is, which fixes are wrong, and which
-manoeuvres it flew. Writes a table (and NAME.meta.json beside it, with all that is no row) and a picture.
+manoeuvres it flew. Writes a table (and NAME.meta.json beside it, with all that belongs to no row) and a picture.
 
 {FILES}"""
 
@@ -34,10 +34,10 @@ _EXAMPLES = f"""examples:
   torchfra track flight.csv                          # out/flight.csv and out/flight.png; the noise is found
   torchfra track flight.csv --out clean.parquet      # one table of all targets: {", ".join(outputs.FORMATS)}
   torchfra track flights.csv --format gpx            # out/NAME.gpx for each target
-  torchfra track walk.csv --sigma 5 --bank person    # what is known need not be found
+  torchfra track walk.csv --sigma 5 --bank person    # known values need not be found
   torchfra track log.csv --time when --lat breite --lon laenge --delimiter ";" --decimal ,
-  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # what a filter on line would have said
-  torchfra track flight.csv --dt 1 --html flight.html           # also every second, and a page to look around in
+  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # the estimates of a filter on line
+  torchfra track flight.csv --dt 1 --html flight.html           # also every second, and an interactive page
 
 A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned
 position in the input's own coordinates, speed, course, climb, standard deviations along and across the course, the
@@ -57,10 +57,10 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("out"), metavar="PATH",
         help=f"a file for all targets ({endings}) or a folder for one of each (default: out)")  # fmt: skip
     add("--format", metavar="NAME", choices=[ending[1:] for ending in outputs.FORMATS],
-        help=f"of the tables in a folder: {endings.replace('.', '')} (default: csv)")  # fmt: skip
+        help=f"format of the tables in a folder: {endings.replace('.', '')} (default: csv)")  # fmt: skip
     add("--plots", action=argparse.BooleanOptionalAction,
-        help=f"a picture of each target (default: of {plans.MOST_PICTURES} targets or less)")  # fmt: skip
-    add("--html", type=Path, metavar="FILE", help="write a page with pictures to look around in; needs plotly")
+        help=f"a picture of each target (default: for {plans.MOST_PICTURES} targets or fewer)")  # fmt: skip
+    add("--html", type=Path, metavar="FILE", help="write a page with interactive pictures; needs plotly")
     add(
         "--share-script",
         action="store_true",
@@ -73,8 +73,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add_reading_options(command.add_argument_group("reading").add_argument)
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
-    add_json_option(command)
-    add_quiet_option(command)
+    add_output_options(command)
     command.set_defaults(run=run)
 
 

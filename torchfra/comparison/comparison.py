@@ -16,7 +16,7 @@ from torchfra.evaluation.results import Result, infinite, report
 from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.running.atomic_write import write, write_json
-from torchfra.running.pictures import picture_form
+from torchfra.running.pictures import picture_format
 from torchfra.scenarios import Bound, Scenario
 from torchfra.tables import formed_table, significant, with_error
 
@@ -179,7 +179,7 @@ class Comparison:
             OSError: it cannot be written.
         """
         if path is not None:
-            picture_form(path)
+            picture_format(path)
         from torchfra import plotting  # matplotlib takes long to import
 
         if self.by != ERROR:
@@ -197,7 +197,7 @@ class Comparison:
             f"{self.scenario.name}: {self.runs} runs, seed {self.seed}",
             f"{what}: mean +- 95 % (Student)",
             f"p: against the best, Wilcoxon signed rank on the runs, Holm for {len(self._tests)} of them",
-            *self._honest(),
+            *self._consistency(),
         ]
         if self.by == ERROR:
             said.append(f"diverged: above {significant(self.results[self.best]['limit'])} m")
@@ -206,13 +206,13 @@ class Comparison:
             said.append(f"{self.bound}: {least} m, mean over time; in the table its share of the error")
         return ". ".join(said) + "."
 
-    def _honest(self) -> list[str]:
+    def _consistency(self) -> list[str]:
         """The intervals of ANEES and ANIS of a consistent filter, in sentences."""
         of, said = self.results[self.best], []
         for key, what in (("anees", "ANEES per component"), ("anis", "ANIS per element")):
             if key in of and not math.isnan(of[key][0]):
                 low, high = of[f"{key}_bounds"]
-                said.append(f"{what}: 1 of an honest filter, of 95 % of its steps {low:.3f} to {high:.3f}")
+                said.append(f"{what}: 1 of a consistent filter, of 95 % of its steps {low:.3f} to {high:.3f}")
         return said
 
     def __str__(self) -> str:

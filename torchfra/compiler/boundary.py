@@ -50,8 +50,8 @@ class Boundary:
         step: one of many.
 
     Raises:
-        NotImplementedError: an operation that kernels do not have; or the estimate is more than the records, of which
-            some end what comes late.
+        NotImplementedError: an operation that kernels do not have; or an estimate that is more than the records and
+            decisions that come one step late.
     """
 
     def __init__(self, step: Step) -> None:
@@ -115,7 +115,7 @@ class Boundary:
             now, then = _halves(entry_ids(as_entries(self.book, x)))
             place = next((k for k, half in enumerate(halves) if now and now in half), None)
             if place is None or (now == halves[place][0]) != (then == halves[place][1]):
-                raise NotImplementedError("compile: the estimate does more than to end what comes late")
+                raise NotImplementedError("compile: finish does more than to append decisions that come one step late")
             if now == halves[place][1]:
                 self.late[first + place] = then, x.dtype == torch.bool
             self.places.append(place)

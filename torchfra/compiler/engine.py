@@ -120,7 +120,7 @@ class Compiled:
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
         inputs = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
-        if f.home is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):
+        if f.viewed is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):
             now, task, data = self._task(f, state, measurements, past)
             now.get_tracks_ready(form, task, prior, state, data, past, plain)
 
@@ -139,7 +139,7 @@ class Compiled:
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
             if past:
                 task.kernels.meanwhile = Making(target=self._make_backward, args=(f, task, measurements))
-            elif f.home is f and is_short(measurements.z.shape[:-1].numel()):
+            elif f.viewed is f and is_short(measurements.z.shape[:-1].numel()):
                 task.kernels.meanwhile = Making(target=self._make_boundary, args=(task,))
         steps, rank = measurements.z.shape[-2 - f.scans], len(task.batch)
         state, kept = now.run(task, steps, state, data, checkpoint, truncate)

@@ -1,4 +1,4 @@
-"""Tensors and trees of one form: told from others, and taken apart and put together by functions for that form."""
+"""Tensors and trees of one form: recognised, taken apart and put together by functions for that form."""
 
 from __future__ import annotations
 

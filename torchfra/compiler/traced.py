@@ -24,7 +24,7 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
     n, dtype = f.motion.size, torch.float64
     root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
     state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
-    if f.home is not f:
+    if f.viewed is not f:
         # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
         return f.with_memory_of(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
     if like is None or type(like) is type(state):

@@ -198,7 +198,7 @@ class Version:
 
     @staticmethod
     def _changes(tensors: Sequence[Tensor], learns: bool = False) -> bool:
-        """Whether a call needs gradients, unless it ``learns``, or cannot be told from others by its tensors alone."""
+        """Whether a call needs gradients, unless it ``learns``, or its tensors alone do not distinguish it."""
         gradients = (has_gradient(tensors) and not learns) or has_tangents()
         twice = len({*map(id, tensors)}) < len(tensors)  # as in the first state of some filters; guards refuse that
         return gradients or twice

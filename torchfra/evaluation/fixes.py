@@ -1,4 +1,4 @@
-"""Positions that measurements imply, and how far off measurements are: what a map shows beside the estimates."""
+"""Positions that measurements imply, and errors of measurements, which a map shows beside the estimates."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _PARALLEL = 1e-6
 def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
     """The position that each measurement implies, ``(B, T, J, d)``, m; ``J`` is 1 but for scans.
 
-    For two bearings it is where they cross, for range and bearing the polar fix: the position whose measurement is
-    closest to the one that came, in standard deviations, by Gauss-Newton steps from the truth, each shortened until it
-    comes closer.  All other components of the state are the true ones.  It is NaN where fewer elements were measured
-    than the position has, or where there is no such place.  Where filters have other coordinates than the truth, it is
-    what the sensor says (``locate``).
+    Two bearings imply the place where they cross, a range and a bearing the polar fix: the position whose measurement
+    is closest to the actual one, in standard deviations.  It is found by Gauss-Newton steps from the truth, each
+    shortened until it comes closer.  All other components of the state are the true ones.  The position is NaN where
+    fewer elements were measured than it has, or where there is none.  Where filters have other coordinates than the
+    truth, it is that of ``Sensor.locate``.
     """
     sensor, z, truth = scenario.sensor, tracks.z, tracks.truth
     if scenario.conversion is not None:
@@ -57,7 +57,7 @@ def deviations(scenario: Scenario, tracks: Tracks) -> Tensor:
 
 
 def _gauss_newton(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None, places: list[int]) -> tuple[Tensor, Tensor]:
-    """The step ``(..., d)`` of the components ``places`` of states ``x``, and what the measurement's slope is there."""
+    """The step ``(..., d)`` of the components ``places`` of states ``x``, and the slope of the measurement there."""
     inputs = (x.flatten(0, -2),) if u is None else (x.flatten(0, -2), u.flatten(0, -2))
     slope = vmap(jacfwd(sensor))(*inputs)[..., places].unflatten(0, x.shape[:-1])
     slope = sensor.measurement_noise(z).whiten(torch.where(z.isnan().unsqueeze(-1), 0.0, slope))

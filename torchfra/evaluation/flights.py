@@ -1,4 +1,4 @@
-"""One run to look at: which one, which part of it, and what is on its map."""
+"""One run for a map: which one, which part of it, and the points and lines of the map."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torchfra.evaluation.runs import run
 from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario
 
-FAR = 4.0
+OUTLYING = 4.0
 """Standard deviations, as the sensor states them, beyond which a measurement is an outlier: 1 of 16,000 good ones."""
 _CANDIDATES = 25
 """Runs around the median among which one with a turn is chosen."""
@@ -39,7 +39,7 @@ class Flight(NamedTuple):
     fixes: Tensor
     """``(T, J, 2)`` positions that the measurements imply, NaN where they imply none."""
     outlying: Tensor
-    """``(T, J)`` bool: measurements of which an element is more than ``FAR`` off the truth."""
+    """``(T, J)`` bool: measurements of which an element is more than ``OUTLYING`` off the truth."""
     estimates: dict[str, Tensor]
     """``(N, T, 2)`` by name of the filter."""
 
@@ -76,16 +76,16 @@ def flight(
     time = scenario.dt * torch.arange(1, scenario.steps + 1)
     paths = {name: path[:, part] for name, path in paths.items()}
     name = scenario.recordings[number] if scenario.recordings else f"run {number}"
-    places, outlying = fixes(scenario, tracks)[0, part, :, :2], off[part] > FAR
+    places, outlying = fixes(scenario, tracks)[0, part, :, :2], off[part] > OUTLYING
     return Flight(number, name, time[part], truth[:, part], places, outlying, paths)
 
 
 def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:
-    """The number of a run that shows what is usual, and something to see.
+    """The number of a run that is typical and has an outlier and a turn, if there is one.
 
-    Of the runs in which the second filter's error is about its median multiple of the first's (of one filter: its error
-    about the median), it is one with an outlier, if there is one, and of these the one whose target comes closest to a
-    turn by 180 degrees around it.
+    Candidates are the runs in which the ratio of the second filter's error to the first's is about its median (or the
+    error of a single filter).  Among those with an outlier, or among all if none has one, it is the run whose target
+    comes closest to a turn by 180 degrees around it.
 
     Args:
         scenario: what is tracked.
@@ -101,7 +101,7 @@ def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:
         tracks = scenario.simulate(1, seed, first=number)
         off, worst = deviations(scenario, tracks)[0].amax(-1).max(0)
         near = _around(int(worst), _SHORTEST, scenario.steps)
-        return bool(off <= FAR), abs(math.pi - _turn(_plane(scenario, tracks.truth)[:, near]))
+        return bool(off <= OUTLYING), abs(math.pi - _turn(_plane(scenario, tracks.truth)[:, near]))
 
     return min(runs, key=dull)
 
@@ -135,6 +135,6 @@ def _extent(path: Tensor) -> Tensor:
 
 
 def _turn(path: Tensor) -> float:
-    """By how much paths ``(N, T, 2)`` turn to one side, rad; the largest of several."""
+    """The angle by which paths ``(N, T, 2)`` turn to one side, rad; the largest of several."""
     east, north = path.diff(dim=1).unbind(-1)
     return float(wrap(torch.atan2(east, north).diff(dim=1)).nansum(-1).abs().amax())

@@ -44,7 +44,7 @@ _COLUMNS = (
 _POSITION = ("mean_rmse_position", "median_error_position", "worst_track")
 """Columns in metres."""
 _MEANS = ("mean_rmse_position", "mean_rmse_velocity", "worst_track")
-"""Columns that say nothing where a run is lost far away: its errors outweigh all others."""
+"""Columns that are left out where a run is lost far away, whose errors outweigh all others."""
 
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def families(results: dict[str, Result]) -> dict[str, tuple[str, ...]]:
 
 
 def headline(results: dict[str, Result], runs: int) -> str:
-    """In a sentence how far off the first filter is, beside the best of the others and the plain one."""
+    """A sentence with the error of the first filter, of the best of the others and of the plain one."""
     first, *others = results
     lost = results[first]["diverged"]
     words = f"{first}: {_metres(results[first])}, " + (f"{lost} of {runs} runs lost" if lost else "no run lost")
@@ -180,7 +180,7 @@ def leaders(results: dict[str, Result], most: int = 5) -> list[str]:
 
 
 def infinite(error: float) -> float:
-    """NaN as infinity: what is not known is as bad as it can be."""
+    """The error, with infinity for NaN, so that a filter without an error comes last."""
     return math.inf if math.isnan(error) else error
 
 

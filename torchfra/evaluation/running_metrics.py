@@ -33,7 +33,7 @@ class RunningMedian:
         self.counts.index_add_(0, bins, torch.ones_like(bins))
 
     def merge(self, other: RunningMedian) -> None:
-        """Adds the values that another has seen."""
+        """Adds the values that another has."""
         self.counts += other.counts
 
     def __call__(self) -> float:
@@ -112,7 +112,7 @@ class RunningMetrics:
         self.seconds += seconds
 
     def _add_consistency(self, estimate: Estimate, truth: Tensor, z: Tensor | None) -> None:
-        """Adds errors and innovations squared, in units of what the filter takes them for."""
+        """Adds errors and innovations squared, normalised by the covariances of the filter."""
         states = self.states["position"]
         nees = metrics.nees(estimate, truth, states)
         self.nees.add(nees)
@@ -144,7 +144,7 @@ class RunningMetrics:
             self.sums[name] = self.sums.get(name, 0.0) + values.nansum(0)
 
     def merge(self, other: RunningMetrics) -> None:
-        """Adds the tracks that another has seen."""
+        """Adds the tracks that another has."""
         for name in self.states:
             self.squares[name] = self.squares[name] + other.squares[name]
             self.counts[name] = self.counts[name] + other.counts[name]
@@ -200,12 +200,12 @@ class RunningMetrics:
         """Intervals of 95 % over the runs, ``[value, low, high]``, and the consistency of covariances.
 
         Returns:
-            Of the root mean square errors of single runs ``mean_track_rmse_position``, ``median_track_rmse_position``
-            and so on for all quantities; ``mean_log_likelihood`` per measurement (not of scans); ``anees``, the mean
+            ``mean_track_rmse_position``, ``median_track_rmse_position`` and so on, of the root mean square errors of
+            single runs, for all quantities; ``mean_log_likelihood`` per measurement (not of scans); ``anees``, the mean
             normalised error squared of the position per component, and ``anis``, that of the innovations per element
-            (not of scans), both 1 of an honest filter.  Of these two also ``*_bounds``: what the mean of a step is
-            within with 95 % probability if the filter is honest (chi-square), and ``*_inside``: the share of steps at
-            which it is.
+            (not of scans), both 1 of a consistent filter.  ``anees_bounds`` and ``anis_bounds`` are those within which
+            the mean of a step of such a filter lies with 95 % probability (chi-square); ``anees_inside`` and
+            ``anis_inside`` are the shares of steps whose mean does.
         """
         found: dict[str, Any] = {}
         for name in self.states:

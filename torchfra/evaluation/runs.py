@@ -23,13 +23,13 @@ from torchfra.scenarios import Scenario, Tracks
 from torchfra.types import Estimate
 
 MOST_RUNS = 10**9
-"""More would take years, and more memory than there is."""
+"""Largest number of runs: more would take years, and more memory than there is."""
 _FIRST = 5
 """Steps of a first call that is not timed."""
-_TIMES = 10.0
-"""A run has diverged if its error is so many times that of the positions that single measurements imply."""
-_RUNS = 32
-"""Among which that is looked for."""
+_DIVERGED = 10.0
+"""A run has diverged if its error exceeds this multiple of the error of positions from single measurements."""
+_SAMPLED_RUNS = 32
+"""Number of runs from which the errors of such positions are taken."""
 
 
 def evaluate(
@@ -186,18 +186,18 @@ def divergence_limit(scenario: Scenario) -> float:
     """The position error, root mean square over time, above which a run of a scenario has diverged, m.
 
     It is that of the scenario, ``Scenario.limit``; where it has none, ten times the median distance from the truth of
-    the positions that single measurements imply, or where they imply none the standard deviation of the prior.  By the
-    median outliers do not count.
+    the positions that single measurements imply, or where they imply none the standard deviation of the prior.  The
+    median does not depend on outliers.
     """
     if scenario.limit is not None:
         return scenario.limit
-    tracks = scenario.simulate(min(_RUNS, len(scenario.recordings) or _RUNS))
+    tracks = scenario.simulate(min(_SAMPLED_RUNS, len(scenario.recordings) or _SAMPLED_RUNS))
     off = _off(scenario, tracks)
     known = off[off.isfinite()]
     if len(known):
-        return _TIMES * float(known.median())
+        return _DIVERGED * float(known.median())
     root = tracks.prior.scale_tril[..., scenario.motion.position, :]
-    return _TIMES * float(root.square().sum((-1, -2)).sqrt().median())
+    return _DIVERGED * float(root.square().sum((-1, -2)).sqrt().median())
 
 
 def _off(scenario: Scenario, tracks: Tracks) -> Tensor:

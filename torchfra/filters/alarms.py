@@ -9,7 +9,7 @@ LIKELY = 0.5
 """Probability above which a measurement is more likely wrong than right."""
 
 
-def lasting(lasted: Tensor, was: Tensor, now: Tensor, dt: Tensor) -> Tensor:
+def faulty_seconds(lasted: Tensor, was: Tensor, now: Tensor, dt: Tensor) -> Tensor:
     """Seconds ``(..., B)`` since the first of the measurements in a row that are more likely wrong than right.
 
     Args:

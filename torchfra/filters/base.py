@@ -41,6 +41,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Alarm, Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
+"""Mixes the beliefs of interacting models before a step."""
 S = TypeVar("S", default=Any)  # the states of a filter
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -95,7 +96,7 @@ class Filter(nn.Module, Generic[S]):
         rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
 
     Raises:
-        ValueError: the sensor reads more components than the motion's state has, or the rule is none.
+        ValueError: the sensor reads more components than the motion's state has, or the rule is not callable.
     """
 
     scans = False
@@ -294,7 +295,7 @@ class Filter(nn.Module, Generic[S]):
         n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
         batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
-        return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # eq. (7)
+        return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
 
     @in_full_precision
     def step(
@@ -308,7 +309,7 @@ class Filter(nn.Module, Generic[S]):
         noise: Tensor | None = None,
         sensor: Sensor | None = None,
     ) -> tuple[S, Innovation]:
-        """One measurement (or scan), for streaming.
+        """One step, by one measurement (or scan), for streaming.
 
         Args:
             state: from ``init`` or the step before; it is not changed.
@@ -377,7 +378,7 @@ class Filter(nn.Module, Generic[S]):
         sensors: Sequence[Sensor] | None = None,
         which: Tensor | Sequence[int] | None = None,
     ) -> Estimate:
-        """Whole tracks, or sequences of scans.
+        """Filters whole tracks, or sequences of scans.
 
         Args:
             z: ``(..., T, m)`` measurements, or ``(..., T, J, m)`` of scans; NaN is missing, element by element.
@@ -442,7 +443,7 @@ class Filter(nn.Module, Generic[S]):
         sensors: Sequence[Sensor] | None = None,
         which: Tensor | Sequence[int] | None = None,
     ) -> Estimate:
-        """Whole tracks, each step by the measurements before and after it: Rauch-Tung-Striebel after the filter.
+        """Smooths whole tracks: Rauch-Tung-Striebel after the filter, so that later measurements count for each step.
 
         The backward pass keeps the decisions of the filter: weights of measurements and estimates of the noise are in
         the filtered beliefs, and fading factors widen the predictions as before.  (The weights that Huber's regression
@@ -508,7 +509,7 @@ class Filter(nn.Module, Generic[S]):
         return forecast(f, state, f._frame(state, Measurements(nothing, dt, u)))
 
     @property
-    def home(self) -> Any:
+    def viewed(self) -> Any:
         """The filter that this one is a view of; the filter itself, unless ``with_sensor`` has made it."""
         return self
 
@@ -523,7 +524,7 @@ class Filter(nn.Module, Generic[S]):
             sensor: reads at most the components that the state has; None for the filter's own.
 
         Raises:
-            ValueError: no such sensor, or a filter that takes its own sensor only, with the reason.
+            ValueError: an argument that is no sensor, or a filter that takes its own sensor only, with the reason.
         """
         if sensor is None or sensor is self.sensor or any(sensor is x for x in self.originals):
             return self

@@ -52,8 +52,8 @@ def biased_copies(z: Tensor, std: Value) -> Tensor:
 def considered(f: Filter, copies: E) -> E:
     """The estimate of measurements with a bias that is considered: mean as without it, covariance with it.
 
-    A bias that lasts for a whole track, such as the metres by which satellite positions of a day are off, is a shift of
-    the track that no filter can tell from the target's place.  With the slope ``S`` of the estimate in the bias, and
+    A bias that is constant over a track, such as the metres by which satellite positions of a day are off, is a shift
+    that no filter can distinguish from the target's position.  With the slope ``S`` of the estimate in the bias, and
     its covariance ``B``, the error of the estimate has the covariance ``P + S B S^T``.  The estimates of biased copies
     give the columns of ``S B^1/2``.  For a linear filter this is exact; for others ``S`` is the change by one standard
     deviation.
@@ -63,8 +63,9 @@ def considered(f: Filter, copies: E) -> E:
         copies: its estimates of ``biased_copies`` (whole tracks, filtered or smoothed), or such a belief.
 
     Returns:
-        The same without the dimension of copies.  All but ``scale_tril`` is that of the measurements as they are (so
-        ``filters.protection_level`` has the bias in its ``fault`` alone), and ``failure`` where a copy has failed.
+        The estimate without the dimension of copies.  ``scale_tril`` contains the bias, ``failure`` the copies that
+        failed; all else is the estimate from the unbiased measurements.  So ``filters.protection_level`` does not
+        contain the bias: state it as ``fault``.
 
     Raises:
         ValueError: another number of copies than one more than the sensor of the filter has elements.

@@ -51,6 +51,8 @@ class WithErrors(Filter[WithErrorsState]):
     Priors, estimates and beliefs in ``info`` have the components of the target alone; errors start from their
     stationary distribution.  A preset makes this filter if its sensor is a ``sensors.Correlated``.
 
+    Source: Bar-Shalom, Li & Kirubarajan (2001), chapter 8, for state augmentation.
+
     Args:
         inner: a filter around an ``Augmented`` motion, the target's first, or a ``Bank`` of such motions, and a
             ``Biased`` sensor.
@@ -77,7 +79,7 @@ class WithErrors(Filter[WithErrorsState]):
     def sensor(self) -> Sensor:  # type: ignore[override]
         """The sensor without its errors."""
         sensor = self.inner.sensor
-        return sensor.unbiased if self.home is self else sensor  # type: ignore[return-value]  # it is Biased
+        return sensor.unbiased if self.viewed is self else sensor  # type: ignore[return-value]  # it is Biased
 
     @property
     def frame_motion(self) -> Motion:

@@ -60,7 +60,7 @@ class FixedLag(nn.Module):
         lag: number of steps.
 
     Raises:
-        ValueError: no filter, or a lag below 1.
+        ValueError: not a filter, or a lag below 1.
         NotImplementedError: see ``Filter.smooth``.
     """
 

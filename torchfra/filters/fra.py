@@ -172,7 +172,7 @@ class FRA(Soft, Filter[FRAState]):
             raise ValueError("rule: expected one without negative weights, received one with some")
         robust, fading = Huber() if robust is None else robust, Fading() if fading is None else fading
         check_parts(robust=(robust, Weights), fading=(fading, Fading))
-        self.robust, self.fading = robust, fading.of(motion)
+        self.robust, self.fading = robust, fading.for_motion(motion)
         self.gate = Hyper(gate, name="gate")
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")
@@ -313,7 +313,11 @@ class FRA(Soft, Filter[FRAState]):
         return Past(belief, factor, (info.provisional, early))
 
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
-        """``function`` for the tracks in ``mask``, else ``default``; traced code computes it for all tracks."""
+        """``function`` for the tracks in ``mask``, else ``default``.
+
+        Traced code computes it for all tracks; so does a filter whose hyperparameters have a batch, which a choice of
+        tracks alone would not fit.
+        """
         if self.soft:
             return function(*arguments)
         parts = (self.gate, self.preference, self.plain, self.robust, self.fading)

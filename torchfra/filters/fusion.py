@@ -19,6 +19,7 @@ from torchfra.gaussian.arguments import check
 from torchfra.gaussian.inputs import Frame, Measurements, UnevenMeasurements
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
+from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -26,7 +27,7 @@ from torchfra.types import Gaussian
 class Fused:
     """Mixed into a view of a filter in which each step has a sensor of its own: see ``Filter.forward``."""
 
-    home: Any = None
+    viewed: Any = None
     views: list[Any]
     """The filter around each of the sensors."""
     which: list[int]
@@ -38,13 +39,13 @@ class Fused:
         Raises:
             NotImplementedError: it cannot, with the reason.
         """
-        self.home.check_smooths()
-        self.home.check_smooths_several()
+        self.viewed.check_smooths()
+        self.viewed.check_smooths_several()
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments for each sensor; their batch."""
         sizes = [view.sensor.size for view in self.views]
-        check(measurements, prior, self.home.motion, max(sizes), name=name, zero_dt=self.home.zero_dt)
+        check(measurements, prior, self.viewed.motion, max(sizes), name=name, zero_dt=self.viewed.zero_dt)
         steps = measurements.z.shape[-2]
         if steps != len(self.which):
             received = f"{len(self.which)} numbers"
@@ -108,16 +109,11 @@ def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
         raise ValueError(f"sensors: expected one or more, received {received}")
     numbers = which.tolist() if isinstance(which, Tensor | np.ndarray) else which
     count = len(sensors)
-    if not isinstance(numbers, Sequence) or not all(_is_number(k, count) for k in numbers):
+    if not isinstance(numbers, Sequence) or not all(is_integer(k, 0) and k < count for k in numbers):
         raise ValueError(f"which: expected (T,) whole numbers from 0 to {count - 1}, received {which}")
     new = sharing(f, mixed(Fused, f.__class__), engine=Stretches())
-    new.__dict__.update(home=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
+    new.__dict__.update(viewed=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
     return new
-
-
-def _is_number(k: Any, count: int) -> bool:
-    """Whether this is a whole number from 0 to below ``count``."""
-    return isinstance(k, int | np.integer) and not isinstance(k, bool) and 0 <= int(k) < count
 
 
 def _part(measurements: Measurements, steps: list[int], size: int) -> Measurements:

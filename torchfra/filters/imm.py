@@ -158,8 +158,8 @@ class IMM(Filter[IMMState]):
         if self.subset is not None:
             active = self.subset.begin(belief.mean)
             count = active.shape[-2]
-            even = belief.mean.new_full((*batch, count), -math.log(count))
-            return IMMState(belief, self.inner.begin(repeated(belief, count)), even, active)
+            uniform = belief.mean.new_full((*batch, count), -math.log(count))
+            return IMMState(belief, self.inner.begin(repeated(belief, count)), uniform, active)
         count = len(self.motion)
         assert self.initial is not None
         initial = self.initial(belief.mean).log().expand((*batch, count))
@@ -266,9 +266,9 @@ class IMM(Filter[IMMState]):
         if self.subset is None:
             return self.log_transition(like, step.frame.dt), for_each_model(step.frame)
         was, now = step.past.active, step.next.active
-        goes_on = (was * now).sum(-1)  # a model that stays active keeps its place
+        stays_active = (was * now).sum(-1)  # a model that stays active keeps its place
         every = self.probabilities(like, step.frame.dt)
-        matrix = over_time_step(safe_log(self.subset.matrix(every, was, now, goes_on)), step.frame.dt)
+        matrix = over_time_step(safe_log(self.subset.matrix(every, was, now, stays_active)), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:

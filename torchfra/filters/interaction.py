@@ -45,7 +45,7 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
     state, record = inner.advance(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
-    # By the evidence of a robust filter: one outlier shall not decide between the models.
+    # A robust filter weighs models by its evidence: otherwise one outlier would decide between them.
     log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
     roots, total = share_roots(log_weights.movedim(-1, 0))
     log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)

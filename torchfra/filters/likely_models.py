@@ -71,7 +71,7 @@ class LikelyModels(nn.Module):
         if len(self.calls) != count:
             raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(self.calls)}")
         if initial is not None:
-            raise ValueError(f"initial: expected None beside a subset, which begins evenly, received {initial}")
+            raise ValueError(f"initial: expected None beside a subset, which starts uniformly, received {initial}")
         if transition is None:
             raise ValueError("transition: expected one beside a subset, received None")
         transition = as_numbers(transition, "transition").double()
@@ -92,11 +92,11 @@ class LikelyModels(nn.Module):
             dt: ``(...)`` seconds; where it is 0 the set stays.
             transition: ``(..., K, K)`` between all models.
         """
-        after, goes_on = self.choose(active, log_weights)
+        after, stays_active = self.choose(active, log_weights)
         instant = (dt == 0).unsqueeze(-1)
         after = torch.where(instant.unsqueeze(-1), active, after)
-        goes_on = torch.where(instant, torch.ones_like(goes_on), goes_on)
-        return after, over_time_step(safe_log(self.matrix(transition, active, after, goes_on)), dt)
+        stays_active = torch.where(instant, torch.ones_like(stays_active), stays_active)
+        return after, over_time_step(safe_log(self.matrix(transition, active, after, stays_active)), dt)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model stays active.
@@ -117,22 +117,22 @@ class LikelyModels(nn.Module):
         before = torch.ones_like(self.calls).tril(-1).to(weight)  # of equal scores the first in the bank comes first
         rank = ((other > mine).to(weight) + (other == mine).to(weight) * before).sum(-1)
         chosen = (rank < active.shape[-2]).to(weight)
-        goes_on = (active @ chosen.unsqueeze(-1)).squeeze(-1)
-        new, free = chosen * (1 - runs), 1 - goes_on
+        stays_active = (active @ chosen.unsqueeze(-1)).squeeze(-1)
+        new, free = chosen * (1 - runs), 1 - stays_active
         # The first new model takes the first free place, and so on.
         paired = (_counted(new).unsqueeze(-2) == _counted(free).unsqueeze(-1)).to(weight)
-        return goes_on.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * paired, goes_on
+        return stays_active.unsqueeze(-1) * active + (free.unsqueeze(-1) * new.unsqueeze(-2)) * paired, stays_active
 
-    def matrix(self, every: Tensor, was: Tensor, now: Tensor, goes_on: Tensor) -> Tensor:
+    def matrix(self, every: Tensor, was: Tensor, now: Tensor, stays_active: Tensor) -> Tensor:
         """``P(now j | was i) (..., A, A)`` between two sets ``(..., A, K)``, from that between all models.
 
         It is eq. (4) where the transition to all other models is uniform.
         """
         diagonal = every.diagonal(dim1=-2, dim2=-1)
         others = was @ (every - diagonal.diag_embed()) @ now.mT
-        stay = goes_on * (was @ diagonal.unsqueeze(-1)).squeeze(-1)
-        left = safe_divide(1 - stay, others.sum(-1))
-        matrix: Tensor = stay.diag_embed() + left.unsqueeze(-1) * others
+        stay = stays_active * (was @ diagonal.unsqueeze(-1)).squeeze(-1)
+        scale = safe_divide(1 - stay, others.sum(-1))  # the rest of each row, in proportion
+        matrix: Tensor = stay.diag_embed() + scale.unsqueeze(-1) * others
         return matrix
 
 

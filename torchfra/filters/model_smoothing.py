@@ -93,10 +93,10 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     share, of_carried = (joint - joint.logsumexp(-2, keepdim=True) for joint in of_pairs)
     before, carried = (repeated(models_first(x.inner.belief), share.shape[-1]) for x in (step.past, step.carried))
     mixed = moment_match(carried, of_carried.movedim(-2, 0), inner.motion.angles)  # (was, ..., now) before
-    frame = adapted(step.frame, mixed.mean)  # as the filter has adapted it
+    frame = adapted(step.frame, mixed.mean)  # shift and process noise of the forward pass
     predicted, _ = inner.carry(mixed, frame, step.next.factor).belief()
     difference = inner.motion.difference
-    # What later measurements add to a prediction, they add to every model before that leads to it.
+    # The information of later measurements on a prediction updates every model before that leads to it.
     later = future(predicted, after.belief, difference)
     each, fit = later.update(inner.carry(before, frame, step.next.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
@@ -105,10 +105,10 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     back = Gaussian(each.mean.movedim(-2, 0), each.scale_tril.movedim(-3, 0))  # (now, was, ...)
     updated = moment_match(back, (joint - log_weights.unsqueeze(-1)).movedim((-1, -2), (0, 1)))
     updated = Gaussian(updated.mean.movedim(0, -2), updated.scale_tril.movedim(0, -3))
-    return Models(inside(step.past.inner.belief, updated), log_weights)
+    return Models(unwhitened(step.past.inner.belief, updated), log_weights)
 
 
-def inside(belief: Gaussian, updated: Gaussian) -> Gaussian:
+def unwhitened(belief: Gaussian, updated: Gaussian) -> Gaussian:
     """The belief ``(..., n)`` that ``updated`` describes in units of the root of ``belief``."""
     mean, root = belief
     return Gaussian(mean + apply(root, updated.mean), root @ updated.scale_tril)  # lower roots: so is their product

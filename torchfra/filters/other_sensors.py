@@ -17,17 +17,17 @@ _VIEWS = 32
 
 
 class View:
-    """Mixed into a view of a filter around another sensor; its states are those of that filter, its ``home``.
+    """Mixed into a view of a filter around another sensor; its states are those of the ``viewed`` filter.
 
     The memory of a filter (of recent innovations, of outliers in the last measurement) is of its own sensor: a step of
     a view neither uses nor changes it.
     """
 
-    home: Any = None
+    viewed: Any = None
 
     def begin(self, belief: Gaussian) -> Any:
         """The state of a belief."""
-        return self.home.begin(belief)
+        return self.viewed.begin(belief)
 
     def advance(self, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Any]:
         """One step, from a state with an empty memory; the next state has the memory of the one before."""
@@ -36,8 +36,8 @@ class View:
         return parent.with_memory_of(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Any:
-        """A view of the home filter around another sensor."""
-        return self.home.with_sensor(sensor)
+        """A view of the viewed filter around another sensor."""
+        return self.viewed.with_sensor(sensor)
 
 
 class SensorViews:
@@ -56,7 +56,7 @@ class SensorViews:
             check_models(f.motion, sensor)
             parts = f.parts_for(sensor)
             view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
-            view.__dict__.update(home=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
+            view.__dict__.update(viewed=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
             if len(self._views) == _VIEWS:  # the one that was used least recently goes
                 self._views.pop(next(iter(self._views)))
         self._views[id(sensor)] = view

@@ -21,9 +21,9 @@ def protection_level(
 ) -> Tensor:
     """Radius around the estimated position, m, that the error exceeds with a probability of ``risk`` at most.
 
-    It takes all hypotheses of the filter, each with its own mean, covariance and probability, and is valid if models
-    and noise are.  No filter detects a sensor's error that grows as slowly as the sensor's own drift: ``fault`` states
-    how often there is such an error and how large it is, and the whole of it is taken to be in the estimate.
+    It takes all hypotheses of the filter, each with its own mean, covariance and probability, and holds if motion and
+    noise are as stated.  No filter detects a sensor's error that grows as slowly as the sensor's own drift: ``fault``
+    states how often there is such an error and how large it is, and all of it counts as an error of the estimate.
 
     Args:
         f: the filter, of a motion whose state has a position in metres, of 1 to 3 dimensions.
@@ -39,7 +39,7 @@ def protection_level(
 
     Raises:
         ValueError: a motion without such a position, a risk or a fault out of its range, an estimate without its past,
-            or no estimate and no state.
+            or an argument that is neither an estimate nor a state.
 
     Source: Blanch, Walter, Enge et al. (2015), "Baseline Advanced RAIM User Algorithm and Possible Improvements", eqs.
     (28)-(30), for levels of several hypotheses.  Differs: hypotheses are weighed by what has been measured.

@@ -89,7 +89,7 @@ class SRCKF(Filter[State]):
         self.fading = NoFading() if fading is None else fading
         self.noise = NominalNoise() if noise is None else noise
         check_parts(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
-        self.fading = self.fading.of(motion)
+        self.fading = self.fading.for_motion(motion)
         if self.signed and not self.fading.plain:
             raise ValueError("rule: expected one without negative weights beside fading factors")
         others = [name for name in ("robust", "fading") if not getattr(self, name).plain]

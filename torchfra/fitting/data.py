@@ -136,14 +136,16 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
     """Single tracks, or batches of them, one after the other, padded to the longest."""
     if any(set(item) != set(items[0]) for item in items):
         raise ValueError(f"data: expected the same names in each item, received {[sorted(item) for item in items[:3]]}")
-    parts = [_alike(item, rank) for item in items]
+    parts = [_batched(item, rank) for item in items]
     if any(part["z"].shape[2:] != parts[0]["z"].shape[2:] for part in parts):
         received = sorted({tuple(part["z"].shape[2:]) for part in parts})
         raise ValueError(f"z: expected measurements of one size in all items, received {received}")
     longest = max(part["z"].shape[1] for part in parts)
     fills = {"z": math.nan, "truth": math.nan, "dt": 1.0, "u": 0.0}
     whole: dict[str, Any] = {
-        name: torch.cat([_long(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts])
+        name: torch.cat(
+            [_lengthened(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts]
+        )
         for name, fill in fills.items()
         if name in parts[0]
     }
@@ -152,27 +154,27 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
     return whole
 
 
-def _alike(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
-    """A track or a batch of them with the batch first, and nothing left to broadcast."""
+def _batched(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
+    """A track or a batch of them as a batch, whose tensors are all expanded to it."""
     z, scans = torch.as_tensor(item["z"]), rank - 3
     many = z.dim() == rank
     z = z if many else z.unsqueeze(0)
     count, steps = z.shape[:2]
-    alike = {"z": z}
+    batch = {"z": z}
     if "dt" in item:
         dt = torch.as_tensor(item["dt"], dtype=torch.float64)
         each = many and dt.dim() == 1 and len(dt) == count  # a loader has put the numbers of its tracks together
-        alike["dt"] = _expanded("dt", dt.unsqueeze(-1) if each else dt, (count, steps))
+        batch["dt"] = _expanded("dt", dt.unsqueeze(-1) if each else dt, (count, steps))
     if "u" in item:
-        alike["u"] = _expanded("u", torch.as_tensor(item["u"]), (count, steps, -1))
+        batch["u"] = _expanded("u", torch.as_tensor(item["u"]), (count, steps, -1))
     if "truth" in item:
         truth = torch.as_tensor(item["truth"])
-        alike["truth"] = truth if many else truth.unsqueeze(0)
+        batch["truth"] = truth if many else truth.unsqueeze(0)
     if "prior" in item:
         mean, root = _belief(item["prior"])
-        alike["mean"] = mean.expand(count, *mean.shape[mean.dim() - 1 - scans :])
-        alike["root"] = root.expand(*alike["mean"].shape, mean.shape[-1])
-    return alike
+        batch["mean"] = mean.expand(count, *mean.shape[mean.dim() - 1 - scans :])
+        batch["root"] = root.expand(*batch["mean"].shape, mean.shape[-1])
+    return batch
 
 
 def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -186,7 +188,7 @@ def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
     except RuntimeError:
         letters = "(N, T)" if len(shape) == 2 else "(N, T, k)"
         received = f"{tuple(x.shape)} for N, T = {shape[:2]}"
-        raise ValueError(f"{name}: expected what broadcasts to {letters}, received {received}") from None
+        raise ValueError(f"{name}: expected a shape that broadcasts to {letters}, received {received}") from None
 
 
 def _belief(prior: Any) -> tuple[Tensor, Tensor]:
@@ -201,7 +203,7 @@ def _belief(prior: Any) -> tuple[Tensor, Tensor]:
     return mean, root
 
 
-def _long(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
+def _lengthened(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
     """The tensor, padded to ``longest`` steps."""
     more = list(x.shape)
     more[time] = longest - x.shape[time]
@@ -288,7 +290,7 @@ def _from_first_measurement(
     complete = ~z.isnan().any(-1)
     if not bool(complete.any(1).all()):
         lacking = (~complete.any(1)).nonzero().flatten().tolist()
-        raise ValueError(f"data: expected a whole measurement in each track, received none in tracks {lacking[:5]}")
+        raise ValueError(f"data: expected a complete measurement in each track, received none in tracks {lacking[:5]}")
     steps = torch.arange(z.shape[1], device=z.device) + complete.to(torch.int8).argmax(1, keepdim=True)  # (N, T)
     over, steps = steps >= z.shape[1], steps.clamp_max(z.shape[1] - 1)
 

@@ -93,20 +93,21 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     low, high = vector.intervals(raw, covariance)
     return Certainty(
         covariance, vector.errors(raw, covariance), low, high, (2 * reach < WIDEST).tolist(), condition,
-        _words(vector, vector.directions @ axes[:, 0], inner, axes[:, 0]), float(curvature.gradient_size[0, 0]),
+        _words(vector, axes[:, 0], inner), float(curvature.gradient_size[0, 0]),
         float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
     )  # fmt: skip
 
 
-def _words(vector: Vector, axis: Tensor, inner: Tensor, inside: Tensor) -> str:
-    """A direction in words: the values that change in it, in the order of the vector, and its standard error.
+def _words(vector: Vector, axis: Tensor, covariance: Tensor) -> str:
+    """A direction ``axis (Q,)`` in words: the values that change, in the vector's order, and its standard error.
 
     The sign of an eigenvector is arbitrary, and equal shares have no order: the first value that changes goes up.
     """
-    shares = axis / axis.abs().max()
+    change = vector.directions @ axis
+    shares = change / change.abs().max()
     main = [(share, name) for share, name in zip(shares.tolist(), vector.names, strict=True) if abs(share) > 0.3]
     words = ", ".join(f"{name} {'up' if share * main[0][0] > 0 else 'down'}" for share, name in main)
-    error = float((inside @ inner @ inside).clamp_min(0).sqrt())
+    error = float((axis @ covariance @ axis).clamp_min(0).sqrt())
     return f"{words}: standard error {error:.2g} in unconstrained values"
 
 
@@ -157,8 +158,8 @@ def profile(
         reach: standard errors to either side.
 
     Raises:
-        ValueError: an unknown name, one of odds that sum to one, or a value without a standard error; ``points`` or
-            ``reach`` out of range.
+        ValueError: an unknown name, a probability of several that sum to one, or a value without a standard error;
+            ``points`` or ``reach`` out of range.
     """
     vector = sums.objective.vector
     if not is_integer(points, 2) or not as_number(reach) > 0:

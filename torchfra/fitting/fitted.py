@@ -19,7 +19,7 @@ from torchfra.fitting.judging import HeldOutComparison, Judged, judged
 from torchfra.fitting.newton import Sums
 from torchfra.fitting.objective import Objective
 from torchfra.running.atomic_write import write_json
-from torchfra.running.pictures import picture_form
+from torchfra.running.pictures import picture_format
 from torchfra.running.versions import versions
 from torchfra.tables import text_table
 
@@ -167,7 +167,7 @@ class Fitted:
             OSError: it cannot be written.
         """
         if path is not None:
-            picture_form(path)
+            picture_format(path)
         from torchfra import plotting
 
         title = f"fit by {self.settings.loss}, seed {self.settings.seed}"

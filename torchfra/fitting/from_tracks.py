@@ -72,7 +72,7 @@ def fit(
         errors: ``"hessian"`` (the default for likelihoods) or ``"sandwich"`` (for all others).
         compile: whether the filter runs as compiled kernels; None where it can, and a note says where it cannot.
         checkpoint: where the descent is kept, to ``resume`` from after an interruption.
-        resume: whether to go on from there, to the same bits.
+        resume: whether to go on from there, with bit-equal results.
         seed: of the split, minibatches, starts and resamples, and of what is simulated.
         quiet: whether to show no progress bar (there is none where standard error is no terminal).
 
@@ -150,12 +150,12 @@ def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
         raise ValueError(f"checkpoint: expected the name of a file, received {checkpoint!r}")
     path = None if checkpoint is None else Path(checkpoint)
     if path is not None and not resume and checkpoints.found(path):
-        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True goes on with it")
+        raise ValueError(f"checkpoint: {path} holds a fit already: resume=True continues it")
     return path
 
 
 def _descend(descent: Descent, path: Path | None, resume: bool, key: str, quiet: bool) -> None:
-    """Until the last iteration, or until validation has long not improved.
+    """Descends until the last iteration, or until validation has not improved for ``patience`` times.
 
     Raises:
         ValueError: the checkpoint is of another fit.
@@ -184,16 +184,20 @@ def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tup
     """Tracks whose losses are not chaotic, the values where the sum of their losses is least, and notes on both."""
     raw, count = best, len(sums.batch.z)
     for _ in range(2):
-        calm = sums.calm(raw[None, None])
-        sums = Sums(sums.objective, sums.batch.rows(calm), sums.directions)
+        regular = sums.not_chaotic(raw[None, None])
+        sums = Sums(sums.objective, sums.batch.rows(regular), sums.directions)
         raw = minimised(sums, best[None, None])[0][0, 0] if settings.polish else best
-    wild = count - len(sums.batch.z)
-    notes = [f"{wild} tracks whose loss is chaotic do not count in the last steps and standard errors"] if wild else []
+    chaotic = count - len(sums.batch.z)
+    notes = (
+        [f"{chaotic} tracks whose loss is chaotic do not count in the last steps and standard errors"]
+        if chaotic
+        else []
+    )
     one, other = (sums.objective.losses(x[None, None], valid)[0] for x in (best, raw))
     change = other - one
     error = change.std(correction=0) / len(change) ** 0.5
     if not bool(change.isfinite().all()) or (len(change) > 2 and bool(change.mean() > WORSE * error)):
-        return sums, best, [*notes, "validation speaks against the last steps: values are those of the best validation"]
+        return sums, best, [*notes, "the last steps made validation worse: values are those of the best validation"]
     return sums, raw, notes
 
 

@@ -91,7 +91,7 @@ class Sums:
         change = (gradient[:, 1 : count + 1] - gradient[:, count + 1 :]).movedim(1, 2) / (2 * STEP)
         return loss.unflatten(0, (len(raw), -1))[:, 0], gradient[:, 0], (change + change.mT) / 2
 
-    def calm(self, raw: Tensor) -> Tensor:
+    def not_chaotic(self, raw: Tensor) -> Tensor:
         """``(N,)`` bool: whether the curvature of each track's loss is near that of the others, at ``raw (1, G, P)``.
 
         The loss of a track on which the filter nearly diverges can change by any amount over a tiny change of the
@@ -100,8 +100,8 @@ class Sums:
         hessians = self.of_tracks(raw)[2][0]
         scale = hessians.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
         size = torch.linalg.matrix_norm(hessians / scale / scale.unsqueeze(-1))
-        calm: Tensor = size <= CHAOTIC * size.nanmedian()
-        return calm
+        regular: Tensor = size <= CHAOTIC * size.nanmedian()
+        return regular
 
     def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
         """``(R, G, k)`` of ``x (R, N, k)``."""
@@ -118,8 +118,8 @@ def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
     Directions of negative curvature are followed downhill.  A problem stays where no step lowers its sum.
 
     Args:
-        sums: what is made small.
-        raw: ``(R, G, P)`` where to begin.
+        sums: the losses.
+        raw: ``(R, G, P)`` where the minimisation begins.
     """
     curvature = sums.curvature(raw)
     for _ in range(ITERATIONS):

@@ -82,7 +82,7 @@ class Vector:
         """One number's natural values as unconstrained ones ``(K,)``.
 
         Raises:
-            ValueError: an unknown name, odds that sum to one, or a value out of its range.
+            ValueError: an unknown name, a probability of several that sum to one, or a value out of its range.
         """
         path = name.partition("[")[0]
         if name not in self.names or self.hypers[path].constraint is constraints.simplex:
@@ -101,7 +101,7 @@ class Vector:
         """``(P,)`` each: 95 % intervals in natural units, those of the unconstrained values transformed."""
         reach = NORMAL_95 * covariance.diagonal().clamp_min(0).sqrt()
         ends = self.natural(raw - reach), self.natural(raw + reach)
-        shares = self.natural(raw)  # of what sums to one: an interval of its log odds
+        shares = self.natural(raw)  # probabilities that sum to one have an interval of their log odds
         wide = NORMAL_95 * self.errors(raw, covariance) / (shares * (1 - shares)).clamp_min(1e-300)
         logit = torch.logit(shares)
         odds = torch.sigmoid(logit - wide), torch.sigmoid(logit + wide)
@@ -120,7 +120,7 @@ def copied(f: F, learn: Collection[str] | None) -> F:
     """A copy whose values of these names learn, and no others.
 
     Raises:
-        ValueError: no filter, or names that are none.
+        ValueError: not a filter, or unknown names.
     """
     if not isinstance(f, Filter):
         raise ValueError(f"filter: expected a filter, received {type(f).__name__}")

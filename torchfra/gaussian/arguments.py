@@ -67,7 +67,7 @@ def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -
     """Checks that ``belief`` is a Gaussian in single or double precision, of ``size`` components if that is not None.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: it is not.
     """
     if not isinstance(belief, Gaussian):
         hint = "take torchfra.Gaussian(mean, scale_tril), a mean and a root of the covariance"

@@ -30,7 +30,7 @@ def third_degree(n: int) -> SigmaPoints:
 def unscented(alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0) -> Callable[[int], SigmaPoints]:
     """Scaled unscented transform: ``2 n`` points at ``alpha sqrt(n + kappa)`` and a centre.
 
-    The centre's weight in the covariance may be negative as long as ``beta >= alpha^2``; otherwise it must not be.
+    The centre's weight in the covariance may be negative only if ``beta >= alpha^2``.
     ``unscented(1, 0, 0)`` is ``third_degree``.
 
     Raises:
@@ -56,7 +56,7 @@ def unscented(alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0) -> Call
 
 
 def fifth_degree(n: int) -> SigmaPoints:
-    """Fifth-degree fully symmetric rule: ``2 n^2 + 1`` points whose distance does not grow with ``n``.
+    """Fifth-degree fully symmetric rule: ``2 n^2 + 1`` points whose distance from the centre is the same for any ``n``.
 
     A centre, ``2 n`` points at ``sqrt(3)`` on the axes and ``2 n (n - 1)`` on their diagonals: 3-point Gauss-Hermite
     for n = 1, its product for n = 2.  From n = 5 on the weights on the axes are negative.

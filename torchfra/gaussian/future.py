@@ -23,7 +23,7 @@ class Future(NamedTuple):
     """``value = slope (x - origin) + N(0, I)`` for a state ``x (..., n)``.
 
     Its likelihood, as a function of the state, is that of all later measurements up to a factor: the likelihood which
-    the backward filter of two-filter smoothing carries.
+    the backward filter of two-filter smoothing carries (Fraser & Potter 1969).
     """
 
     origin: Tensor
@@ -89,7 +89,7 @@ def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = tor
     root, certain = invertible(predicted.scale_tril, 4 * predicted.mean.shape[-1])
     gap = difference(smoothed.mean, predicted.mean).unsqueeze(-1)
     later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
-    inside = torch.linalg.solve_triangular(root, later, upper=False)
-    slope, weight = gram_information(inside[..., 1:])
-    outside = torch.linalg.solve_triangular(root.mT, slope, upper=True).mT  # slope is symmetric
-    return Future(predicted.mean, torch.where(certain.unsqueeze(-2), 0.0, outside), apply(weight, inside[..., 0]))
+    whitened = torch.linalg.solve_triangular(root, later, upper=False)  # [w, W]
+    slope, weight = gram_information(whitened[..., 1:])
+    of_state = torch.linalg.solve_triangular(root.mT, slope, upper=True).mT  # slope is symmetric
+    return Future(predicted.mean, torch.where(certain.unsqueeze(-2), 0.0, of_state), apply(weight, whitened[..., 0]))

@@ -90,14 +90,14 @@ class SigmaPoints(nn.Module):
     @staticmethod
     def _root(gram: Tensor, points: Tensor) -> Tensor:
         """``[rest, slope] (p, r + n)`` of a positive Gram matrix."""
-        power, basis = torch.linalg.eigh(gram)
-        if power[0] < -1e-12 * power[-1]:
+        eigenvalues, basis = torch.linalg.eigh(gram)
+        if eigenvalues[0] < -1e-12 * eigenvalues[-1]:
             raise ValueError(
-                "the centre's weight in the covariance is too negative for a root: choose beta >= alpha^2, or a larger "
-                "kappa"
+                "weights: expected a centre whose weight leaves the covariance a real root, received one that is too "
+                "negative: take beta >= alpha^2, or a larger kappa"
             )
-        there = power > 1e-12 * power[-1]  # equal weights that sum to one leave nothing in one direction
-        root = basis[:, there] * power[there].sqrt()
+        there = eigenvalues > 1e-12 * eigenvalues[-1]  # equal weights that sum to one leave nothing in one direction
+        root = basis[:, there] * eigenvalues[there].sqrt()
         # Of all roots, one whose first n columns are the slope: they correlate with the points, the others do not.
         turn = torch.linalg.qr((points @ root).mT, mode="complete").Q
         root = root @ turn
@@ -109,10 +109,10 @@ class SigmaPoints(nn.Module):
     def _split(self, gram: Tensor, points: Tensor, weights: Tensor) -> Tensor:
         """``[rest, slope]`` of an indefinite Gram matrix, whose negative part goes into ``minus``."""
         slope = weights.unsqueeze(-1) * points.mT
-        power, basis = torch.linalg.eigh(gram - slope @ slope.mT)
-        small = 1e-12 * power.abs().max()
-        self.minus = (basis * power.clamp_max(0.0).abs().sqrt())[:, power < -small]
-        return torch.cat([(basis * power.clamp_min(0.0).sqrt())[:, power > small], slope], 1)
+        eigenvalues, basis = torch.linalg.eigh(gram - slope @ slope.mT)
+        small = 1e-12 * eigenvalues.abs().max()
+        self.minus = (basis * eigenvalues.clamp_max(0.0).abs().sqrt())[:, eigenvalues < -small]
+        return torch.cat([(basis * eigenvalues.clamp_min(0.0).sqrt())[:, eigenvalues > small], slope], 1)
 
     def marginal(self, d: int) -> SigmaPoints:
         """The points projected on the first ``d`` components; points that coincide become one."""

@@ -24,7 +24,7 @@ def smooth_step(
         x ~ mean + G (x_after - predicted) + L22 e   with  e ~ N(0, I),
 
     so that the smoothed root is ``tria([L22, G S_after])``.  For a nonlinear motion ``F S`` is the rule's slope, and
-    what does not follow the belief stands beside the process noise.
+    the linearisation error counts as process noise.
 
     A direction in which the prediction is certain (a pivot of ``S-`` at the level of rounding errors) carries no
     information: the gain is that of a pseudo-inverse, and its column of ``L21`` stays in ``L22``.
@@ -49,11 +49,11 @@ def smooth_step(
         root, repaired = downdate(tria(columns[..., :-n]), carried.subtracted)
         columns = hstack(root, columns[..., -n:])
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
-    root, cross, left, certain = _split(torch.cat([columns, now], -2), n)
+    root, cross, remainder, certain = _split(torch.cat([columns, now], -2), n)
     gap = difference(after.mean, carried.mean).unsqueeze(-1)
     later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, after.scale_tril))
     gained = cross @ torch.linalg.solve_triangular(root, later, upper=False)  # G [x_after - predicted, S_after]
-    return Gaussian(belief.mean + gained[..., 0], tria(hstack(left, gained[..., 1:]))), repaired
+    return Gaussian(belief.mean + gained[..., 0], tria(hstack(remainder, gained[..., 1:]))), repaired
 
 
 def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -65,10 +65,10 @@ def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     if is_elementary():
         return eliminated(joint, n, _rounding(terms, joint.dtype))  # L22 need not be a triangle
     lower = tria(joint)
-    cross, left = lower[..., n:, :n], lower[..., n:, n:]
+    cross, remainder = lower[..., n:, :n], lower[..., n:, n:]
     root, certain = invertible(lower[..., :n, :n], terms)
     columns = certain.unsqueeze(-2)
-    return root, torch.where(columns, 0.0, cross), hstack(left, torch.where(columns, cross, 0.0)), certain
+    return root, torch.where(columns, 0.0, cross), hstack(remainder, torch.where(columns, cross, 0.0)), certain
 
 
 def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:

@@ -25,19 +25,19 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
         values coincide (where the gradient of an SVD is infinite).
     """
     h = _finite(h)
-    u, power = _left_singular(h.detach())
+    u, eigenvalues = _left_singular(h.detach())
     threshold = max(rcond, max(h.shape[-2:]) * torch.finfo(h.dtype).eps)
-    kept = power > threshold**2 * power.amax(-1, keepdim=True)
-    inverse = safe_divide(1.0, torch.where(kept, power, 0.0))
-    return _of_gram(h, u, power, inverse, kept, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
+    kept = eigenvalues > threshold**2 * eigenvalues.amax(-1, keepdim=True)
+    inverse = safe_divide(1.0, torch.where(kept, eigenvalues, 0.0))
+    return _of_gram(h, u, eigenvalues, inverse, kept, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
 
 
 def gram_sqrt(h: Tensor) -> Tensor:
     """Symmetric square root ``(H H^T)^(1/2)`` of ``h (..., m, d)`` with full row rank; its gradient is exact."""
-    u, power = _left_singular(h.detach())
-    sigma = power.sqrt()
+    u, eigenvalues = _left_singular(h.detach())
+    sigma = eigenvalues.sqrt()
     slope = safe_divide(1.0, sigma.unsqueeze(-1) + sigma.unsqueeze(-2), fill=1.0)
-    return _of_gram(h, u, power, sigma, power > 0, slope)
+    return _of_gram(h, u, eigenvalues, sigma, eigenvalues > 0, slope)
 
 
 @batchwise(2)
@@ -53,14 +53,14 @@ def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
         rounding error.  The gradient is exact as long as no eigenvalue crosses that.
     """
     h = _finite(h)
-    u, power = _left_singular(h.detach())
-    kept = (power > 0) & (power < 1 - torch.finfo(h.dtype).eps ** 0.5)
-    inside = torch.where(kept, power, 0.5)
+    u, eigenvalues = _left_singular(h.detach())
+    kept = (eigenvalues > 0) & (eigenvalues < 1 - torch.finfo(h.dtype).eps ** 0.5)
+    inside = torch.where(kept, eigenvalues, 0.5)
     root, share = (1 / inside - 1).sqrt(), (inside - inside.square()).sqrt()
 
     def function(value: Tensor, slope: Tensor) -> Tensor:
         both = kept.unsqueeze(-1) & kept.unsqueeze(-2)
-        return _of_gram(h, u, power, torch.where(kept, value, 0.0), kept, torch.where(both, slope, 0.0))
+        return _of_gram(h, u, eigenvalues, torch.where(kept, value, 0.0), kept, torch.where(both, slope, 0.0))
 
     # Divided differences of a(p) = sqrt(1 / p - 1) and of 1 / s(p), s(p) = sqrt(p - p^2), between p and q, with
     # b = a(q) and t = s(q); without the difference p - q, in which digits would be lost.
@@ -89,11 +89,11 @@ def downdate(root: Tensor, subtracted: Tensor) -> tuple[Tensor, Tensor]:
     certain = root.diagonal(dim1=-2, dim2=-1) == 0
     invertible = root + torch.diag_embed(certain.to(root))
     h = torch.linalg.solve_triangular(invertible, torch.where(certain.unsqueeze(-1), 0.0, subtracted), upper=False)
-    u, power = _left_singular(_finite(h).detach())
-    kept = 1 - power > _LEAST
-    remaining = torch.where(kept, 1 - power, _LEAST).sqrt()
+    u, eigenvalues = _left_singular(_finite(h).detach())
+    kept = 1 - eigenvalues > _LEAST
+    remaining = torch.where(kept, 1 - eigenvalues, _LEAST).sqrt()
     slope = -kept.to(remaining).unsqueeze(-1) / (remaining.unsqueeze(-1) + remaining.unsqueeze(-2))
-    return tria(root @ _of_gram(h, u, power, remaining, kept, slope)), ~kept.all(-1)
+    return tria(root @ _of_gram(h, u, eigenvalues, remaining, kept, slope)), ~kept.all(-1)
 
 
 def _finite(h: Tensor) -> Tensor:
@@ -101,19 +101,19 @@ def _finite(h: Tensor) -> Tensor:
     return torch.where(h.isfinite().flatten(-2).all(-1)[..., None, None], h, 0.0)
 
 
-def _of_gram(h: Tensor, u: Tensor, power: Tensor, value: Tensor, kept: Tensor, slope: Tensor) -> Tensor:
-    """``u diag(value) u^T``, a matrix function of ``H H^T = u diag(power) u^T``, with its gradient with respect to H.
+def _of_gram(h: Tensor, u: Tensor, eigenvalues: Tensor, value: Tensor, kept: Tensor, slope: Tensor) -> Tensor:
+    """``u diag(value) u^T``, a function of ``H H^T = u diag(eigenvalues) u^T``, with its gradient with respect to H.
 
     Args:
         h: ``(..., m, d)``; the gradient flows to it.
         u: ``(..., m, m)`` eigenvectors, detached.
-        power: ``(..., m)`` eigenvalues, detached.
+        eigenvalues: ``(..., m)``, detached.
         value: ``(..., m)`` the function of the eigenvalues.
         kept: ``(..., m)`` bool, which eigenvalues the function depends on; of the others it is constant.
         slope: ``(..., m, m)`` divided differences of the function between two eigenvalues that are both kept or both
             not; they are the derivative of a matrix function in its eigenbasis (Daleckii-Krein).
     """
-    gap = power.unsqueeze(-1) - power.unsqueeze(-2)
+    gap = eigenvalues.unsqueeze(-1) - eigenvalues.unsqueeze(-2)
     mixed = kept.unsqueeze(-1) != kept.unsqueeze(-2)
     jump = safe_divide(value.unsqueeze(-1) - value.unsqueeze(-2), gap)
     gram = h @ h.mT
@@ -123,7 +123,7 @@ def _of_gram(h: Tensor, u: Tensor, power: Tensor, value: Tensor, kept: Tensor, s
 
 
 def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
-    """Left singular vectors ``(..., m, m)`` and squared singular values ``(..., m)`` of ``h (..., m, d)``."""
+    """Eigenvectors ``(..., m, m)`` and eigenvalues ``(..., m)`` of ``H H^T``, from the singular values of ``H``."""
     m = h.shape[-2]
     if not (is_elementary() or ((h.is_cuda or torch.compiler.is_compiling()) and m <= 3)):
         u, sigma, _ = torch.linalg.svd(h, full_matrices=True)

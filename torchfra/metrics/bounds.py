@@ -24,9 +24,9 @@ def cramer_rao(start: Tensor, transition: Tensor, process_noise: Tensor | None, 
     ``v`` has been whitened: by its root where it is Gaussian, by that of its Fisher information where it is not.  All
     that depends on the state is taken at ``R`` truths.
 
-    - Of truths that are drawn with the process noise it is the posterior bound: the information of a step is the mean
-      over the truths.
-    - With ``R = 1`` and no process noise it is the parametric bound of this one path, for estimators without bias.
+    - For truths drawn with the process noise it is the posterior bound: the information of a step is the mean over the
+      truths.
+    - For ``R = 1`` and no process noise it is the parametric bound of this one path, for unbiased estimators.
 
     For linear motions it is the covariance of the Kalman filter.  The process noise may have any rank.  Where it is
     zero in a direction in which ``f`` is not linear, the bound counts that direction as known.

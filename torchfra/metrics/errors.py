@@ -51,7 +51,7 @@ def diverged(mean: Tensor, truth: Tensor, states: slice, limit: float = 2000.0) 
 
 
 def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tensor:
-    """Normalised estimation error squared ``(..., T)``; its mean is the number of components if covariances are honest.
+    """Normalised estimation error squared ``(..., T)``; for a consistent filter its mean is the number of components.
 
     Args:
         estimate: of tracks ``(..., T, n)``.

@@ -47,9 +47,9 @@ class Lives(NamedTuple):
 def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) -> Lives:
     """How each target is followed over its life.
 
-    In each scan a track goes on following the target it followed in the last one while both are there and closer than
-    ``cutoff``; of all others as many as possible that are closer than that are assigned to each other, the sum of
-    their distances the least.
+    In each scan a track keeps following the target that it followed in the last one, while both exist and are closer
+    than ``cutoff``.  The other tracks and targets are assigned to each other: as many pairs closer than ``cutoff`` as
+    possible, with the least sum of distances.
 
     Args:
         mean: ``(..., N, T, n)`` estimates, each of one identity; NaN where it does not exist.

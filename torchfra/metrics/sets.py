@@ -155,7 +155,7 @@ def _assigned(pairs: Tensor, limit: float, within: bool = False) -> tuple[Tensor
 
 
 def linear_sum_assignment() -> Any:
-    """The function of that name.
+    """``scipy.optimize.linear_sum_assignment``, imported when it is first needed.
 
     Raises:
         ImportError: scipy is not installed.

@@ -29,7 +29,7 @@ class Interval(NamedTuple):
 def mean_interval(values: Any) -> Interval:
     """The mean of independent values ``(N,)`` with Student's interval.
 
-    NaN does not count; infinite values make the mean infinite, and of fewer than two values there is no interval (NaN).
+    NaN does not count; infinite values make the mean infinite, and fewer than two values have no interval (NaN).
     """
     x = _known(values)
     if len(x) == 0:
@@ -37,16 +37,16 @@ def mean_interval(values: Any) -> Interval:
     mean = float(x.mean())
     if len(x) < 2 or not math.isfinite(mean):
         return Interval(mean, math.nan, math.nan)
-    with np.errstate(over="ignore"):  # of errors whose squares are no numbers any more the interval has no end
+    with np.errstate(over="ignore"):  # where squares overflow the interval is infinite
         half = student_quantile((1 + LEVEL) / 2, len(x) - 1) * float(x.std(ddof=1)) / math.sqrt(len(x))
     return Interval(mean, mean - half, mean + half)
 
 
 def median_interval(values: Any) -> Interval:
-    """The median of independent values ``(N,)`` with an interval between two of them, of whatever distribution.
+    """The median of independent values ``(N,)`` of any distribution, with an interval between two of them.
 
     NaN does not count.  Bounds are the order statistics that hold the median with 95 % probability or more (binomial);
-    of so few values that none do they are NaN.
+    they are NaN where there are too few values.
     """
     x = np.sort(_known(values))
     if len(x) == 0:
@@ -59,11 +59,11 @@ def median_interval(values: Any) -> Interval:
 
 
 def signed_rank(one: Any, other: Any) -> float:
-    """Two-sided p of Wilcoxon's signed-rank test: whether two filters' errors on the same runs ``(N,)`` are alike.
+    """Two-sided p of Wilcoxon's signed-rank test of two filters' errors on the same runs ``(N,)``.
 
-    Runs on which both are equal, or one is NaN, do not count, and the larger of an infinite and a finite error is as
-    far off as can be; 1 where nothing differs.  Of up to ``EXACT`` runs by the distribution of the sum of ranks over
-    all signs, ties included; of more by the normal approximation with correction for ties and continuity.
+    Runs on which both are equal, or one is NaN, do not count; an infinite error has the highest rank; p is 1 where
+    nothing differs.  Up to ``EXACT`` runs have the exact distribution of the sum of ranks over all signs, ties
+    included; more have the normal approximation, corrected for ties and continuity.
 
     Source: Wilcoxon (1945); Pratt & Gibbons (1981), section 3.7; Streitberg & Roehmel (1986) for the distribution.
     """
@@ -78,29 +78,29 @@ def signed_rank(one: Any, other: Any) -> float:
     rank = (np.cumsum(counts) - (counts - 1) / 2)[inverse]
     off = abs(float(rank[gap > 0].sum()) - n * (n + 1) / 4)
     if n <= EXACT:
-        return _far_off(np.rint(2 * rank).astype(int), round(4 * off))
+        return _two_sided(np.rint(2 * rank).astype(int), round(4 * off))
     variance = n * (n + 1) * (2 * n + 1) / 24 - float((counts.astype(float) ** 3 - counts).sum()) / 48
     return math.erfc(max(off - 0.5, 0.0) / math.sqrt(2 * variance)) if variance > 0 else 1.0
 
 
-def _far_off(doubled: NDArray[np.int_], off: int) -> float:
-    """The probability that a sum of ranks is so far from its mean or further, each rank counting or not by a fair coin.
+def _two_sided(doubled: NDArray[np.int_], off: int) -> float:
+    """The probability of a sum of ranks at least so far from its mean, where each counts with probability one half.
 
     Args:
         doubled: twice the ranks, which may be halves.
         off: four times the distance from the mean.
     """
-    chance = np.zeros(int(doubled.sum()) + 1)  # of each sum of doubled ranks
-    chance[0] = 1.0
+    probability = np.zeros(int(doubled.sum()) + 1)  # of each sum of doubled ranks
+    probability[0] = 1.0
     for rank in doubled:
-        chance[rank:] += chance[: len(chance) - rank].copy()
-        chance /= 2
-    far = np.abs(2 * np.arange(len(chance)) - doubled.sum()) >= off
-    return min(1.0, float(chance[far].sum()))
+        probability[rank:] += probability[: len(probability) - rank].copy()
+        probability /= 2
+    far = np.abs(2 * np.arange(len(probability)) - doubled.sum()) >= off
+    return min(1.0, float(probability[far].sum()))
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """P values of tests that are made together, each corrected such that at most one in 20 of such families errs.
+    """P values of tests made together, corrected: a level then bounds the probability of any false rejection.
 
     Source: Holm (1979).
     """
@@ -116,7 +116,7 @@ def chi_square_bounds(degrees: float) -> tuple[float, float]:
     """Bounds of a chi-square variable divided by its degrees of freedom, between which it lies with 95 % probability.
 
     The mean over ``N`` runs of a normalised error squared of ``d`` components, divided by ``d``, lies between the
-    bounds of ``N d`` degrees if the covariances are honest: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.
+    bounds of ``N d`` degrees if the covariances are consistent: Bar-Shalom, Li & Kirubarajan (2001), section 5.4.2.
     """
 
     def below(x: float) -> float:

@@ -35,7 +35,7 @@ class Augmented(Motion):
             received = ", ".join(type(part).__name__ for part in parts)
             raise ValueError(f"others: expected motions beside the first, none of them a Bank, received {received}")
         if any(type(part).adaptation is not Motion.adaptation for part in others):
-            raise ValueError("others: expected none that follows an acceleration, as only the first motion may")
+            raise ValueError("others: expected none that adapts to an estimated acceleration: put such a motion first")
         starts = [sum(part.size for part in parts[:i]) for i in range(len(parts) + 1)]
         super().__init__(
             motion.dims, motion.orders, None, size=starts[-1], position=motion.position, velocity=motion.velocity,

@@ -147,7 +147,7 @@ class Motion(nn.Module):
         _check_components(self.size, self.components, self.kinds)
         self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
         if "angle" in self.stated and not self.angles:
-            raise ValueError("angles: expected the components of kind angle that differences wrap, received none")
+            raise ValueError("angles: expected the numbers of the components of kind 'angle', received none")
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 

@@ -31,7 +31,8 @@ class Level(Motion):
             expected = "a motion in the plane, with its position in front"
             raise ValueError(f"motion: expected {expected}, received {type(motion).__name__}")
         if type(motion).adaptation is not Motion.adaptation:
-            raise ValueError(f"motion: expected none that follows an acceleration, received {type(motion).__name__}")
+            expected = "one that does not adapt to an estimated acceleration"
+            raise ValueError(f"motion: expected {expected}, received {type(motion).__name__}")
         inside = Augmented(motion, RandomWalk(height, 1, components=("height",)))
         self.order = (0, 1, motion.size, *range(2, motion.size))
         """The number of each component in ``inside``."""

@@ -1,6 +1,6 @@
 """Figures; the only part of torchfra that imports matplotlib.
 
-Each function returns a figure that pyplot does not know of, so that nothing has to be closed; ``save`` writes it.
+Each function returns a figure outside of pyplot, so that none has to be closed; ``save`` writes it.
 """
 
 from torchfra.plotting.cleaning import cleaned

@@ -19,13 +19,13 @@ SIZE = 9
 _WIDE, _HIGH = 0.6 * SIZE, 1.3 * SIZE
 """Width and height of a letter, points."""
 _ANCHORS = 30
-"""Places along a line among which that is chosen that its label points to."""
+"""Number of places along a line from which the one that its label points to is chosen."""
 _DISTANCES = (9.0, 16.0, 26.0, 40.0, 60.0)
 """Distances of a label from its anchor that are tried, points."""
 _POINTS = 500
 """Number of points of a line or of marks that labels avoid, evenly chosen."""
 _SEPARATE = 25.0
-"""Points of distance to everything else beyond which a line is told apart no better."""
+"""Points of distance to everything else beyond which a line is not easier to distinguish."""
 
 
 def spread_apart(places: Sequence[float], gap: float) -> list[float]:
@@ -148,7 +148,7 @@ def _best_place(own: Array, others: Array, half: Array, size: Array, taken: Sequ
     """Which point of ``own (k, 2)`` a label points to, and the label's centre: both ``(2,)``, points from the corner.
 
     The label of half size ``half`` covers as little as possible of what is drawn and nothing of the labels before it,
-    and points to where ``own`` is best told apart.
+    and points to where ``own`` is easiest to distinguish.
     """
     anchors = own[np.unique(np.linspace(0, len(own) - 1, _ANCHORS).round().astype(int))]
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)

@@ -19,7 +19,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from torchfra.catalogue import FILTERS
 from torchfra.cleaning.outputs.colours import APART
 from torchfra.running.atomic_write import write
-from torchfra.running.pictures import picture_form
+from torchfra.running.pictures import picture_format
 from torchfra.tables import printable
 
 _BROKEN = ("-", "--", ":", "-.")
@@ -35,7 +35,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         OSError: it cannot be written.
         ValueError: a name that ends in none of .png, .pdf and .svg.
     """
-    picture, form = BytesIO(), picture_form(path)
+    picture, form = BytesIO(), picture_format(path)
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": None}[form]
     fonts = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "torchfra"}
     with any_letters(), rc_context(fonts):

@@ -76,36 +76,19 @@ def imm_srckf(
         sensor: what is measured.
         stay: self-transition probability of every model, which switches to the others with equal probability.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
-            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        durations: mean sojourn times of the models, s, instead of ``stay``, as of ``imm``.
         initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     return imm(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial, learn=learn)
 
 
-@register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)
-def imm_ckf(
-    models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
-    durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
-) -> IMM:  # fmt: skip
-    """``imm_srckf`` under the name of the filter with which Du & Zhang (2020) compare theirs.
+imm_ckf = register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)(imm_srckf)
+"""``imm_srckf`` under the name of the filter with which Du & Zhang (2020) compare theirs.
 
-    Covariances and their roots have the same estimates but for rounding, so they cannot explain the difference in
-    accuracy that the paper reports.  This filter computes with roots too.
-
-    Args:
-        models: motions of one state, or a ``Bank`` of them.
-        sensor: what is measured.
-        stay: self-transition probability of every model, which switches to the others with equal probability.
-        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
-            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
-        initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
-    """
-    return imm_srckf(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial,
-                     learn=learn)  # fmt: skip
+Covariances and their roots have the same estimates but for rounding, so they cannot explain the difference in accuracy
+that the paper reports.  This filter computes with roots too.
+"""
 
 
 @register.filter("imm_fra", words="interacting motions, each with fra", bank=True, gated=True)
@@ -126,8 +109,7 @@ def imm_fra(
         sensor: what is measured.
         stay: self-transition probability of every model; high, so that one outlier does not change the model.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
-            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        durations: mean sojourn times of the models, s, instead of ``stay``, as of ``imm``.
         initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         threshold: see ``fra``, as for all arguments up to ``rule``.
         per_element: whether each element of a measurement has its own threshold.
@@ -178,8 +160,7 @@ def vsimm_srckf(
         first: models that are active first; the bank's if None: ``filters.LikelyModels``.
         stay: self-transition probability of every model, which switches to the others with equal probability.
         transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
-            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        durations: mean sojourn times of the models, s, instead of ``stay``, as of ``imm``.
         unlikely: probability below which a model is unlikely: ``filters.LikelyModels``.
         principal: probability above which a model activates its neighbours: ``filters.LikelyModels``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.

@@ -38,8 +38,8 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "restart": (0.0291, 0.0613, 0.159, 0.00114, 0.74935798, 0.0001, 2.02e-06),
     },
 }  # fmt: skip
-"""Values for each word of ``manoeuvres``: those of ``"some"`` were searched, but for the calm level's self-transition
-probability, which is as large as covariances of turning targets allow; the others are made from them by hand."""
+"""Values for each ``manoeuvres``: those of ``"some"`` were optimised, except the calm level's self-transition
+probability, which is as large as consistent covariances of turning targets allow; the others were derived by hand."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
@@ -56,7 +56,7 @@ IN_SPACE: dict[str, dict[str, Any]] = {
         "restart": (0.0346, 0.0729, 0.00136, 0.8910376, 0.0001, 2.4e-06),
     },
 }  # fmt: skip
-"""The values beside climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
+"""The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
 
 OUTLIER_TRANSITION = ((0.99852, 0.00148), (0.9141, 0.0859))
 
@@ -101,9 +101,9 @@ def gpb(
             arguments that follow: ``MANOEUVRES`` in this file.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
-        separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is as
-            ``manoeuvres`` says, and 0 for one level.  A calm level that shares a belief with the others is
-            hardly ever told from them: with 0, targets that hardly manoeuvre are followed far less closely.
+        separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is the
+            value of ``manoeuvres``, and 0 for one level.  A calm level that shares a belief with the others is
+            hardly distinguished from them: with 0, errors of targets that hardly manoeuvre are far larger.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation

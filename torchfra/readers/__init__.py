@@ -1,4 +1,4 @@
-"""Reads tracks from files into local metres, and counts what it had to repair on the way.
+"""Reads tracks from files into local metres, and counts its repairs.
 
 A file is one of these, gzipped or not (but for the last):
 
@@ -12,15 +12,15 @@ A file is one of these, gzipped or not (but for the last):
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
 altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``ReadOptions``
 names others, by their numbers from 1 on where there is no header.
-So read are the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
+This covers the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
 of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
 size, weeks of GPS with what of them has passed, seconds with their parts in another column, or seconds (minutes, hours,
 days by their names) since any start.
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
 (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
-degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.  What was taken
-for what is in ``Source.said``.
+degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
+``Source.said`` states which columns were read as what.
 
 Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in
 the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
@@ -31,7 +31,7 @@ with the name of a zone, clocks of 12 hours without AM and PM, those that are pu
 columns or keys that come twice, XML with entities, tracks that nothing of its kind can have moved along, and files that
 hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not fill the memory.
 
-``read_ranges`` reads what was measured instead: ranges from anchors.
+``read_ranges`` reads ranges from anchors instead of positions.
 """
 
 from torchfra.readers.bounded import MAX_BYTES

@@ -117,7 +117,7 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     """Leaves out the lines that a logger writes before the header, such as its version; returns their number.
 
     Raises:
-        ValueError: they tell a unit of lengths that nobody else does.
+        ValueError: they state a unit of lengths that neither the header nor an option states.
     """
     asked, lines = {*options.columns().values()}, _lines(rows.head, _ABOVE)
 
@@ -136,7 +136,7 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     if units and not options.units:
         found = _LENGTH.search(units[0])
         raise ValueError(
-            f"a line before the header says {found and found[0]} of lengths: say it by --units, such as mm"
+            f"a line before the header states lengths in {found and found[0]}: state it by --units, such as mm"
         )
     rows.head = rows.head[sum(map(len, above)) :]
     return header

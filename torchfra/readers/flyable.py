@@ -1,4 +1,4 @@
-"""Recordings whose time stamps are off become tracks that can be flown."""
+"""Correction of time stamps that are off, so that the speeds of a recorded track are possible."""
 
 from __future__ import annotations
 

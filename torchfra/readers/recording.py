@@ -1,4 +1,4 @@
-"""What a recording is."""
+"""Recordings: the track of a target, and the form of the file that it comes from."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from torchfra.readers.times import written
 
 @dataclass(frozen=True)
 class Source:
-    """How a file, table or DataFrame says its tracks, so that results can be said in the same way."""
+    """The form of the tracks in a file, table or DataFrame, so that results can be written in the same form."""
 
     name: str = ""
     """Of the file."""
     columns: dict[str, str] = field(default_factory=dict)
-    """What was taken from which column: ``time, x, y, z, latitude, longitude, altitude, id, sigma`` to its name."""
+    """Name of the column of each quantity: ``time, x, y, z, latitude, longitude, altitude, id, sigma``."""
     time: str = "seconds"
     """Of its times: ``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"iso"``, or a format of ``datetime.strptime``."""
     unit: float = 1.0

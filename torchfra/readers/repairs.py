@@ -182,7 +182,7 @@ class _Columns:
             others = f" or --id {self.unread[1]}" if len(self.unread) > 1 else ""
             raise ValueError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
-                f"targets do: say which column tells them apart, --id {self.unread[0]}{others}"
+                f"targets do: name the column that distinguishes them, --id {self.unread[0]}{others}"
             )
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:

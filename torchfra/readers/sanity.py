@@ -53,8 +53,8 @@ def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]
 def check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
     """Refuses x and y that are degrees of longitude and latitude, as maps of the world export them.
 
-    They have five decimals or more, are no larger than degrees, and move as slowly as nothing does whose path is told
-    from their noise.
+    They have five decimals or more, are no larger than degrees, and move more slowly than any target whose motion can
+    be distinguished from noise.
 
     Raises:
         ValueError: they are.

@@ -76,8 +76,8 @@ class ThreeSegment(Weights):
     Raises:
         ValueError: ``high`` is not above ``low``.
 
-    Source: Yang et al. (2001) for the weight.  Differs: Wang et al. (2021), who compare with the filter of Wu et al.
-    (2015), print its thresholds only; the form of the weight is our reading.
+    Source: Yang et al. (2001) for the weight.  Differs: the form of the weight is our reading, as Wang et al. (2021),
+    who compare with the filter of Wu et al. (2015), print only its thresholds.
     """
 
     def __init__(self, low: Value = 5.991, high: Value = 10000.0) -> None:

@@ -20,11 +20,11 @@ if sys.platform != "win32":
 def write(path: str | Path, fill: Callable[[IO[bytes]], object]) -> Path:
     """Lets ``fill`` write a temporary file, and moves it to ``path`` when it is complete; makes the folder.
 
-    Links are followed.  What is there and is no file, such as a device or a pipe, is written to and stays what it is,
-    and so is the file that standard output or standard error goes to.
+    Links are followed.  A device or a pipe at ``path`` is written to and not replaced; so is the file to which standard
+    output or standard error is redirected.
 
     Raises:
-        OSError: it cannot be written, with ``path`` as its ``filename``; a file that was there is as before.
+        OSError: it cannot be written, with ``path`` as its ``filename``; an older file there is unchanged.
     """
     path = Path(path)
     with _naming(path):
@@ -40,10 +40,10 @@ def write(path: str | Path, fill: Callable[[IO[bytes]], object]) -> Path:
 
 
 def check(path: str | Path) -> None:
-    """Finds out whether ``write`` can write there, and leaves nothing behind.
+    """Checks that ``write`` can write there, and leaves nothing behind.
 
     Raises:
-        OSError: it cannot, for a reason that can be known before, with ``path`` as its ``filename``.
+        OSError: it cannot, for a reason that shows before writing, with ``path`` as its ``filename``.
     """
     path = Path(path)
     with _naming(path):
@@ -84,7 +84,7 @@ def _plain(data: Any) -> Any:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Errors name ``path`` instead of a temporary file, or of nothing."""
+    """Inside, errors name ``path`` where they name a temporary file or nothing."""
     try:
         yield
     except OSError as error:

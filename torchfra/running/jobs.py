@@ -35,7 +35,7 @@ def check_jobs(jobs: int) -> None:
 
 
 def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, T]]:
-    """Calls ``work`` with the arguments of each part; with one job here, one after the other.
+    """Calls ``work`` with the arguments of each part; a single job runs in this process.
 
     Args:
         work: a function of a module, as other processes import it by its name.
@@ -47,18 +47,18 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
 
     Raises:
         Exception: what ``work`` raises first; parts that have not begun are left out.
-        ChildProcessError: a process was ended from outside, as for want of memory.
+        ChildProcessError: a process was killed, for example when memory ran out.
     """
     if jobs == 1:
         yield from enumerate(starmap(work, parts))
         return
     spawn = multiprocessing.get_context("spawn")  # a fork would copy the threads of torch in any state
     pool = ProcessPoolExecutor(min(jobs, max(len(parts), 1)), spawn, initializer=_as_worker)
-    left, running = iter(enumerate(parts)), dict[Future[T], int]()
+    waiting, running = iter(enumerate(parts)), dict[Future[T], int]()
     try:
         while True:
-            # No more than are worked on: Ctrl-C ends these, and a process would go on with what waits for it.
-            for number, part in islice(left, jobs - len(running)):
+            # Only one part for each process: Ctrl-C ends those, but not parts that wait in the pool's queue.
+            for number, part in islice(waiting, jobs - len(running)):
                 running[pool.submit(work, *part)] = number
             if not running:
                 return

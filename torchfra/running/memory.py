@@ -1,4 +1,4 @@
-"""Memory: the most that a process has had, and a setting of the C library that makes large batches faster."""
+"""Memory: the peak of a process, and a setting of the C library that makes large batches faster."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def keep_memory() -> bool:
         return False
 
 
-def most_memory() -> int:
-    """The most memory that this process has had, bytes; 0 where the system does not say."""
+def peak_memory() -> int:
+    """Peak memory of this process, bytes; 0 where the system does not say."""
     try:
         import resource
     except ImportError:

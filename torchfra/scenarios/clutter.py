@@ -34,6 +34,8 @@ STARTS = torch.tensor(
 """``(2, 6)`` Cartesian states of the aircraft one step before the first scan, m and m/s."""
 ROOT = torch.tensor([30.0, 30.0, 30.0, 5.0, 5.0, 5.0], dtype=torch.float64).diag()
 """Root of the covariance of the initial beliefs, m and m/s."""
+REGION = 200.0
+"""Half the edge of the cube around each target that its false measurements fall in evenly, m."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,6 @@ class Conditions:
     std: tuple[float, ...]
     truth_noise: float
     clutter: int = 0
-    region: float = 1.0
     detection: float = 1.0
 
     def __post_init__(self) -> None:
@@ -57,7 +58,6 @@ class Conditions:
             ("noise_scale", self.noise_scale > 0, "a value above 0"),
             ("change", self.change >= 0, "0 or more steps"),
             ("clutter", self.clutter >= 0, "0 or more measurements"),
-            ("region", self.region > 0, "metres above 0"),
             ("detection", 0 < self.detection <= 1, "a probability above 0"),
             ("std", len(self.std) == 3 and min(self.std) > 0, "three values above 0"),
             ("truth_noise", self.truth_noise >= 0, "a variance of 0 or more"),
@@ -75,7 +75,6 @@ def clutter_straight(
     noise_scale: float = 1.0,
     change: int = 20,
     clutter: int = 6,
-    region: float = 200.0,
     detection: float = 0.95,
     std: Sequence[float] = (1e-3, 1e-3, 5.0),
     truth_noise: float = 0.0,
@@ -87,8 +86,7 @@ def clutter_straight(
         noise_scale: how many times larger than the filters assume the standard deviation of the measurement noise is,
             after the step ``change``.
         change: the last step at which it is what the filters assume.
-        clutter: false measurements per scan, shared out among the targets.
-        region: half the edge of the cube around each target that they fall in evenly, m.
+        clutter: false measurements per scan, shared out among the targets, evenly in a cube around each.
         detection: probability that a target is measured.
         std: of azimuth, elevation (rad) and range (m), as the filters assume.
         truth_noise: variance of the targets' random acceleration, m^2/s^4.
@@ -102,7 +100,7 @@ def clutter_straight(
     measurement noise and its change, the clutter region and the detection are chosen here, as theirs are lost.
     """
     motion = ConstantVelocity(Q, 3)
-    conditions = Conditions(noise_scale, change, tuple(std), truth_noise, clutter, region, detection)
+    conditions = Conditions(noise_scale, change, tuple(std), truth_noise, clutter, detection)
     return _scans("clutter-straight", motion, DT, conditions, counts, {})
 
 
@@ -111,7 +109,6 @@ def clutter_crossing(
     noise_scale: float = 1.0,
     change: int = 20,
     clutter: int = 6,
-    region: float = 200.0,
     detection: float = 0.95,
     std: Sequence[float] = (1e-3, 1e-3, 5.0),
     truth_noise: float = 0.0,
@@ -125,7 +122,6 @@ def clutter_crossing(
         noise_scale: as in ``clutter_straight``.
         change: as in ``clutter_straight``.
         clutter: as in ``clutter_straight``.
-        region: as in ``clutter_straight``.
         detection: as in ``clutter_straight``.
         std: as in ``clutter_straight``.
         truth_noise: as in ``clutter_straight``.
@@ -142,7 +138,7 @@ def clutter_crossing(
     if not dt > 0:
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     motion = CoordinatedTurn(rate * torch.tensor([1.0, -1.0], dtype=torch.float64), Q, 3)
-    conditions = Conditions(noise_scale, change, tuple(std), truth_noise, clutter, region, detection)
+    conditions = Conditions(noise_scale, change, tuple(std), truth_noise, clutter, detection)
     return _scans("clutter-crossing", motion, dt, conditions, counts, {"rate": rate, "dt": dt})
 
 
@@ -190,10 +186,10 @@ def _scans(
         truth, z, prior = targets(rng, motion, dt, STARTS, conditions)
         return Tracks(truth, scanned(rng, truth, z, conditions), None, prior)
 
-    keys = ("noise_scale", "change", "clutter", "region", "detection")
+    keys = ("noise_scale", "change", "clutter", "detection")
     settings = {"counts": counts} | {key: getattr(conditions, key) for key in keys} | more
     rate = float(conditions.clutter) if counts == "poisson" else None
-    clutter = Clutter(volume=len(STARTS) * (2 * conditions.region) ** 3, rate=rate)
+    clutter = Clutter(volume=len(STARTS) * (2 * REGION) ** 3, rate=rate)
     prior = belief_from_cartesian(Gaussian(STARTS, ROOT))
     return Scenario(name, Spherical(motion), conditions.sensor(), prior, dt, STEPS, block, settings, clutter=clutter,
                     detection=conditions.detection, conversion=cartesian,
@@ -243,7 +239,7 @@ def scanned(rng: np.random.Generator, truth: Tensor, z: Tensor, conditions: Cond
     count, clutter = truth.shape[1], conditions.clutter
     missed = torch.from_numpy(rng.random((BLOCK, count, STEPS))) >= conditions.detection
     z = torch.where(missed.unsqueeze(-1), torch.nan, z)
-    offsets = conditions.region * (2 * torch.from_numpy(rng.random((BLOCK, clutter, STEPS, 3))) - 1)
+    offsets = REGION * (2 * torch.from_numpy(rng.random((BLOCK, clutter, STEPS, 3))) - 1)
     around = torch.arange(clutter) % count  # the target that each false measurement lies around
     false = pad(truth[:, around, :, :3] + offsets, (0, 3))  # at rest
     every = torch.cat([z, conditions.sensor()(from_cartesian(false))], 1).movedim(1, 2)

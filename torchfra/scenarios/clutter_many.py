@@ -14,7 +14,7 @@ from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.motion.spherical import Spherical
 from torchfra.numbers import is_integer
 from torchfra.scenarios.base import BLOCK, Scenario, Tracks
-from torchfra.scenarios.clutter import DT, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
+from torchfra.scenarios.clutter import DT, REGION, ROOT, STEPS, Conditions, Q, cartesian, scanned, targets
 from torchfra.types import Gaussian
 
 _CORNERS = torch.tensor([[500.0, 500.0, 500.0], [3500.0, 3500.0, 1500.0]], dtype=torch.float64)
@@ -31,7 +31,6 @@ def clutter_many(
     *,
     count: int = 10,
     clutter: int = 30,
-    region: float = 200.0,
     detection: float = 0.95,
     std: Sequence[float] = (1e-3, 1e-3, 5.0),
     truth_noise: float = 0.25,
@@ -44,7 +43,6 @@ def clutter_many(
     Args:
         count: of aircraft.
         clutter: false measurements per scan, shared out among the aircraft, also among those that are not there.
-        region: half the edge of the cube around each aircraft that they fall in evenly, m.
         detection: probability that an aircraft is measured.
         std: of azimuth, elevation (rad) and range (m).
         truth_noise: variance of the aircraft's random acceleration, m^2/s^4.
@@ -58,7 +56,7 @@ def clutter_many(
         raise ValueError(f"count: expected 1 aircraft or more, received {count!r}")
     if not clutter >= 1:
         raise ValueError(f"clutter: expected 1 measurement or more, received {clutter}")
-    motion, conditions = ConstantVelocity(Q, 3), Conditions(1.0, 0, tuple(std), truth_noise, clutter, region, detection)
+    motion, conditions = ConstantVelocity(Q, 3), Conditions(1.0, 0, tuple(std), truth_noise, clutter, detection)
 
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         starts, there = _starts(rng, count), _lives(rng, count).unsqueeze(-1)
@@ -67,11 +65,10 @@ def clutter_many(
         return Tracks(torch.where(there, truth, torch.nan), z, None, prior)
 
     middle = torch.cat([_CORNERS.mean(0), torch.zeros(3, dtype=torch.float64)]).expand(count, 6)
-    settings = {"count": count, "clutter": clutter, "region": region, "detection": detection,
-                "truth_noise": truth_noise}  # fmt: skip
+    settings = {"count": count, "clutter": clutter, "detection": detection, "truth_noise": truth_noise}
     return Scenario(
         "clutter-many", Spherical(motion), conditions.sensor(), belief_from_cartesian(Gaussian(middle, ROOT)), DT,
-        STEPS, block, settings, clutter=Clutter(volume=count * (2 * region) ** 3, rate=float(clutter)),
+        STEPS, block, settings, clutter=Clutter(volume=count * (2 * REGION) ** 3, rate=float(clutter)),
         detection=detection, conversion=cartesian,
     )  # fmt: skip
 

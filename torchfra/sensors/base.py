@@ -89,7 +89,7 @@ class Sensor(nn.Module):
     locates: bool = False
     """Whether a measurement locates the target in space, by ``locate``; a property where it depends on the instance."""
     measures_each_direction: bool = False
-    """Whether there is one element for each direction of space, as ``units_per_metre`` needs; a property likewise."""
+    """Whether there is one element for each direction of space, as ``units_per_metre`` needs; it may be a property."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
-from numbers import Integral
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchfra.linalg.triangular import block_diagonal
+from torchfra.numbers import is_integer
 from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
 
 
@@ -141,7 +140,7 @@ class Biased(Sensor):
         if not isinstance(sensor, Sensor):
             raise ValueError(f"sensor: expected a sensor, received {type(sensor).__name__}")
         each = list(bias) if isinstance(bias, Sequence) else [bias] * sensor.size
-        if len(each) != sensor.size or not all(i is None or _is_number(i) for i in each):
+        if len(each) != sensor.size or not all(i is None or is_integer(i, 0) for i in each):
             expected = f"a component of the state, or one for each of {sensor.size} elements"
             raise ValueError(f"bias: expected {expected}, received {bias}")
         self._lay_out(max([sensor.reads, *(i + 1 for i in each if i is not None)]), sensor.angles.tolist())
@@ -180,11 +179,6 @@ class Biased(Sensor):
     def describe(self) -> str:
         """The sensor, and that it is biased."""
         return f"{self.unbiased.describe()} with a bias"
-
-
-def _is_number(i: Any) -> bool:
-    """Whether it is a whole number of 0 or more."""
-    return isinstance(i, Integral) and not isinstance(i, bool) and int(i) >= 0
 
 
 def noise_root(sensor: Sensor) -> Tensor:

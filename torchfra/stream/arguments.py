@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from numbers import Integral
 from typing import Any
 
 import torch
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.hyper import one_of
+from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
 
 OWN = "sensor"
@@ -25,7 +25,8 @@ def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str
     """The sensors of a tracker by name, once the filter is known to take each of them.
 
     Raises:
-        ValueError: no filter of tracks, no sensors, names that are none, or a sensor that the filter cannot have.
+        ValueError: not a filter of single targets, no sensors, names that are no strings, or a sensor that the filter
+            cannot have.
     """
     if not isinstance(filter, Filter) or filter.scans:
         raise ValueError(f"filter: expected one of tracks, as presets.gpb makes, received {type(filter).__name__}")
@@ -46,7 +47,7 @@ def check_counts(lag: float, steps: int | None, old: str, jump: float | None) ->
     """
     if not _number(lag) >= 0:
         raise ValueError(f"lag: expected seconds of 0 or more, received {lag!r}")
-    if steps is not None and not (isinstance(steps, Integral) and steps >= 1):
+    if steps is not None and not is_integer(steps, 1):
         raise ValueError(f"steps: expected 1 or more measurements, or None, received {steps!r}")
     one_of(old=(old, ("refuse", "count")))
     if jump is not None and not math.inf > _number(jump) > lag:
@@ -66,7 +67,7 @@ def seconds(name: str, x: Any) -> float:
 
 
 def _number(x: Any) -> float:
-    """This as a number, NaN if it is none."""
+    """The argument as a float; NaN if it is no number."""
     try:
         return float(x)
     except (TypeError, ValueError, RuntimeError):
@@ -74,10 +75,10 @@ def _number(x: Any) -> float:
 
 
 def numbers(name: str, x: Any, device: torch.device, dtype: torch.dtype = torch.float64) -> Tensor:
-    """A copy of numbers as a tensor: the caller may write into its own later.
+    """A copy of numbers as a tensor, as the caller may write into the original later.
 
     Raises:
-        ValueError: they are none, or complex.
+        ValueError: they are not numbers, or complex.
     """
     if isinstance(x, list | tuple) and {*map(type, x)} == {float} and device.type == "cpu":
         return torch.frombuffer(array(_CODES[dtype], x), dtype=dtype)  # in a third of the time that torch.tensor takes

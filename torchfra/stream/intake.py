@@ -189,7 +189,7 @@ class Origin:
         """The shift by the origin of each element ``(m,)`` of a measurement; 0 for one that is not just shifted."""
         offset = self.offset.to(like.device)
         size, inputs = len(offset), None if u is None else u.reshape(-1, u.shape[-1])[0].double()
-        # Points at zero and as far off as the origin, in several directions: nonlinearity shows there.
+        # Points at zero and at the distance of the origin, in several directions: a nonlinear sensor shows there.
         points = torch.arange(4 * size, dtype=torch.float64, device=like.device).reshape(4, size).sin()
         points = offset.abs().max() * points * torch.arange(4, device=like.device).unsqueeze(-1)
         near, far = sensor.at_points(points, inputs), sensor.at_points(points + offset, inputs)

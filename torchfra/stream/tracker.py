@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.alarms import lasting
+from torchfra.filters.alarms import faulty_seconds
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.fixed_lag import smooth_window, step_kept
 from torchfra.filters.forecast import Forecast
@@ -95,8 +95,8 @@ class Tracker:
         dtype: of the filter; None for the prior's.
 
     Raises:
-        ValueError: an argument that is none of those, a sensor that the filter cannot have, or an origin beside a
-            motion that depends on the position.
+        ValueError: an argument out of its range, a sensor that the filter cannot have, or an origin beside a motion
+            that depends on the position.
     """
 
     def __init__(
@@ -303,7 +303,7 @@ class Tracker:
             clock.load_state_dict(values["clock"])
             counts = dict(values["counts"])
         except (KeyError, TypeError) as error:
-            raise ValueError(f"values: expected all that state_dict gives, received none of {error}") from None
+            raise ValueError(f"values: expected all entries of state_dict, received none of {error}") from None
         self._window, self._clock, self._counts = window, clock, counts
 
     def _old(self, time: Any, entry: Entry) -> Report:
@@ -370,5 +370,5 @@ def _alarms_after(alarms: Alarms, number: int, alarm: Alarm | None, z: Tensor, d
     for i, (probability, lasted, offset) in enumerate(alarms):
         now = torch.where(measured, alarm.probability, probability) if i == number else probability
         off = torch.where(measured, alarm.offset, offset) if i == number else offset
-        after.append(Alarm(now, lasting(lasted, probability, now, lasted.new_tensor(dt)), off))
+        after.append(Alarm(now, faulty_seconds(lasted, probability, now, lasted.new_tensor(dt)), off))
     return tuple(after)

@@ -59,31 +59,31 @@ class ClutterMap(nn.Module):
 
     The density of false measurements is the uniform one of a sensor's ``clutter``, and a kernel at each measurement of
     that sensor that was no confirmed target's, over the number of its scans.  It enters the scores of targets, and so
-    their confirmation and deletion: what stays where it is, is explained by the map as well as by a target, and is not
-    confirmed; what moves leaves its own measurements behind.  Which measurement is whose is decided without the map.
-    Scans of a sensor that does not measure every direction leave scores as they are: what recurs in them is not known.
+    their confirmation and deletion.  The map explains a source that stays in its place as well as a target does, which
+    is then not confirmed; a moving target leaves its own measurements behind.  Association does not use the map, and
+    scans of a sensor that does not measure every direction leave scores unchanged, as the map cannot learn from them.
 
-    The newest measurement that a target began with, and those that it has claimed while it was tentative, are to
-    that target no cloud of clutter, but one thing that stays: one kernel at their mean.  With the weight ``w_k`` of
-    measurement ``z_k``, of which the target has claimed ``w_ik``, and the number of scans ``n``, the density that
-    it is scored against is::
+    A tentative target may be such a source itself.  So its own measurements, the newest of its birth and those that it
+    has claimed since, are one kernel at their mean instead of a kernel each.  With the weight ``w_k`` of measurement
+    ``z_k``, of which the target has claimed ``w_ik``, and the number of scans ``n``, the density of its score is::
 
         W_i = sum_k w_ik,    m_i = sum_k w_ik z_k / W_i
         density_i(z) = uniform + [sum_k (w_k - w_ik) N(z; z_k, size^2 I) + W_i N(z; m_i, size^2 I)] / (scans + n)
 
     Args:
-        size: standard deviation of a kernel in each direction, m: that of a measured position as it is stated.  Wider
-            kernels confirm sooner what moves, and after some tens of scans what stays too.
-        seconds: after which a measurement counts for ``1 / e``.
+        size: standard deviation of a kernel in each direction, m: that of a measured position as it is stated.  With
+            wider kernels moving targets are confirmed sooner, and after some tens of scans sources that stay, too.
+        seconds: time after which the weight of a measurement is ``1 / e``.
         scans: number of scans without any measurement with which the map begins: the more, the slower it learns.
-        frame: ``"fixed"`` for what stays where it is, such as land; ``"platform"`` for what goes with the sensors, such
-            as echoes of the own mast or wake: positions are then relative to the first ``dims`` entries of ``u``.
+        frame: ``"fixed"`` for sources that stay in their places, such as land; ``"platform"`` for those that move with
+            the sensors, such as echoes of the own mast or wake: positions are then relative to the first ``dims``
+            entries of ``u``.
 
     Raises:
         ValueError: a value that is not finite and above 0, or another frame.
 
     Source: Musicki, Suvorova, Morelande & Moran (2005), "Clutter map and target tracking".  Differs: kernels at the
-    measurements for cells of a grid; forgetting by the time; what a tentative target has claimed.
+    measurements instead of cells of a grid; exponential forgetting; the kernel of a tentative target's measurements.
     """
 
     def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0, *, frame: str = "fixed") -> None:
@@ -152,7 +152,7 @@ class ClutterMap(nn.Module):
         return self._per_scan(mapped, scene, sensor, position.new_zeros(len(position)).index_add(0, query, kernel))
 
     def correction(self, mapped: Mapped, position: Tensor, scene: Tensor, sensor: int, identity: Tensor) -> Tensor:
-        """What is added ``(P,)`` to the density for a target, whose own measurements are one thing that stays.
+        """Correction ``(P,)`` of the density for a target, whose own measurements are one kernel at their mean.
 
         Args:
             mapped: the map.

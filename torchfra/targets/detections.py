@@ -1,4 +1,4 @@
-"""Several detections of one target in one scan, as of a hull by lidar, made one measurement."""
+"""Linkage of several detections of one target in one scan, as of a hull by lidar, to one measurement."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from torchfra.targets.scan import SceneScan
 
 
 def linked(sensor: Sensor, scan: SceneScan, metres: float) -> SceneScan:
-    """The scan with one measurement in the place of all that are linked: single linkage.
+    """The scan with linked detections merged to one measurement: single linkage.
 
-    A measurement is the mean of its detections, in the row of the first of them; its noise has the moments of their
-    mixture: the mean of their covariances, and how far they are spread, since the target's centre may be anywhere among
-    them.  Without correlations in the sensor's noise it has none.
+    A measurement is the mean of its detections, in the row of the first of them.  The covariance of its noise is that
+    of their mixture: the mean of their covariances plus the spread of their means, since the target's centre may be
+    anywhere among them.  It is diagonal if the sensor's is.
 
     Args:
         sensor: one that ``locates``.

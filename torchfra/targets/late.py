@@ -39,9 +39,9 @@ def kept(state: TargetsState, past: Sequence[Passed], lag: float) -> TargetsStat
 
 
 def put_in(step: Step, motion: Motion, state: TargetsState, scan: SceneScan, sensor: str | None) -> TargetsState:
-    """The state that the scans would have left in the order of their times, one of the same instant after the others.
+    """The state after all scans in the order of their times; at one instant the late scan comes last.
 
-    Targets keep their identities; those that only the late scan has brought have new ones.
+    Targets keep their identities; those that begin with the late scan have new ones.
 
     Args:
         step: of the manager.
@@ -82,9 +82,9 @@ def _ages(past: Sequence[Passed]) -> Tensor:
 
 
 def _same(motion: Motion, was: TargetsState, before: TargetsState, now: TargetsState) -> tuple[Tensor, Tensor, Tensor]:
-    """Scene, new identity and old one ``(S,)`` of targets that are the same and that nobody knew ``before``.
+    """Scene, new and old identity ``(S,)`` of targets that are the same in both states and did not exist ``before``.
 
-    The old ones are confirmed: nobody has seen the identities of others.
+    Only identities of confirmed targets are kept, as no others have been reported.
     """
     others = before.track, now.track, *(() if now.ended is None else (now.ended,))
     old = was.track.confirmed

@@ -57,23 +57,23 @@ class Targets(nn.Module):
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
         merging: which tracks are of one target, and how large targets are; None for never.
-        free: probability that a measurement is no target's above which it may begin one.
+        free: a measurement may begin a target if it belongs to no other with a probability above this.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
             counts as one for confirmation, and a miss by its own probability (see ``Deletion``); targets begin from the
             scans of each sensor that ``locates``.
-        views: how far sensors see, by name, None for the filter's own: targets outside that are not measured have not
-            been missed, whatever the ``detection`` of the sensor.
+        views: fields of view of sensors, by name, None for the filter's own: a target outside is not missed, whatever
+            the ``detection`` of the sensor.
         lag: seconds that a scan may come late; the scans of so long, and the states before them, are kept.
-        linkage: of sensors that may measure a target several times in a scan, by name, None for the filter's own:
-            distance in metres up to which detections are linked, directly or through others, to one measurement, their
-            mean, whose noise grows by how far they are spread.
+        linkage: distance, m, up to which detections are linked, directly or through others, to one measurement: their
+            mean, whose noise grows with their spread.  By name of the sensors that may detect a target several times in
+            a scan, None for the filter's own.
         stitching: when a target has the identity of one that was lost before; None for never.
         visibility: of sensors from which targets are hidden for a while, by others or by the shore, by name, None for
-            the filter's own; the others see all targets at all times.
+            the filter's own; all other sensors see all targets at all times.
         triangulation: births where the bearings of two sensors cross; None for births by sensors that ``locate`` alone.
-        clutter_map: learns where false measurements come again and again, each sensor's on its own that measures every
-            direction of space; None for density that stays uniform.  It needs clutter of a Poisson rate.
+        clutter_map: learns where false measurements recur, for each sensor that measures every direction of space;
+            None for a uniform density.  It needs clutter of a Poisson rate.
 
     Raises:
         ValueError: an argument that is none of those, or does not go with the others.
@@ -164,7 +164,7 @@ class Targets(nn.Module):
         return {"format": FORMAT, "state": tree.flatten(state._replace(past=())), "past": past}
 
     def restored(self, values: Mapping[str, Any]) -> TargetsState:
-        """The state of a dictionary from ``saved``; an equal manager continues from it to the same bits.
+        """The state of a dictionary from ``saved``; an equal manager continues from it with bit-equal results.
 
         Args:
             values: from ``saved``.
@@ -327,9 +327,11 @@ class Targets(nn.Module):
     def _stitched(
         self, everyone: Any, track: Track, found: Tensor, ended: Ended, inner: Any, u: Tensor | None
     ) -> tuple[Any, Track, Ended, tuple[Tensor, Tensor, Tensor]]:
-        """Targets, of which those ``found (N,)`` have the identities of lost ones, and the remaining lost targets.
+        """Gives targets ``found (N,)`` the identities of lost ones.
 
-        Last the scene, the new identity and the old one ``(S,)`` of each target that got one.
+        Returns:
+            The targets, the remaining lost targets, and the scene, the new and the old identity ``(S,)`` of each target
+            whose identity has changed.
         """
         assert self.stitching is not None
         count, new = len(ended.scene), found.nonzero()[:, 0]
@@ -363,10 +365,11 @@ class Targets(nn.Module):
     def _mapped(
         self, state: TargetsState, scan: SceneScan, filter: JPDA, sensor: int, located: Located, association: Tensor
     ) -> tuple[Tensor, Tensor, Mapped]:
-        """Log ``(R, J)`` of the density of false measurements over the uniform one, and the next state of the map.
+        """The effect of the map on the scores of a scan, and the next state of the map.
 
-        Between them the mean ``(N,)`` of that log over what each target may have measured, its own measurements before
-        being one thing.
+        Returns:
+            Log ``(R, J)`` of the density of false measurements over the uniform one; the mean ``(N,)`` of that log over
+            the measurements that may be each target's, with ``ClutterMap.correction``; and the next state.
         """
         clutter_map, ((position, _), scene, j), track = self.clutter_map, located, state.track
         assert clutter_map is not None

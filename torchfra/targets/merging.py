@@ -17,14 +17,14 @@ from torchfra.types import Gaussian
 
 
 class Merging(nn.Module):
-    """Merges targets of one cluster whose states hardly differ: the confirmed one stays, of two alike the older.
+    """Merges targets of one cluster whose states hardly differ: the confirmed one stays, otherwise the older.
 
     Whole states are compared, so that targets whose paths cross are not merged.  Tracks of one target share its
     measurements, so that their difference is far smaller than the sum of their covariances.
 
-    A target that is large beside the noise, such as a ship that shows a radar now its bow and now its stern, begins
-    others beside itself.  With an ``extent`` a tentative target that is no farther than that from a confirmed one is
-    part of it, and deleted; two that are confirmed stay two, however near they come.
+    A target that is large beside the noise, such as a ship whose bow and stern a radar detects in turn, gives rise to
+    others beside it.  With an ``extent`` a tentative target that is no farther than that from a confirmed one is part
+    of it, and deleted; two confirmed targets are not merged, however close they are.
 
     Args:
         distance: root of the mean square of the difference, in standard deviations of each component, below which two

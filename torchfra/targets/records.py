@@ -13,7 +13,7 @@ from torchfra.types import Gaussian
 
 
 def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:
-    """The targets that were ever confirmed, one along each place of a dimension.
+    """The estimate of a sequence of scans: all targets that were confirmed, each with its own index in a dimension.
 
     Args:
         states: after each scan of a stream, from the first on.

@@ -170,9 +170,9 @@ class Deletion(nn.Module):
     """Deletion of targets, tentative or confirmed, by any of three criteria; None for one that is not used.
 
     Args:
-        misses: misses in a row by the filter's own sensor.  One by another sensor counts as many as are as probable
-            for a target that is there: ``log(1 - P)`` of the other over that of the own, where ``P`` is the
-            probability of a detection within the gate, times that of being visible to the sensor.
+        misses: successive misses by the filter's own sensor.  A miss by another sensor counts as many as have the same
+            probability: ``log(1 - P)`` of the other sensor over that of the own, where ``P`` is the probability of a
+            detection within the gate times that of being visible to the sensor.
         drop: probability such that the score has fallen by more than its log below the highest so far.
         spread: largest standard deviation of the position in any direction, m.
 

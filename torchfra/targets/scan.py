@@ -59,8 +59,8 @@ def filter_scan(
     Returns:
         The next state; the log probability ``(N,)`` that each target was missed; each one's share ``(N,)`` of the log
         density of the scan against one of false measurements alone; the probability ``(N, J)`` that each measurement of
-        its scene belongs to each target; and the clusters that share measurements.  Of a target that may not exist
-        they are those given that it exists, all but the density.
+        its scene belongs to each target; and the clusters that share measurements.  For a target that may not exist all
+        but the density are conditional on its existence.
     """
     count = scan.z.shape[1]
     association = scan.z.new_zeros(len(scene), count)

@@ -25,8 +25,7 @@ class Track(NamedTuple):
     age: Tensor
     """Scans since the birth, including those of the birth."""
     misses: Tensor
-    """Misses of each in a row, in those of the filter's own sensor: one by another counts by the log of its probability
-    for a target that is there, and less where the target may be hidden from the sensor."""
+    """Successive misses, counted as misses by the filter's own sensor: see ``Deletion``."""
     score: Tensor
     """Log odds of the target's existence; for rules without a probability at the birth, the log likelihood ratio of the
     scans since then."""

@@ -1,4 +1,4 @@
-"""Stitching of broken tracks: a target that is found again has the identity that it was lost with."""
+"""Stitching of broken tracks: a target that is found again has the identity that it had before."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Parts(NamedTuple):
 
 
 class Stitching(nn.Module):
-    """A track that is confirmed goes on with one that was lost before it began, where they agree.
+    """Gives a newly confirmed track the identity of one that was lost before it began, if the two agree.
 
-    They agree where the lost one, predicted to now, is no farther than so many metres, and in a gate of the difference
-    of the whole states by the sum of their covariances.  As many as possible are paired, with the least sum of squared
-    distances; none is in two pairs.
+    They agree if the lost one, predicted to now, is within ``metres`` of the other and in a gate: that of the
+    difference of the whole states, by the sum of their covariances.  The pairs are an assignment: as many as possible,
+    with the least sum of squared distances.
 
     Args:
         seconds: longest time between the last measurement of the lost one and the first of the other.
@@ -67,7 +67,7 @@ class Stitching(nn.Module):
         return assigned(squared, allowed)
 
     def later(self, ended: Ended, track: Track, dt: Tensor) -> Ended:
-        """The lost targets ``dt (R,)`` seconds later, without those for which any target would come too late."""
+        """The lost targets ``dt (R,)`` seconds later, without those that no target can be stitched to any more."""
         past = dt[ended.scene]
         ended = ended._replace(since=ended.since + past, deleted=ended.deleted + past)
         tentative = torch.where(track.confirmed, 0.0, track.lived)

@@ -12,13 +12,13 @@ from torchfra.numbers import as_number
 
 
 class FieldOfView:
-    """The ring around a sensor in which it measures targets: one outside that is not measured was not missed.
+    """The ring around a sensor in which it measures targets; a target outside is not missed.
 
     Args:
         farthest: distance, m.
         nearest: distance, m.
-        place: ``(dims,)`` where the sensor is, m; None for one that moves: then the first ``dims`` entries of ``u`` of
-            every scan are its place.
+        place: ``(dims,)`` position of the sensor, m; None for one that moves, whose position is the first ``dims``
+            entries of ``u`` of every scan.
 
     Raises:
         ValueError: not ``0 <= nearest < farthest``, or a place that is no finite position.

@@ -17,7 +17,7 @@ RUNS, LENGTH, FIRST = 100, 60, 20
 """Number of tracks, of their steps, and the first step that counts."""
 BEHIND = 0.02
 """Relative increase of the position error over that of ``srckf``, at most."""
-HONEST = 0.9, 1.1
+CONSISTENT = 0.9, 1.1
 """Bounds of the mean normalised estimation error squared, per component of the state."""
 
 
@@ -45,12 +45,12 @@ def where_its_models_hold_it_is_no_worse_than_a_kalman_filter(case: Case) -> Non
         plain, found = (g(z, prior, dt=case.dt, u=inputs) for g in (SRCKF(motion, f.sensor), f))
         errors = (error(e.mean, truth, motion.position)[:, FIRST:] for e in (found, plain))
         squares, of_plain = (e.square().mean(-1) for e in errors)  # mean square position error of each track, (RUNS,)
-        honest, of_plain_too = (float(nees(e, truth)[:, FIRST:].mean()) / motion.size for e in (found, plain))
+        consistency, plain_consistency = (float(nees(e, truth)[:, FIRST:].mean()) / motion.size for e in (found, plain))
     ratio = float(squares.mean() / of_plain.mean())
-    chance = 3 * float((squares - ratio * of_plain).std() / of_plain.mean()) / RUNS**0.5
-    limit = (1 + BEHIND) ** 2 + chance
+    margin = 3 * float((squares - ratio * of_plain).std() / of_plain.mean()) / RUNS**0.5
+    limit = (1 + BEHIND) ** 2 + margin
     what = "position error where its models hold"
     expect(ratio <= limit, what, f"at most {limit**0.5:.3f} times that of srckf", f"{ratio**0.5:.3f} times")
-    low, high = (function(x, x * of_plain_too) for function, x in zip((min, max), HONEST, strict=True))
+    low, high = (function(x, x * plain_consistency) for function, x in zip((min, max), CONSISTENT, strict=True))
     what = "normalised estimation error squared per component where its models hold"
-    expect(low <= honest <= high, what, f"from {low:.2f} to {high:.2f}", f"{honest:.2f}")
+    expect(low <= consistency <= high, what, f"from {low:.2f} to {high:.2f}", f"{consistency:.2f}")

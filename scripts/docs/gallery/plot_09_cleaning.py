@@ -1,6 +1,6 @@
 """A track cleaned.
 
-``torchfra.clean`` finds the noise, rejects outliers and lists manoeuvres, without being told any of it.
+``torchfra.clean`` finds the noise, rejects outliers and lists manoeuvres, without any of it given.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """A value for every track, and a gradient.
 
 Hyperparameters broadcast with the batch, so that a sweep of 40 thresholds is one call; and they learn by gradient
-descent: the crosses are 15 steps of Adam from a poor start.
+descent: the crosses are 15 steps of Adam from a bad prior.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Is the model right?
 
 The normalised innovation squared of a filter whose motion and noise are as stated follows a chi-square distribution.
-Three filters that differ in the standard deviation that they are told: the right one, half of it, and twice as much.
+Three filters that differ in the standard deviation that they assume: the right one, half of it, and twice as much.
 """
 
 import matplotlib.pyplot as plt

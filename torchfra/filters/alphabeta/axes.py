@@ -77,12 +77,12 @@ class ConstantGainFilter(Filter[S]):
         """
         name = type(self).__name__
         raise NotImplementedError(
-            f"{name}: constant gains state no process noise, and so not how far a state follows from the one after it; "
-            "smooth with presets.srckf, or a bank of motions"
+            f"{name}: constant gains have no process noise, which the backward pass needs; smooth with presets.srckf, "
+            "or a bank of motions"
         )
 
     def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
-        """Beliefs of all steps with full roots, of which steps keep the nonzero entries."""
+        """Beliefs of all steps with full roots; steps keep only the nonzero entries of roots."""
         return Gaussian(belief.mean, full_root(belief.scale_tril, belief.mean.shape[-1])), info
 
 
@@ -117,7 +117,7 @@ def update_axes(predicted: list[Tensor], column: list[Tensor], since: Tensor, re
 
 
 def short_step_gains(column: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
-    """Gains for a step shorter than their period: those of a tracking index in proportion to the step's square."""
+    """Gains for a step shorter than their period: the tracking index falls with the square of the step."""
     if period is None:
         return column
     share = (since / period(since).unsqueeze(-1)).clamp_max(1.0)
@@ -128,7 +128,7 @@ def startup_gains(column: list[Tensor], count: Tensor) -> list[Tensor]:
     """Gains that take the position from the first measurement and the velocity from the second; later unchanged."""
     first = [1.0] + [0.0] * (len(column) - 1)
     second = [1.0, 1.0] + [0.0] * (len(column) - 2)
-    # Halfway between whole numbers, as soft choices count a measurement as a share of one.
+    # Thresholds are halfway between whole numbers, as soft choices count a measurement as a share of one.
     return [
         torch.where(count < 0.5, a, torch.where(count < 1.5, b, gain))
         for a, b, gain in zip(first, second, column, strict=True)
@@ -154,7 +154,7 @@ def predict_root(rows: Rows, dt: Tensor) -> Rows:
 
 
 def corrected_root(rows: Rows, column: list[Tensor], since: Tensor, used: Tensor, std: Tensor) -> Tensor:
-    """Entries ``(..., p, d)`` of ``(I - K H) P (I - K H)^T + K R K^T``: the covariance of errors, whatever the gains.
+    """Entries ``(..., p, d)`` of a root of ``(I - K H) P (I - K H)^T + K R K^T``, the errors' covariance for any gains.
 
     Args:
         rows: of a root of P.
@@ -163,7 +163,7 @@ def corrected_root(rows: Rows, column: list[Tensor], since: Tensor, used: Tensor
         used: 1 where the measurement is used, 0 where K is 0.
         std: root of R.
 
-    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.2 (the form of Joseph).
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.2 (Joseph form).
     """
     gains = [used * gain / since**i for i, gain in enumerate(column)]
     rest = [[*(a - g * b for a, b in zip(row, rows[0], strict=True)), g * std]

@@ -182,8 +182,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             ``torchfra.filters.alphabeta.gains.levels`` if None.
         manoeuvre: residual that raises a flag, in std; None for 3 times the slowest filter's own.
         outlier: residual that is rejected outside manoeuvres, in std; None for 3 times ``manoeuvre``.
-        degrees: ``(N - 2,)`` shares of ``manoeuvre``, falling: thresholds of the residual that choose a level in a
-            manoeuvre.
+        degrees: ``(N - 2,)`` degrees of a manoeuvre, falling: shares of ``manoeuvre``, the thresholds of the residual
+            between the levels that a manoeuvre uses.
         limit: largest acceleration of the target, m/s^2.
         margin: residual in std that is never rejected in a manoeuvre.
         hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre.
@@ -517,7 +517,7 @@ def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Te
 
 
 def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
-    """Entries of the root of a track without a used measurement for long: its velocity is that of the prior."""
+    """Entries of the root of a track that has used no measurement for ``longest``, with the velocity of the prior."""
     speed = state.start[..., 1, :]
     entries = [innovation.since * speed, speed, 0 * speed]
     if state.start.shape[-2] > 2:

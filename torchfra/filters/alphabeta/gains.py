@@ -76,7 +76,7 @@ def levels(orders: int = 2) -> Gains:
 
 
 def benedict_bordner(alpha: Value) -> Gains:
-    """Gains with the best compromise between noise and transient errors.  Source: Benedict & Bordner (1962).
+    """Gains that minimise a weighted sum of noise and transient errors.  Source: Benedict & Bordner (1962).
 
     Raises:
         ValueError: ``alpha`` not in (0, 1].

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.alarms import lasting
+from torchfra.filters.alarms import faulty_seconds
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import smoothing
 from torchfra.filters.gpb.hypotheses import (
@@ -180,7 +180,7 @@ class GPB(Filter[GPBState]):
         smoothed = mixing.smoothed(regimes.by_belief(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
-        # The next state; what it knows of outliers is of the last step with a measurement.
+        # The next state; its probabilities of outliers are those of the last step with a measurement.
         blocks = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
         blocks = torch.where(measured.unsqueeze(-1), blocks, state.outlier)
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
@@ -246,8 +246,8 @@ class GPB(Filter[GPBState]):
     ) -> tuple[Tensor, Whitened] | None:
         """Probabilities that outliers have the offset of the step before, and the change of the measurement since.
 
-        If they have, the change is that of the target, whatever the offset.  It comes against its prediction by each
-        regime, ``(1, R, 2, ..., m)``; None without ``same_offset``.
+        In that case the change of the measurement is that of the target, whatever the offset.  The change is compared
+        with its prediction by each regime, ``(1, R, 2, ..., m)``.  None without ``same_offset``.
         """
         if state.last is None or not self.sensor.linear:
             return None
@@ -286,7 +286,7 @@ class GPB(Filter[GPBState]):
         was, faulty = self.faulty(before), self.faulty(now)
         estimated = self.sensor.at_points(now.belief.mean[None, ..., : self.sensor.reads], frame.u)[0]
         offset = torch.where(frame.measured > 0, self.sensor.difference(frame.z, estimated), 0.0)
-        return Alarm(faulty, lasting(before.lasted, was, faulty, frame.dt), offset)
+        return Alarm(faulty, faulty_seconds(before.lasted, was, faulty, frame.dt), offset)
 
     # ------------------------------------------------------------ what is expected later
 
@@ -321,7 +321,7 @@ class GPB(Filter[GPBState]):
         Where the points of the rule show no slope, the sensor's slope at the mean stands for them.
 
         If the points of a wide belief lie on all sides of an anchor, their ranges do not depend on the state to first
-        order: the belief would learn nothing from a range, and grow on.
+        order: a range would not update the belief, which would keep growing.
         """
         elements = range(self.sensor.size) if elements is None else elements
         if self.sensor.linear:
@@ -330,7 +330,7 @@ class GPB(Filter[GPBState]):
         return by_points_or_slope(lambda x: elements_of(compare(x, frame), elements), belief)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of the arguments, checked; noise that is correlated between blocks is refused."""
+        """Checks the arguments, and that noise is independent between blocks; their batch."""
         batch = super()._batch(measurements, prior, name)
         self.outliers.check_noise("noise", measurements.noise)
         return batch

@@ -94,7 +94,10 @@ class Hypotheses(NamedTuple):
 
 
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
-    """The entries of ``x`` along an axis that have these numbers."""
+    """The entries of ``x`` along an axis that have these numbers.
+
+    Successive numbers are a slice and equal ones an expansion, which copy less than ``index_select``.
+    """
     parts = []
     for first, count, copies in _runs(which):
         part = x.narrow(axis, first, count)
@@ -234,7 +237,7 @@ def batch_first(values: Tensor, axis: int) -> Tensor:
 
 
 def values_first(values: Tensor, rank: int) -> Tensor:
-    """Values ``(..., C)`` of tracks as ``(C, ...)``, with ``rank`` dimensions behind the first, the last of tracks."""
+    """Values ``(..., C)`` of tracks as ``(C, ...)`` with ``rank`` dimensions after ``C``, the last for tracks."""
     values = values.movedim(-1, 0)
     return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])
 

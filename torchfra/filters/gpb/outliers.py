@@ -249,11 +249,11 @@ class Outliers(nn.Module):
             if b and whitened.rest.shape[-1]:
                 whitened = whitened._replace(spread=hstack(none_measured * tria(whitened.rest), whitened.slope))
             none_measured = none_measured * absent.amin(-1)[..., None, None]
-            rows, cross, left, residual = _in_space_of(whitened, belief)
+            rows, cross, independent, residual = _in_space_of(whitened, belief)
             again = None if repeated is None else (repeated[0][..., b], elements_of(repeated[1], block))
             unknowns, log_block, outlier, ratio = self._weigh_modes(rows, residual, absent, prior[..., b], noise, again)
             spread = cross @ unknowns.scale_tril
-            spread = spread if left is None else hstack(spread, left)
+            spread = spread if independent is None else hstack(spread, independent)
             belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
             log_density = log_density + log_block
             outliers.append(outlier)
@@ -274,7 +274,7 @@ class Outliers(nn.Module):
         return sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets])
 
     def _weigh_modes(
-        self, rows: Tensor, residual: Tensor, absent: Tensor, chance: Tensor,
+        self, rows: Tensor, residual: Tensor, absent: Tensor, prior: Tensor,
         noise: tuple[Tensor, Tensor, Tensor | None], again: tuple[Tensor, Whitened] | None,
     ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None]:  # fmt: skip
         """The update of unknowns by one block, without any outlier so far and with some, which are in front.
@@ -284,9 +284,9 @@ class Outliers(nn.Module):
                 block the two in front are one.
             residual: ``(1 or 2, R, 2, ..., m)``.
             absent: ``(..., m)`` 1 where missing, 0 where measured.
-            chance: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
+            prior: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
             noise: from ``_noise``.
-            again: probability that an outlier has the offset of the step before, and the change of the measurement.
+            again: probability that an outlier has the offset of the step before, and the measurement's change since.
 
         Returns:
             The posterior ``(2, R, 2, ..., k)`` of the unknowns, the log density ``(2, R, 2, ...)`` of the block, the
@@ -303,13 +303,13 @@ class Outliers(nn.Module):
             first, log_first = sequential(rows[:1], residual[:1], sizes[:1], absent)
             none, log_none = _entry(first, 0), log_first[0]
         joint = torch.cat(
-            [(log_updated[0] + torch.log1p(-chance)).unsqueeze(0), log_updated[1:] + chance.log() + log_shares]
+            [(log_updated[0] + torch.log1p(-prior)).unsqueeze(0), log_updated[1:] + prior.log() + log_shares]
         )
         start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
         if again is not None:
             probability, change = again
             _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], absent)  # noise of two steps
-            without, same = joint[start:], log_same + chance.log() + safe_log(probability)
+            without, same = joint[start:], log_same + prior.log() + safe_log(probability)
             joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
             updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
             log_ratio = _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))

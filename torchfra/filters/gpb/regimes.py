@@ -30,7 +30,7 @@ class Switching(NamedTuple):
     """How probability moves between regimes from one step to the next: weights ``(1, R, 2, ...)`` up to one factor."""
 
     stayed: Tensor
-    """Weight of each regime that goes on."""
+    """Weight of each regime that continues."""
     ended: Tensor
     """Weight of each regime that ends."""
     restarted: Tensor
@@ -45,7 +45,7 @@ class Regimes(nn.Module):
     There are ``R = L + (K - 1) + C + M + J`` regimes, in this order.  The first motion has ``L`` levels of process
     noise, each other motion of a bank is one regime, as are ``C`` climbs (below).  In each of ``M`` manoeuvres the
     process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
-    each of ``J`` jumps the covariance of the predicted position is.  A regime goes on with its self-transition
+    each of ``J`` jumps the covariance of the predicted position is.  A regime continues with its self-transition
     probability, or for its mean duration; then the next one is drawn from the restart distribution.  The chain starts
     from its stationary distribution.  Values are by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
     manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
@@ -118,23 +118,23 @@ class Regimes(nn.Module):
             if value.shape[-1:] != (kinds if self.by_kind else count,):
                 raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
         self.vertical, self.climb_count = tuple(vertical), separate_levels if vertical else 0
-        wild = self.manoeuvre_count + self.jump_count
-        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + wild)
+        scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
+        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + scaled)
         """The number of each regime's motion."""
         self.beliefs = motions + separate_levels + self.climb_count
         """The number of beliefs, ``S``."""
         separate, climbs = range(motions, motions + separate_levels), range(motions + separate_levels, self.beliefs)
         self.belief_of = (
-            *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * wild
+            *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * scaled
         )  # fmt: skip
         """The number of each regime's belief."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
         """The numbers of the first belief's regimes."""
         self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
         """The number of the only regime of each other belief."""
-        others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - wild)
-        last = (kinds if self.by_kind else count) - wild
-        self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + wild))
+        others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - scaled)
+        last = (kinds if self.by_kind else count) - scaled
+        self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + scaled))
         """The index of each regime's values."""
         self.sharing = tuple(float(self.kind_of.count(kind)) for kind in self.kind_of)
         """The number of regimes that share each regime's entry of the restart distribution."""
@@ -180,7 +180,7 @@ class Regimes(nn.Module):
 
         No level, climb, manoeuvre or jump begins in a step without a measurement; otherwise their posterior
         probabilities would decay over a gap.  Other motions may begin: the longer a gap, the less is known of the
-        motion.  Over 0 seconds every regime goes on.
+        motion.  Over 0 seconds every regime continues.
 
         Args:
             like: ``(R, ...)``.

@@ -12,7 +12,7 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
-BLIND = 0.02
+LEAST_SHARE = 0.02
 """Share of a predicted element's variance that its slope must explain; below it the points show no slope."""
 NEAR = 0.01
 """Scale of the points around the mean that give the slope there instead."""
@@ -27,14 +27,14 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     """
     wide = compare(belief)
     slope, rest = (reduce(torch.add, x.square().unbind(-1), x.new_zeros(())) for x in (wide.slope, wide.rest))
-    blind = slope < BLIND * (slope + rest)
-    some = blind.any()  # hardly ever: the points nearby are then not computed, in kernels neither
+    flat = slope < LEAST_SHARE * (slope + rest)
+    some = flat.any()  # rarely true; only then are the points nearby computed, in kernels as well
     if not is_traced(some) and not some:
         return wide
     near = compare(Gaussian(belief.mean, NEAR * belief.scale_tril))
-    steep = torch.where(blind.unsqueeze(-1), near.spread / NEAR, wide.spread)
-    residual = torch.where(blind, near.residual, wide.residual)
-    return Whitened(torch.where(some, residual, wide.residual), torch.where(some, steep, wide.spread), wide.reads)
+    spread = torch.where(flat.unsqueeze(-1), near.spread / NEAR, wide.spread)
+    residual = torch.where(flat, near.residual, wide.residual)
+    return Whitened(torch.where(some, residual, wide.residual), torch.where(some, spread, wide.spread), wide.reads)
 
 
 def compare_linear(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:

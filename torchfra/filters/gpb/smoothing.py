@@ -22,7 +22,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.states import GPBPast
 from torchfra.filters.interaction import for_each_model
-from torchfra.filters.model_smoothing import inside
+from torchfra.filters.model_smoothing import unwhitened
 from torchfra.filters.records import Smoothed
 from torchfra.gaussian.future import future
 from torchfra.gaussian.inputs import BackwardStep
@@ -64,9 +64,8 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     carried = from_state(step.carried.hypotheses, step.carried.log_weights, (BEFORE, MOTION), AXES)
     mixed, _ = f.mix(carried.belief, regimes.switch(carried.log_weight, frame.dt, measured))
-    frame = adapted(
-        for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean
-    )  # as the filter has adapted it
+    # Shift and process noise are those of the forward pass.
+    frame = adapted(for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean)
     predicted = regimes.predictions(carry(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
     to_step = Hypotheses(predicted, log_sum(prior_of_carried, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
@@ -82,7 +81,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     joint = without_failed(torch.where(none, -torch.inf, joint - torch.where(none, 0.0, total))) + later.log_weight
     updated = Hypotheses(each, regimes.log_by_belief(joint, MOTION_BEFORE)).merged(OUTLIER, MOTION).belief
     log_weight = log_sum(log_sum(joint, MOTION), OUTLIER)[None, None]
-    now = Hypotheses(inside(before.belief, updated), log_weight)
+    now = Hypotheses(unwhitened(before.belief, updated), log_weight)
     hypotheses, log_weights = to_state(now, (BEFORE, MOTION_BEFORE), AXES)
     result: GPBPast = step.past._replace(hypotheses=hypotheses, log_weights=log_weights)
     return result

@@ -25,7 +25,9 @@ def learn_noise(
     estimate: NominalNoise, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
     share_noise: bool,
 ) -> Any:  # fmt: skip
-    """The memory of the noise estimate after a scan, if ``when`` equals its ``adapt``; else as it is: eq. (19).
+    """The memory of the noise estimate after a scan, if ``when`` equals its ``adapt``; else unchanged.
+
+    Equation numbers are those of Chen, Zou & Wu; this is their eq. (19).
 
     Args:
         estimate: the noise estimate of the inner filter.
@@ -45,7 +47,7 @@ def learn_noise(
     measured = share.sum(-1)[..., None, None]  # probability that each target was measured
     total = measured.sum(-3, keepdim=True)
     mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
-    # Below a half no target was measured, more likely than not.
+    # With a sum below one half, more likely than not no target was measured: nothing is learned.
     return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
 
 
@@ -116,9 +118,9 @@ def moments_with_one_root(predicted: Gaussian, each: Gaussian, log_weights: Tens
 
 
 def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
-    """The measurements ``(..., N, K)`` in each gate, where K is the number in the fullest gate.
+    """The measurements ``(..., N, K)`` in each gate, where K is the largest number of measurements in a gate.
 
-    While code is traced it is all of them.
+    While code is traced it is J.
 
     Args:
         log_weights: ``(..., N, J + 1)`` of a miss, and of each measurement.

@@ -21,7 +21,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
 from torchfra.filters.records import Past, Record, Smoothed
 from torchfra.filters.scans.combined import combined, fade, learn_noise, update
-from torchfra.filters.scans.lost_tracks import inflated, log_miss, log_unseen, missed_scans, search
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, log_unseen, lost_inflation, missed_scans
 from torchfra.filters.scans.merging import check_merges
 from torchfra.filters.scans.scan import (
     JPDAInfo,
@@ -50,7 +50,7 @@ class ScanPast(NamedTuple):
 
     inner: Past
     """The past of the targets' filters."""
-    searched: Tensor
+    inflations: Tensor
     """``(..., N)`` number of times that the covariance of a lost track has been quadrupled."""
 
 
@@ -164,15 +164,16 @@ class JPDA(Soft, Filter[JPDAState]):
             visible: ``(..., N)`` probability that each target is visible to the sensor, if it exists; None if all are.
             count_empty: whether a scan without any measurement counts as missing all targets.
         """
-        miss, factor, searched = log_miss(self.detection, self.gate, state.missed), None, state.searched
+        miss, factor, inflations = log_miss(self.detection, self.gate, state.missed), None, state.inflations
         if self.lost:
-            factor, searched = search(state.missed, state.searched, miss, self.lost)
+            factor, inflations = lost_inflation(state.missed, state.inflations, miss, self.lost)
         update_all = self.by_innovations if isinstance(self.inner, SRCKF) else self.by_states
         associate = partial(self.associate, miss=miss, exists=exists, visible=visible)
         inner, scan, association, info = update_all(state.inner, factor, associate, frame)
         innovation = combined(association.probabilities, scan.whitened.residual, scan.root, scan.normalised, frame)
-        record = Record(inner.belief, *innovation, info, association.evidence, past=searched)
-        return JPDAState(inner, missed_scans(state.missed, association, frame.measured, count_empty), searched), record
+        record = Record(inner.belief, *innovation, info, association.evidence, past=inflations)
+        misses = missed_scans(state.missed, association, frame.measured, count_empty)
+        return JPDAState(inner, misses, inflations), record
 
     def by_innovations(
         self, state: State, inflation: Tensor | None, associate: Associate, frame: Frame
@@ -312,7 +313,7 @@ class JPDA(Soft, Filter[JPDAState]):
         """One step of the backward pass, of each target by itself."""
         belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.next.inner.factor
         carried = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
-        times = 2 ** (step.next.searched - step.past.searched).clamp_min(0.0)[..., None, None, None]
+        times = 2 ** (step.next.inflations - step.past.inflations).clamp_min(0.0)[..., None, None, None]
         spread, noise = times * carried.spread, times * carried.process_noise
         subtracted = None if carried.subtracted is None else times * carried.subtracted
         carried = carried._replace(spread=spread, process_noise=noise, subtracted=subtracted)

@@ -12,17 +12,17 @@ from torchfra.association.gates import Gate
 from torchfra.hyper import Hyper
 from torchfra.types import Gaussian, Prediction
 
-_SEARCH = 5.0
+_MOST_INFLATIONS = 5.0
 """Largest number of times that the covariance of a lost track quadruples."""
 
 
 def log_miss(detection: Hyper, gate: Gate, like: Tensor) -> Tensor:
     """Log of the probability that a target has no measurement in its gate: a number or ``(..., N)``."""
-    chance, inside = detection(like), gate.gate_probability()
-    chance = chance if inside is None else chance * inside.to(like)
-    # A target that is always measured is never missed; the logarithm of rounding is no probability.
-    some = chance < 1 - 4 * torch.finfo(chance.dtype).eps
-    miss = torch.where(some, torch.log1p(-torch.where(some, chance, 0.0)), -torch.inf)
+    detected, inside = detection(like), gate.gate_probability()
+    detected = detected if inside is None else detected * inside.to(like)
+    # A probability that is 1 up to rounding counts as 1: such a target is never missed.
+    some = detected < 1 - 4 * torch.finfo(detected.dtype).eps
+    miss = torch.where(some, torch.log1p(-torch.where(some, detected, 0.0)), -torch.inf)
     return miss.squeeze(-1) if miss.dim() else miss
 
 
@@ -44,18 +44,18 @@ def missed_scans(before: Tensor, association: Association, measured: Tensor, cou
     return torch.where(some, association.log_weights[..., 0].exp() * (before + 1), before)
 
 
-def search(missed: Tensor, searched: Tensor, log_miss: Tensor, lost: float) -> tuple[Tensor, Tensor]:
+def lost_inflation(missed: Tensor, inflations: Tensor, log_miss: Tensor, lost: float) -> tuple[Tensor, Tensor]:
     """Factor ``(..., N)`` on the covariance root of a lost track, and the number of times it has been quadrupled.
 
     Args:
         missed: ``(..., N)`` expected number of scans since the last measurement.
-        searched: ``(..., N)`` number of times that the covariance has been quadrupled before.
+        inflations: ``(..., N)`` number of times that the covariance has been quadrupled before.
         log_miss: log of the probability that a target has no measurement in its gate.
         lost: probability of so many misses in a row below which a track is taken for lost.
     """
-    patience = math.log(lost) / log_miss
-    wanted = (missed - patience).clamp(0.0, _SEARCH)
-    return 2.0 ** (wanted - searched).clamp_min(0.0), wanted
+    tolerated = math.log(lost) / log_miss
+    wanted = (missed - tolerated).clamp(0.0, _MOST_INFLATIONS)
+    return 2.0 ** (wanted - inflations).clamp_min(0.0), wanted
 
 
 def inflated(prediction: Prediction, factor: Tensor) -> Prediction:

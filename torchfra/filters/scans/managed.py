@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.scans.lost_tracks import inflated, log_miss, search
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, lost_inflation
 from torchfra.filters.scans.scan import JPDAState
 from torchfra.filters.scans.separate import inflated_state, missed
 from torchfra.filters.srckf import SRCKF
@@ -85,7 +85,7 @@ def predict_measurements(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAS
     inner, learned, factor = state.inner, None, None
     if f.lost:
         miss = log_miss(f.detection, f.gate, state.missed)
-        factor, _ = search(state.missed, state.searched, miss, f.lost)
+        factor, _ = lost_inflation(state.missed, state.inflations, miss, f.lost)
     if isinstance(f.inner, SRCKF):
         before, _, noise = tree.insert_batch_dimension(inner)
         prediction = f.inner.predicted(before, frame)

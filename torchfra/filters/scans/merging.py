@@ -115,12 +115,12 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         averaged(states.outlier, some),
         averaged(states.lasted, log_weights),
         None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
-        tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # whose the measurement was is not known
+        tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # it is not known whose measurement it was
     )
 
 
 def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
-    """Logs of the joint weights of hypotheses and of models inside of them, which may be NaN if the weight is 0."""
+    """Logs of the joint weights of hypotheses and models; a model's may be NaN where the hypothesis has weight 0."""
     return torch.where(log_weights > -torch.inf, log_weights + inside, -torch.inf)
 
 

@@ -28,7 +28,7 @@ class JPDAState(NamedTuple):
     """State of the targets' filters, ``(..., N)``."""
     missed: Tensor
     """``(..., N)`` expected number of scans since the last measurement of each."""
-    searched: Tensor
+    inflations: Tensor
     """``(..., N)`` number of times that the covariance of each has been quadrupled as that of a lost track."""
 
     @property
@@ -94,7 +94,7 @@ def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **o
 def gated_first(inside: Tensor) -> Tensor:
     """Numbers ``(..., N, K)`` of measurements, those ``inside (..., N, J)`` the gate first.
 
-    K is the number in the fullest gate; while code is traced it is J.
+    K is the largest number of measurements in a gate; while code is traced it is J.
     """
     if is_elementary():
         return torch.arange(inside.shape[-1]).expand(inside.shape)  # all measurements; their order does not matter

@@ -34,7 +34,7 @@ class Pairs(NamedTuple):
 
 
 def core(inner: Filter) -> Any:
-    """The filter that compares measurements with a Gaussian: of an ``IMM`` that of its models."""
+    """The filter that compares measurements with a Gaussian: the filter itself, or the models' filter of an ``IMM``."""
     return inner.inner if isinstance(inner, IMM) else inner
 
 
@@ -88,7 +88,7 @@ def _with_rows(state: Any, rank: int, count: int) -> Any:
 
 
 def _rows_first(trees: Any, rank: int, count: int) -> Any:
-    """Trees with that dimension moved to the front; tensors with a single entry are repeated."""
+    """Trees with the dimension of ``_with_rows`` moved to the front; tensors with a single entry are repeated."""
 
     def first(x: Tensor) -> Tensor:
         return x.expand(*x.shape[:rank], count, *x.shape[rank + 1 :]).movedim(rank, 0)
