@@ -64,6 +64,9 @@ scan, in a square of ``WIDTH`` m."""
 WIDTH, REACH, SPREAD, EXTENT = 600.0, 70.0, 2.0, 20.0
 """m; how far the lidar sees boats for sure; standard deviation of a kernel of the map of clutter: what stays is off by
 some metres for long, but only 1 to 2 m from scan to scan; and from a ship within which no other begins."""
+EMPTY = 8.0
+"""Scans without measurements with which the map begins: after 2 of them a third of what is seen first counts as land,
+boats too."""
 
 
 class Scan(NamedTuple):
@@ -140,7 +143,7 @@ def manager(name: str) -> Targets:
     both = name == "radar_lidar"
     return Targets(
         radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(4),
-        merging=Merging(extent=EXTENT), clutter_map=ClutterMap(SPREAD, 60.0), stitching=STITCHING,
+        merging=Merging(extent=EXTENT), clutter_map=ClutterMap(SPREAD, 60.0, EMPTY), stitching=STITCHING,
         sensors={"lidar": lidar} if both else None, views={"lidar": FieldOfView(REACH)} if both else None,
     )  # fmt: skip
 

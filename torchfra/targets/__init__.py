@@ -12,6 +12,7 @@ from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track
 from torchfra.targets.stitching import Stitching
+from torchfra.targets.triangulation import Triangulation
 from torchfra.targets.views import FieldOfView
 from torchfra.targets.visibility import Visibility
 
@@ -32,6 +33,7 @@ __all__ = [
     "TargetsEstimate",
     "TargetsState",
     "Track",
+    "Triangulation",
     "TwoPoint",
     "Visibility",
     "collect",

@@ -30,6 +30,7 @@ from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
 from torchfra.targets.stitching import Parts, Stitching, lost
+from torchfra.targets.triangulation import Lines, Triangulation, check_triangulation, sights
 from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.targets.visibility import Visibility, check_visibility
 from torchfra.types import Gaussian
@@ -51,7 +52,7 @@ class Targets(nn.Module):
     Args:
         filter: around a filter of one target; a copy of it runs here.  Its hyperparameters are the same for all
             targets, and its ``detection`` or the gate's probability is below 1.
-        birth: how targets begin, ``OnePoint()`` if None; needs a sensor that ``locates``.
+        birth: how targets begin, ``OnePoint()`` if None; needs a sensor that ``locates``, or ``triangulation``.
         confirmation: when tentative targets are confirmed or deleted, ``SPRT()`` if None; scores need clutter of a
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
@@ -70,6 +71,7 @@ class Targets(nn.Module):
         stitching: when a target has the identity of one that was lost before; None for never.
         visibility: of sensors from which targets are hidden for a while, by others or by the shore, by name, None for
             the filter's own; all other sensors see all targets at all times.
+        triangulation: births where the bearings of two sensors cross; None for births by sensors that ``locate`` alone.
         clutter_map: learns where false measurements recur, for each sensor that measures every direction of space;
             None for a uniform density.  It needs clutter of a Poisson rate.
 
@@ -87,13 +89,13 @@ class Targets(nn.Module):
         sensors: Mapping[str, JPDA] | None = None,
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
         lag: float = 0.0, stitching: Stitching | None = None, linkage: Mapping[str | None, float] | None = None,
-        visibility: Mapping[str | None, Visibility] | None = None,
+        visibility: Mapping[str | None, Visibility] | None = None, triangulation: Triangulation | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
-        check_filter(filter)
+        check_filter(filter, births=triangulation is None)
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
                     merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap),
-                    stitching=(stitching, Stitching))  # fmt: skip
+                    stitching=(stitching, Stitching), triangulation=(triangulation, Triangulation))  # fmt: skip
         if not 0 < as_number(free) < 1:
             raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
         if not 0 <= as_number(lag) < math.inf:
@@ -103,9 +105,10 @@ class Targets(nn.Module):
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
         self.merging, self.free, self.clutter_map, self.lag = merging, free, clutter_map, float(lag)
-        self.stitching = stitching
+        self.stitching, self.triangulation = stitching, triangulation
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
+        check_triangulation(triangulation, self.filter, more)
         self.linkage = check_linkage(linkage, self.filter, more)
         self.visibility = check_visibility(visibility, list(more))
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
@@ -149,7 +152,8 @@ class Targets(nn.Module):
             mapped = self.clutter_map.begin(scenes, 1 + len(self.sensors), position.mean)
         begun = self.filter.begin(empty)
         ended = None if self.stitching is None else Ended(begun, none, none, nothing, nothing)
-        return TargetsState(begun, track, free, next_identity, mapped, ended)
+        lines = None if self.triangulation is None else self.triangulation.begin(nothing)
+        return TargetsState(begun, track, free, next_identity, mapped, ended, lines)
 
     def saved(self, state: TargetsState) -> dict[str, Any]:
         """A state as a dictionary for ``torch.save``, which ``torch.load`` reads with ``weights_only=True``."""
@@ -211,7 +215,8 @@ class Targets(nn.Module):
         filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
         scan = check_scan(filter, state, measurements, self.confirmation.window, self.lag)
         parts = (("a map of clutter", state.clutter, self.clutter_map), ("stitching", state.ended, self.stitching),
-                 ("visibility", state.track.visible, self.visibility))  # fmt: skip
+                 ("visibility", state.track.visible, self.visibility),
+                 ("triangulation", state.lines, self.triangulation))  # fmt: skip
         for name, has, part in parts:
             if (has is None) != (part is None):
                 expected, received = ("none", "one") if part is None else ("one", "none")
@@ -284,6 +289,9 @@ class Targets(nn.Module):
         claims = association if exists is None else association * exists.unsqueeze(-1)
         free = 1 - torch.zeros_like(excess).index_add(0, scene, claims)
         newborn, unassociated = self._births(state.unassociated, free, excess, scan, located, number)
+        lines = state.lines
+        if self.triangulation is not None and lines is not None:
+            newborn, lines = self._triangulated(newborn, lines, free, scan, sensor)
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
         if self.visibility is not None:
             begun = begun._replace(visible=self.visibility.first(begun.score, number))
@@ -306,7 +314,7 @@ class Targets(nn.Module):
             everyone, track, ended, names = self._stitched(everyone, track, found, ended, filter.inner, scan.u)
             if self.clutter_map is not None and mapped is not None:
                 mapped = self.clutter_map.stitched(mapped, *names)
-        return TargetsState(everyone, track, unassociated, next_identity, mapped, ended)
+        return TargetsState(everyone, track, unassociated, next_identity, mapped, ended, lines)
 
     def _predicted(self, state: TargetsState, dt: Tensor, sensor: int) -> tuple[TargetsState, Tensor | None]:
         """The state predicted by ``dt (N,)`` seconds, and each target's probability ``(N,)`` of being visible."""
@@ -403,6 +411,21 @@ class Targets(nn.Module):
         own = before.sensor == sensor
         newborn, left = self.birth(self.filter.motion, now, rows(before, own))
         return newborn._replace(newest=chosen[newborn.newest]), joined(rows(before, ~own), left)
+
+    def _triangulated(
+        self, newborn: Newborn, lines: Lines, free: Tensor, scan: SceneScan, sensor: str | None
+    ) -> tuple[Newborn, Lines]:
+        """The newborn targets, where bearings of a scan cross others too, and the remaining lines of sight."""
+        triangulation, of = self.triangulation, self._of(sensor).sensor
+        assert triangulation is not None
+        lines = triangulation.later(lines, scan.dt)
+        if not sights(of):
+            return newborn, lines
+        number = 0 if sensor is None else 1 + list(self.sensors).index(sensor)
+        farthest = self.views[sensor].farthest if sensor in self.views else math.inf
+        found, lines = triangulation(triangulation.lines(of, scan, free, self.free, farthest, number), lines, number)
+        begun, _ = OnePoint(triangulation.speed, self.birth.more)(self.filter.motion, found, rows(found, slice(0)))
+        return begun._replace(hits=2), lines
 
 
 def _maps(filter: JPDA) -> bool:

@@ -83,6 +83,8 @@ class TargetsState(NamedTuple):
     """State of the clutter map; None without one."""
     ended: Ended | None = None
     """Lost targets that may be found again; None without ``Stitching``."""
+    lines: Any = None
+    """Lines of sight that belong to no target; None without ``Triangulation``."""
     past: tuple[Any, ...] = ()
     """The latest scans with the states before them, for delayed scans; empty without a ``lag``."""
 
