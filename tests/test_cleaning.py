@@ -520,6 +520,41 @@ def test_cars_that_go_to_and_fro_between_rare_fixes_are_where_they_were_measured
         assert error(cleaned, path, slice(None)) < 1.1 * np.sqrt(np.square(cleaned.raw - path).sum(1).mean())
 
 
+def raw_and_cleaned(path, period, word, wrong=None):
+    """Errors of fixes with 3 m of noise and of their path; of those that are not ``wrong``, which are 100 ways off."""
+    z = path + 3.0 * np.random.default_rng(8).standard_normal(path.shape)
+    good = np.ones(len(path), bool)
+    if wrong is not None:
+        z[wrong] += 100 * np.abs(np.diff(path, axis=0)).max()
+        good[wrong] = False
+    (cleaned,) = clean_tracks([Recording("rare", period * np.arange(len(z)), z, None, {}, source=Source(word=word))])
+    return np.sqrt(np.square(z - path)[good].sum(1).mean()), error(cleaned, path, good), cleaned
+
+
+@pytest.mark.parametrize("word", ["", "animal", "bird", "marine"])
+def test_who_is_seen_once_a_day_about_its_home_is_where_it_was_measured(word):
+    raw, cleaned, _ = raw_and_cleaned(1000.0 * np.random.default_rng(1).standard_normal((90, 2)), 86_400.0, word)
+    assert cleaned < 1.05 * raw
+
+
+@pytest.mark.parametrize("period", [1800.0, 7200.0, 21_600.0])
+def test_who_rests_and_moves_now_and_then_is_where_it_was_measured_and_its_outliers_are_found(period):
+    rng = np.random.default_rng(2)
+    moves = np.where(rng.random((120, 1)) < 0.3, 1.2 * period * rng.standard_normal((120, 2)), 0.0)
+    raw, cleaned, one = raw_and_cleaned(np.cumsum(moves, 0), period, "", [30, 70])
+    assert cleaned < 1.05 * raw
+    np.testing.assert_array_equal(np.flatnonzero(one.flag == "outlier"), [30, 70])
+
+
+def test_an_aircraft_that_takes_off_at_the_end_of_rare_fixes_is_no_outlier():
+    path = np.zeros((80, 2))
+    path[:40] = 180_000.0 * np.arange(-40, 0)[:, None]
+    path[-2:] = (120_000.0, 30_000.0), (235_000.0, 58_000.0)
+    raw, cleaned, one = raw_and_cleaned(path, 900.0, "aircraft")
+    assert cleaned < 1.05 * raw
+    assert not (one.flag == "outlier").any()
+
+
 def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes():
     rng, speed, course, place, path = np.random.default_rng(3), 5.0, 0.0, np.zeros(2), []
     while len(path) < 12_000:  # tenths of a second

@@ -53,8 +53,8 @@ class OutlierModel(NamedTuple):
     """Least mean square error per axis of an outlier, in units of the variance of an inlier."""
     reach: Tensor | float = 0.0
     """The same as a distance, m, as far as targets often are beside their way; one, or ``(B,)``."""
-    same_offset: float = 0.5
-    """Probability that an outlier after another is as far off in the same direction."""
+    same_offset: Tensor | float = 0.5
+    """Probability that an outlier after another is as far off in the same direction; one, or ``(B,)``."""
     alone: Tensor | float = 0.001
     """Probability of an outlier where other axes of the fix have none; one, or ``(B,)``."""
     beside: Tensor | float = 0.95
@@ -260,7 +260,7 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
             mixed, log_weights = switched(state.belief, state.log_weights, chain, elapsed.unsqueeze(0))
             ahead = state._replace(belief=_propagated(mixed, levels, elapsed), log_weights=log_weights)
         inlier, log_density = corrected(ahead.belief, z, variance, missing, model)
-        if model.same_offset:
+        if torch.as_tensor(model.same_offset).any():
             log_density[1, 1] = _with_same_offset(
                 log_density[1, 1], _entry(ahead.belief, 1), z - state.z, levels, elapsed, variance, model
             )
@@ -329,7 +329,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
         outlier_sizes=(max(model.least_size, float((model.reach / sigma).square().max())),),
         outlier_shares=(1.0,),
         outliers_inform=False,
-        same_offset=model.same_offset,
+        same_offset=float(model.same_offset) or None,
     )
     regimes = Regimes(
         len(levels.q), noise_levels=(1.0,), jump_factors=(), durations=levels.duration.T,
@@ -367,7 +367,8 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
     apart = (first - middle).abs().nanmean((0, 1)).nan_to_num()
     shape = (2, *levels.q.shape)
     position = middle.nan_to_num()[:, None, None].expand(-1, *shape)
-    pp, vv = (1e8 + apart.square()).expand(shape), z.new_full(shape, 1e5)
+    pp = (1e8 + apart.square() + torch.as_tensor(model.reach).square()).expand(shape)
+    vv = z.new_full(shape, 1e5)
     share = model.share(fixes.gap[0])
     log_mode = torch.stack([1 - share, share]).log().unsqueeze(1)
     belief = Belief(position, torch.zeros_like(position), pp, torch.zeros_like(pp), vv)
@@ -422,8 +423,9 @@ def _with_same_offset(
     total = 2 * variance + elapsed.square() * x.vv - levels.q * (2 / 3 * elapsed**3)
     total = total + levels.walk * elapsed
     squared = d * _mean_product(residual, residual)
-    same = math.log(model.same_offset) - 0.5 * (squared / total + d * (total.log() + _LOG_TWO_PI))
-    other = log_density + math.log1p(-model.same_offset)
+    offset = torch.zeros_like(variance) + model.same_offset
+    same = offset.log() - 0.5 * (squared / total + d * (total.log() + _LOG_TWO_PI))
+    other = log_density + torch.log1p(-offset)
     return torch.where(squared.isnan(), log_density, torch.logaddexp(other, same))
 
 

@@ -6,6 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from torchfra.cleaning.process_noise import LONGEST
 from torchfra.motion.bank import aircraft, people, ships, vehicles
 from torchfra.readers.recording import Recording
 from torchfra.readers.sanity import speed_across
@@ -49,6 +52,8 @@ _FASTER = 5.0
 """How many times as fast as its kind a target may be that somebody says to be of it."""
 _MANY = 25
 """Fixes from which on that is looked at."""
+_MOST = 0.98
+"""Share of the moves between rare fixes that are no outliers of the same offset."""
 
 
 def check_kind(name: str) -> None:
@@ -80,6 +85,21 @@ def kind_of(recording: Recording) -> tuple[str, str]:
     """The name of the kind of a target, and why: as the file says, or by its speed."""
     if recording.source.word in KINDS:
         return recording.source.word, "as the file says"
-    speed = speed_across(recording, 0.9)
+    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording))
     name = next((name for name in _BY_SPEED if speed <= KINDS[name].fastest), "aircraft")
     return name, f"by its speed of {speed:,.1f} m/s"
+
+
+def _speed_of_rare_moves(recording: Recording) -> float:
+    """Speed, m/s, that one in fifty moves exceeds of a target whose fixes are rare; 0 of others.
+
+    Such targets mostly rest, and go on average far more slowly than they can.  A move is as long as the least of the
+    ways between the fixes on either side of it and those next to them: an outlier alone is none.
+    """
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, position = recording.time[there], recording.position[there, :2]
+    if len(time) < 4 or np.median(np.diff(time)) <= LONGEST:
+        return 0.0
+    one, two = (np.linalg.norm(position[k:] - position[:-k], axis=1) for k in (1, 2))
+    move = np.minimum(one[1:-1], np.minimum(two[:-1], two[1:]))
+    return float(np.quantile(move / np.diff(time)[1:-1].clip(LONGEST), _MOST))

@@ -43,7 +43,7 @@ class Part(NamedTuple):
     @property
     def on_line(self) -> Part:
         """With outliers as likely as before any fix was seen."""
-        return self._replace(model=DEFAULT._replace(reach=self.model.reach))
+        return self._replace(model=DEFAULT._replace(reach=self.model.reach, same_offset=self.model.same_offset))
 
     @property
     def scaled(self) -> Fixes:

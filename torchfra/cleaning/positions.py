@@ -14,11 +14,11 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Used
-from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels
+from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.parts import SHORT, Part
-from torchfra.cleaning.process_noise import levels_up_to, may_stop
+from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
@@ -117,12 +117,24 @@ def _parts(
         if parts:  # the error of a rounded height is even within half a step to either side
             rounded = torch.tensor([coarse[row.track][1] / math.sqrt(12) for row in rows], dtype=torch.float64)
             least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
-        model = DEFAULT._replace(reach=USUAL * torch.minimum(most * period.square() / 4, fastest * period))
+        model = _outliers(most, fastest, period)
         sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if given is None else given
         sigma = sigma.maximum(least)
         stops = may_stop(most, fastest, period, steady)
         parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), stops, model))
     return rows, parts
+
+
+def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor) -> OutlierModel:
+    """What is known of outliers at first.
+
+    Between fixes that are rare a target may rest, go or come back as it likes: there an outlier is where no target can
+    be, and none that follows another is off in the same direction, for what did that is over.
+    """
+    usual = USUAL * torch.minimum(hardest * period.square() / 4, fastest * period)
+    rare = period > LONGEST
+    offset = torch.where(rare, 0.0, torch.zeros_like(period) + DEFAULT.same_offset)
+    return DEFAULT._replace(reach=torch.where(rare, fastest * period, usual), same_offset=offset)
 
 
 def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:

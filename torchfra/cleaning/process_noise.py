@@ -22,9 +22,11 @@ _LEAST_CHANGE = 0.03
 distinguished."""
 _PERIODS = 3.0
 """Periods that levels last where these are longer: what many levels leave in the mean changes slowly."""
-_WALKS, _APART, _WALK_FIXES = 5, 2.5, 10.0
-"""Levels of a random walk between two fixes, the ratio of the ways by which they move a target, and how many fixes each
-of them lasts."""
+_WALKS, _WALKS_RARE, _APART = 5, 8, 2.5
+"""Levels of a random walk between two fixes, the same where fixes are rarer than any level lasts, and the ratio of the
+ways by which they move a target."""
+_WALK_FIXES, _WALK_FIXES_RARE = 10.0, 3.0
+"""How many fixes each of them lasts; and where fixes are rare, for a target that rests for hours moves now and then."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
 _RAREST = -25.0
@@ -59,6 +61,11 @@ def levels_up_to(
     stops = fastest / acceleration  # seconds in which a target stops
     walking = may_stop(acceleration, fastest, period, steady) & (period > _SHORTEST)
     return _with_walks(levels, fastest * period, period, stops, walking) if q is None and walking.any() else levels
+
+
+def with_levels_of_walks(levels: Levels, farthest: Tensor, period: Tensor) -> Levels:
+    """With levels of a random walk, up to the ``farthest (B,)`` way between fixes, m, that take a ``period (B,)`` s."""
+    return _with_walks(levels, farthest, period, torch.ones_like(period), torch.ones_like(period, dtype=torch.bool))
 
 
 def may_stop(acceleration: Tensor, fastest: Tensor, period: Tensor, steady: Tensor | float = math.inf) -> Tensor:
@@ -96,11 +103,16 @@ def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor,
 
     Those that are not ``walking`` have levels that move nothing.
     """
-    size = walking * farthest / _APART ** torch.arange(_WALKS).flip(0).unsqueeze(1)
+    rare = period > LONGEST
+    number = torch.arange(_WALKS_RARE if rare.any() else _WALKS).flip(0).unsqueeze(1)
+    there = walking & (rare | (number < _WALKS))
+    size = there * farthest / _APART**number
     walks = torch.where(walking, period / (period + 4 * stops), math.exp(_RAREST))
+    each = torch.where(there | ~walking, walks / torch.where(walking, there.sum(0), len(number)), math.exp(_RAREST))
+    fixes = torch.where(rare, _WALK_FIXES_RARE, _WALK_FIXES)
     return Levels(
         torch.cat([levels.q, levels.q[:1].expand_as(size)]),
-        torch.cat([levels.log_share + torch.log1p(-walks), (walks / _WALKS).log().expand_as(size)]),
-        torch.cat([levels.duration, levels.duration[:1].maximum(_WALK_FIXES * period).expand_as(size)]),
+        torch.cat([levels.log_share + torch.log1p(-walks), each.log()]),
+        torch.cat([levels.duration, levels.duration[:1].maximum(fixes * period).expand_as(size)]),
         torch.cat([levels.walk, size.square() / period]),
     )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.parts import SHORT, Part, summed
-from torchfra.cleaning.process_noise import LONGEST
+from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
 from torchfra.cleaning.two_filters import Smoothed
 
 _LEAST_SIGMA = 1e-4
@@ -24,8 +24,8 @@ _MOST_OUTLIERS, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
 _HARDLY = 0.6
 """Share of the standard deviation of its fix above which an estimate is hardly surer."""
-_RATIO = 2.0
-"""Ratio of the lower standard deviations that are tried."""
+_HALVINGS = 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0
+"""How often sigma is halved for the lower ones that are tried."""
 _OPEN = 3.0
 """How much less likely a track may be, in log, with a lower sigma that it does not rule out."""
 _MISFIT_OF_WALKS, _MISFIT_OF_STOPS = 0.2, 0.17
@@ -34,6 +34,10 @@ none though targets may stop between fixes."""
 _MISFIT, _FORGOTTEN = 0.28, 7200.0
 """The same of each fix where fixes are rarer than any level ends; and seconds in which targets may forget their
 velocity, to a share of 1 / e."""
+_CHANGED = 18000.0
+"""Seconds after which, where there are levels of a random walk, most of what a track says of them is gone."""
+_HOME = 43200.0
+"""Seconds between fixes from which on targets may be back where they were: then motion is as white as noise."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is found."""
 
@@ -89,20 +93,35 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
     """The lowest standard deviations ``(B,)`` that tracks do not rule out.
 
     Where noise and motion can hardly be distinguished, too large a sigma costs far more than too small a one: with the
-    former the path cuts corners, with the latter it goes through the fixes.
+    former the path cuts corners, with the latter it goes through the fixes.  A kind that may keep a slow course between
+    rare fixes may keep none: its likelihood is computed with levels of a random walk too.
 
     Args:
         part: with the levels as they were before the track.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
     """
-    tried = part.sigma / _RATIO ** torch.arange(_COARSE).unsqueeze(1)
-    log_likelihood, _, count = _likelihoods(part.fixes, part.levels, owner, tried, part.model.of_any_offset)
-    walks, period = (part.levels.log_share.exp() * (part.levels.walk > 0)).sum(0), part.period
-    often = torch.where(walks > 0, _MISFIT_OF_WALKS * walks, _MISFIT_OF_STOPS * part.stops)
-    misfit = torch.where(period > LONGEST, -_MISFIT * torch.expm1(-period / _FORGOTTEN), often)
-    open_ = log_likelihood >= log_likelihood.amax(0) - _OPEN - misfit * count
-    last = (open_ * torch.arange(_COARSE).unsqueeze(1)).amax(0)
+    tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
+    several = [part.levels]
+    if bool(((part.period > LONGEST) & (part.levels.walk == 0).all(0)).any()):
+        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.reach), part.period))
+    fits, least = [], []
+    for levels in several:
+        log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.of_any_offset)
+        fits.append(log_likelihood)
+        least.append(-_OPEN - _misfit(levels, part) * count)
+    fit = torch.stack(fits)
+    open_ = (fit >= fit.amax((0, 1)) + torch.stack(least)).any(0)
+    last = (open_ * torch.arange(len(tried)).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
+
+
+def _misfit(levels: Levels, part: Part) -> Tensor:
+    """How much less likely each fix of tracks ``(B,)`` may be, in log, with a lower sigma that they do not rule out."""
+    walks, period = (levels.log_share.exp() * (levels.walk > 0)).sum(0), part.period
+    often = torch.where(walks > 0, _MISFIT_OF_WALKS * walks, _MISFIT_OF_STOPS * part.stops)
+    forgotten = torch.where(walks > 0, (period / _CHANGED) ** 4, period / _FORGOTTEN)
+    misfit = torch.where(period > LONGEST, -_MISFIT * torch.expm1(-forgotten), often)
+    return torch.where(period >= _HOME, torch.inf, misfit)
 
 
 def _likelihoods(
