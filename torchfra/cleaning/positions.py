@@ -25,7 +25,7 @@ from torchfra.readers.columns import Array
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
 """Which axes go together, which of a kind's bounds is theirs, and the number of levels."""
-_CORE, _OVERLAP = 256, 64
+ROW, _OVERLAP = 256, 64
 """Steps of a row that are its own, and fixes of its neighbours on either side that it has besides."""
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
@@ -170,7 +170,7 @@ def _rows(tracks: Sequence[Steps]) -> list[Row]:
 def _rows_of(track: int, steps: Steps) -> list[Row]:
     """A track as rows, if it is long, each with the fixes before and after its steps."""
     count, fixes = len(steps.time), np.flatnonzero(steps.measured)
-    edges = np.linspace(0, count, max(1, math.ceil(count / _CORE)) + 1).round().astype(int)
+    edges = np.linspace(0, count, max(1, math.ceil(count / ROW)) + 1).round().astype(int)
     rows = []
     for first, last in pairwise(edges.tolist()):
         earlier, later = np.searchsorted(fixes, (first, last))
