@@ -71,8 +71,9 @@ def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smo
     """What the fixes up to each step say of it."""
     every = list(steps(fixes, levels, model))
     predictions = predictions_of(every)
-    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(step.known for step in every), strict=True)))
-    log_weights = torch.stack([step.log_weights for step in every])  # (T, 2, J, B)
+    after = [step.known for step in every]
+    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(of.belief for of in after), strict=True)))
+    log_weights = torch.stack([of.log_weights for of in after])  # (T, 2, J, B)
     whole, _ = merged(log_weights.flatten(1, 2), known, 1)
     odds = log_weights.logsumexp(2).diff(dim=1).squeeze(1) - predictions.prior_outlier.logit()
     outlier, evidence = (torch.where(fixes.missing, 0.0, x) for x in (predictions.outlier, odds))
