@@ -61,7 +61,9 @@ def columns(cleaned: Cleaned) -> Table:
 
 def names_of(cleaned: Cleaned) -> list[str]:
     """The names of its ``columns``, from those of its first step."""
-    first = {name: values[:1] for name, values in vars(cleaned).items() if isinstance(values, np.ndarray)}
+    first: dict[str, Any] = {
+        name: values[:1] for name, values in vars(cleaned).items() if isinstance(values, np.ndarray)
+    }
     return list(columns(replace(cleaned, **first)))
 
 
