@@ -11,6 +11,7 @@ from torch import Tensor
 from torchfra.cleaning.closed_form import (
     DEFAULT,
     Belief,
+    Chain,
     Fixes,
     Levels,
     OutlierModel,
@@ -73,8 +74,9 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     )
     count = fixes.z.shape[-1]
     forward, backward = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
+    gap, chain = fixes.elapsed, levels.chain
     pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
-    met = [_met(_steps(forward, some), _steps(backward, some), fixes.elapsed[some], levels) for some in pieces]
+    met = [_met(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
     apart = _joined_beliefs([of.apart for of in met], -2)
     agree = torch.cat([of.both.log_weights.logsumexp(1) for of in met])
     lost, lost_later = _lost(apart, agree, forward.log_likelihood - backward.log_likelihood, fixes, model)
@@ -86,9 +88,9 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     return _in_a_row(done)
 
 
-def _met(predictions: Predictions, later: Predictions, elapsed: Tensor, levels: Levels) -> _Met:
+def _met(predictions: Predictions, later: Predictions, gap: Tensor, levels: Levels, chain: Chain) -> _Met:
     """What two filters say of some steps, where the one that runs backward has just passed the step after."""
-    later = Predictions(*switched(later.belief, later.log_weights, levels.chain, elapsed), *later[2:])
+    later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
     belief, log_fit = _product(predictions.belief, later.belief)
     log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
     apart = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))

@@ -34,7 +34,7 @@ def _cells(name: str, values: NDArray[Any]) -> list[str]:
     if values.dtype.kind in "iu":
         return ["" if name == "row" and v < 0 else str(v) for v in values.tolist()]
     if values.dtype.kind != "f":
-        # csv of Python 3.10 reads no zeros.
+        # csv of Python 3.10 cannot read "\0".
         return [_quoted(str(v).replace("\0", r"\x00")) for v in values.tolist()]
     if name.startswith("cov_"):
         cells = [f"{v + 0.0:.6g}" for v in values.tolist()]
