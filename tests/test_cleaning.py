@@ -150,7 +150,7 @@ def test_the_filter_on_line_does_not_know_what_comes():
 def test_a_long_track_in_rows_is_what_it_is_as_one(monkeypatch):
     recording, _, _ = recorded(8, steps=240)
     (one,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
-    monkeypatch.setattr("torchfra.cleaning.positions._CORE", 80)
+    monkeypatch.setattr("torchfra.cleaning.positions.ROW", 80)
     (rows,) = clean_tracks([recording], sigma=SIGMA, q=1.0)
     assert (np.abs(rows.position - one.position) < one.std).all()
 

@@ -20,7 +20,7 @@ from torchfra.tables import duration, metres
 
 
 def rows(results):
-    return list(csv.DictReader(io.StringIO(csv_table.encode(results).decode())))
+    return list(csv.DictReader(io.StringIO(csv_table.encode(results).decode(), newline="")))
 
 
 def test_rows_times_and_names_are_those_of_the_input():
@@ -30,6 +30,13 @@ def test_rows_times_and_names_are_those_of_the_input():
     assert {row["id"] for row in table} == {"3c6444 DLH1AB"}
     milliseconds = rows([straight(3, source=Source(time="ms"))])
     assert [row["time"] for row in milliseconds] == ["1714730400000", "1714730402000", "1714730404000"]
+
+
+@pytest.mark.parametrize("name", ["a,b", 'a "b"', "a\nb", "a\rb", " a;b ", ""])
+def test_any_name_reads_back_as_it_was(name):
+    of = straight(3)
+    table = rows([replace(of, recording=replace(of.recording, name=name))])
+    assert [row["id"] for row in table] == 3 * [name]
 
 
 def test_positions_are_in_the_coordinates_and_units_of_the_input():

@@ -118,10 +118,14 @@ def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
     return z, gaps, std
 
 
-def groups(recordings: Sequence[Recording]) -> list[list[int]]:
+def groups(recordings: Sequence[Recording], alike: float = math.inf) -> list[list[int]]:
     """Numbers of the recordings that are one batch: of the same dimensions, and at most twice as long as the shortest.
 
     A batch is also bounded in all, so that its memory is.
+
+    Args:
+        recordings: of any length.
+        alike: fixes from which on recordings are alike, as they are divided into rows of about that length.
     """
     together: list[list[int]] = []
     count = 0
@@ -129,7 +133,7 @@ def groups(recordings: Sequence[Recording]) -> list[list[int]]:
         length, d = recordings[i].position.shape
         first = recordings[together[-1][0]].position.shape if together else (0, 0)
         count += length
-        if d != first[1] or length > 2 * first[0] + _SHORT or count > _MOST_FIXES:
+        if d != first[1] or min(length, alike) > 2 * first[0] + _SHORT or count > _MOST_FIXES:
             together.append([])
             count = length
         together[-1].append(i)

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra import tree
 from torchfra.filters import GPB, Outliers, Regimes
 from torchfra.motion.bank import Bank
 from torchfra.motion.polynomial import ConstantVelocity
@@ -206,29 +205,33 @@ class Predictions(NamedTuple):
 class Step(NamedTuple):
     """What the filter says of a step."""
 
-    ahead: Belief
-    """``(2, J, B)`` before the fix, if the one before was an inlier and if it was an outlier."""
-    log_ahead: Tensor
-    """``(2, J, B)`` logs of the probabilities of these."""
+    ahead: State
+    """Before the fix; of an inlier and an outlier before it."""
+    after: State
+    """After it; what it says of tracks without a fix means nothing."""
+    missing: Tensor
+    """``(B,)`` whether there is no fix."""
     prior_outlier: Tensor
     outlier: Tensor
     log_likelihood: Tensor
     """These as in ``Predictions``."""
-    known: Belief
-    """``(2, J, B)`` after the fix, if it is an inlier and if it is an outlier; predicted where there is none."""
-    log_weights: Tensor
-    """``(2, J, B)`` of these."""
+
+    @property
+    def known(self) -> State:
+        """After the fix; predicted where there is none."""
+        return _where(self.missing, self.ahead, self.after)
 
     @property
     def prediction(self) -> Belief:
         """``(J, B)`` of each level before the fix."""
-        share = (self.log_ahead[1] - self.log_ahead[0]).sigmoid()
-        return _merged_pair(share, _entry(self.ahead, 0), _entry(self.ahead, 1))
+        log_weights = self.ahead.log_weights
+        share = (log_weights[1] - log_weights[0]).sigmoid()
+        return _merged_pair(share, _entry(self.ahead.belief, 0), _entry(self.ahead.belief, 1))
 
     @property
     def log_levels(self) -> Tensor:
         """``(J, B)`` logs of the probabilities of the levels before the fix."""
-        return torch.logaddexp(self.log_ahead[0], self.log_ahead[1])
+        return torch.logaddexp(*self.ahead.log_weights)
 
 
 def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
@@ -238,7 +241,7 @@ def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) 
 
 def predictions_of(every: Iterable[Step]) -> Predictions:
     """Predictions of all steps."""
-    beliefs, *rest = zip(*((step.prediction, step.log_levels, *step[2:5]) for step in every), strict=True)
+    beliefs, *rest = zip(*((step.prediction, step.log_levels, *step[3:]) for step in every), strict=True)
     return Predictions(
         Belief(*(torch.stack(x, -3) for x in zip(*beliefs, strict=True))), *(torch.stack(x) for x in rest)
     )
@@ -267,11 +270,11 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
         joint = log_transition.unsqueeze(2) + ahead.log_weights + log_density  # (2, 2, J, B): now, before
         after, log_likelihood = _weighed(ahead, z, odds, inlier, joint)
         log_likelihood = torch.where(missing, 0.0, log_likelihood)
-        # Without a fix the state stays that of the last one, from which ``elapsed`` counts; known is its prediction.
-        known, state = (_where(missing, x, after) if missing.any() else after for x in (ahead, state))
+        # Without a fix the state stays that of the last one, from which ``elapsed`` counts.
+        state = _where(missing, state, after) if missing.any() else after
         prior_outlier = model.begins + ahead.outlier * (model.lasts - model.begins)
-        outlier = prior_outlier, known.outlier
-        yield Step(ahead.belief, ahead.log_weights, *outlier, log_likelihood, known.belief, known.log_weights)
+        outlier = torch.where(missing, ahead.outlier, after.outlier)
+        yield Step(ahead, after, missing, prior_outlier, outlier, log_likelihood)
 
 
 def _weighed(ahead: State, z: Tensor, odds: Tensor, inlier: Belief, joint: Tensor) -> tuple[State, Tensor]:
@@ -298,8 +301,8 @@ def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tenso
     weight, total = _normalised(log_weights, dim)
     position, velocity = ((weight * x).sum(dim + 1) for x in belief[:2])
     dp, dv = belief.position - position.unsqueeze(dim + 1), belief.velocity - velocity.unsqueeze(dim + 1)
-    spread = belief.pp + _mean_product(dp, dp), belief.pv + _mean_product(dp, dv), belief.vv + _mean_product(dv, dv)
-    return Belief(position, velocity, *((weight * x).sum(dim) for x in spread)), total
+    spread = _with_spread([weight * x for x in belief[2:]], weight, dp, dv)
+    return Belief(position, velocity, *(x.sum(dim) for x in spread)), total
 
 
 def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> tuple[Belief, Tensor]:
@@ -377,9 +380,10 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
 
 def _propagated(x: Belief, levels: Levels, gap: Tensor) -> Belief:
     """Beliefs ``gap`` seconds later, at a constant velocity that white noise disturbs, and a random walk."""
-    q, pv = levels.q, x.pv + gap * x.vv
-    pp = x.pp + gap * (x.pv + pv) + q * (gap**3 / 3) + levels.walk * gap
-    return Belief(x.position + gap * x.velocity, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
+    q, pv = levels.q, torch.addcmul(x.pv, gap, x.vv)
+    pp = torch.addcmul(x.pp, gap, x.pv + pv) + (q * (gap**3 / 3) + levels.walk * gap)
+    position = torch.addcmul(x.position, gap, x.velocity)
+    return Belief(position, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
 
 
 def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: OutlierModel) -> tuple[Belief, Tensor]:
@@ -389,18 +393,21 @@ def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: Ou
     """
     seen, d = (~missing).to(z), len(z)
     z = z.nan_to_num().reshape(d, *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
-    residual = seen * (z - x.position)  # products with 0: much faster than a choice
-    squared = d * _mean_product(residual, residual)
+    residual = z - x.position  # of a missing fix too, whose gain is 0: much faster than a choice
+    squared = residual.square().sum(0)
     least = model.least_size * variance
     wide = x.pp + torch.maximum(least.clamp_min(model.reach**2), squared / d)
     total = x.pp + variance
-    gain, gain_v = seen * x.pp / total, seen * x.pv / total
-    left = seen * variance / total + missing  # 1 - gain would lose digits of a start that is far off
+    weight = seen / total
+    gain, gain_v = x.pp * weight, x.pv * weight
+    left = torch.addcmul(missing.to(z), variance, weight)  # 1 - gain would lose digits of a start that is far off
     both = torch.stack([total, wide])
-    log_density = -0.5 * seen * (squared / both + d * (both.log() + _LOG_TWO_PI))
+    log_density = torch.addcmul(
+        -0.5 * d * _LOG_TWO_PI * seen, torch.add(squared / both, both.log(), alpha=d), -0.5 * seen
+    )
     after = Belief(
-        x.position + gain * residual, x.velocity + gain_v * residual,
-        left * x.pp, left * x.pv, x.vv - gain_v * x.pv,
+        torch.addcmul(x.position, gain, residual), torch.addcmul(x.velocity, gain_v, residual),
+        left * x.pp, left * x.pv, torch.addcmul(x.vv, gain_v, x.pv, value=-1.0),
     )  # fmt: skip
     return after, log_density
 
@@ -422,7 +429,7 @@ def _with_same_offset(
     # With the velocity v now, the way is t v - integral(s dW), of variance t^2 vv + q t^3 / 3 - 2 t (q t^2 / 2).
     total = 2 * variance + elapsed.square() * x.vv - levels.q * (2 / 3 * elapsed**3)
     total = total + levels.walk * elapsed
-    squared = d * _mean_product(residual, residual)
+    squared = residual.square().sum(0)
     offset = torch.zeros_like(variance) + model.same_offset
     same = offset.log() - 0.5 * (squared / total + d * (total.log() + _LOG_TWO_PI))
     other = log_density + torch.log1p(-offset)
@@ -431,27 +438,39 @@ def _with_same_offset(
 
 def _where(missing: Tensor, before: State, now: State) -> State:
     """The state before where there is no fix."""
-    chosen: State = tree.map_tensors(lambda old, new: torch.where(missing, old, new), before, now)
-    return chosen
+    seen = (~missing).to(now.outlier)  # much faster than a choice, and exact at either end
+    belief = Belief(*(torch.lerp(old, new, seen) for old, new in zip(before.belief, now.belief, strict=True)))
+    return State(belief, *(torch.where(missing, *both) for both in zip(before[1:], now[1:], strict=True)))
 
 
 def _merged_pair(share: Tensor, a: Belief, b: Belief) -> Belief:
     """The Gaussian with the moments of two, the second of weight ``share``."""
-    dp, dv, spread = b.position - a.position, b.velocity - a.velocity, share * (1 - share)
-    position, velocity, pp, pv, vv = (torch.lerp(one, other, share) for one, other in zip(a, b, strict=True))
-    between = _mean_product(dp, dp), _mean_product(dp, dv), _mean_product(dv, dv)
-    pp, pv, vv = (torch.addcmul(x, spread, y) for x, y in zip((pp, pv, vv), between, strict=True))
-    return Belief(position, velocity, pp, pv, vv)
+    dp, dv = b.position - a.position, b.velocity - a.velocity
+    position, velocity, *inside = (torch.lerp(one, other, share) for one, other in zip(a, b, strict=True))
+    return Belief(position, velocity, *_with_spread(inside, share * (1 - share), dp, dv))
+
+
+def _with_spread(inside: list[Tensor], weight: Tensor, dp: Tensor, dv: Tensor) -> list[Tensor]:
+    """Variances ``inside`` with ``weight`` times the mean products of offsets added to them, in place.
+
+    Args:
+        inside: ``pp``, ``pv`` and ``vv``, each ``(...)``.
+        weight: ``(...)``.
+        dp: ``(d, ...)`` offsets of the position.
+        dv: ``(d, ...)`` of the velocity.
+    """
+    share = weight / len(dp)
+    for p, v in zip(dp, dv, strict=True):
+        some = share * p
+        inside[0].addcmul_(some, p)
+        inside[1].addcmul_(some, v)
+        inside[2].addcmul_(share * v, v)
+    return inside
 
 
 def _entry(x: Belief, i: int) -> Belief:
     """One of the first of three dimensions behind the axes."""
     return Belief(*(part.select(-3, i) for part in x))
-
-
-def _mean_product(a: Tensor, b: Tensor) -> Tensor:
-    """The mean product of ``(d, ...)``."""
-    return (a * b).sum(0) * (1.0 / len(a))
 
 
 def _product(x: Tensor, matrix: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torchfra.cleaning.correlation import lasting_errors, widened
 from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
-from torchfra.cleaning.positions import REGIMES, Answer, Settings, answers, period_of
+from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.stamps import as_recorded, earlier, in_place, stamps_are_cut, stamps_are_off
 from torchfra.filters import Filter
@@ -94,7 +94,7 @@ def clean_tracks(
     )  # fmt: skip
     coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
     done: dict[int, Cleaned] = {}
-    for group in groups(placed):
+    for group in groups(placed, ROW if _is_default(filter, bank) else math.inf):
         batch = [placed[i] for i in group]
         try:
             done |= zip(
@@ -177,7 +177,7 @@ def _clean_batch(
     tracks = [steps_of(recording, dt) for recording in recordings]
     kinds = [_kind(recording, bank) for recording in recordings]
     own = bank if isinstance(bank, Bank) else None
-    default = name == DEFAULT and own is None
+    default = _is_default(name, bank)
     # Other filters take sigma and q from this one, but no estimates.
     found = answers(
         tracks, [kind for kind, _ in kinds], settings if default else settings._replace(smooth=False), coarse
@@ -236,6 +236,11 @@ def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
 def _unsure(steps: Steps) -> str:
     """The words for a track in which noise and motion look alike."""
     return f"Fixes {duration(period_of(steps))} apart hardly tell noise from motion: sigma is unsure"
+
+
+def _is_default(name: str, bank: str | Bank | None) -> bool:
+    """Whether a filter is the closed form, which divides long tracks into rows."""
+    return name == DEFAULT and not isinstance(bank, Bank)
 
 
 def _found(

@@ -17,7 +17,7 @@ from torchfra.cleaning.cleaned import Used
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
-from torchfra.cleaning.parts import SHORT, Part
+from torchfra.cleaning.parts import SHORT, Part, of_each
 from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
@@ -25,7 +25,7 @@ from torchfra.readers.columns import Array
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
 """Which axes go together, which of a kind's bounds is theirs, and the number of levels."""
-_CORE, _OVERLAP = 256, 64
+ROW, _OVERLAP = 256, 64
 """Steps of a row that are its own, and fixes of its neighbours on either side that it has besides."""
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
@@ -112,17 +112,27 @@ def _parts(
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
         levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
-        given = None if settings.sigma is None else torch.full_like(most, settings.sigma)
-        least = torch.tensor([coarse[row.track][0] if given is None else 0.0 for row in rows], dtype=torch.float64)
-        if parts:  # the error of a rounded height is even within half a step to either side
-            rounded = torch.tensor([coarse[row.track][1] / math.sqrt(12) for row in rows], dtype=torch.float64)
-            least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
         model = _outliers(most, fastest, period)
-        sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if given is None else given
-        sigma = sigma.maximum(least)
-        stops = may_stop(most, fastest, period, steady)
-        parts.append(Part(fixes, levels, sigma, least, torch.full_like(sigma, math.nan), stops, model))
-    return rows, parts
+        unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)
+        parts.append(Part(fixes, levels, unknown, torch.zeros_like(unknown), unknown, stops, model))
+    return rows, _with_first_sigma(parts, _owners(rows, tracks), settings.sigma, [coarse[row.track] for row in rows])
+
+
+def _with_first_sigma(
+    parts: Sequence[Part], owner: Tensor, given: float | None, coarse: Sequence[tuple[float, float]]
+) -> list[Part]:
+    """Parts with sigma as given, or a first one, and the least that it may be by what is ``coarse`` of each row."""
+    least, step = torch.tensor(coarse, dtype=torch.float64).T
+    if given is None:
+        several = of_each(lambda part: first_sigma(part.fixes, part.levels, owner, part.model), parts)
+    else:
+        several, least = [torch.full_like(least, given)] * len(parts), torch.zeros_like(least)
+    found = list[Part]()
+    for part, sigma in zip(parts, several, strict=True):
+        found.append(part._replace(sigma=sigma.maximum(least), least=least))
+        # The error of a rounded height is even within half a step to either side.
+        least = (step / math.sqrt(12)).maximum(_LEAST_OF_HEIGHT * found[0].sigma)
+    return found
 
 
 def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor) -> OutlierModel:
@@ -170,7 +180,7 @@ def _rows(tracks: Sequence[Steps]) -> list[Row]:
 def _rows_of(track: int, steps: Steps) -> list[Row]:
     """A track as rows, if it is long, each with the fixes before and after its steps."""
     count, fixes = len(steps.time), np.flatnonzero(steps.measured)
-    edges = np.linspace(0, count, max(1, math.ceil(count / _CORE)) + 1).round().astype(int)
+    edges = np.linspace(0, count, max(1, math.ceil(count / ROW)) + 1).round().astype(int)
     rows = []
     for first, last in pairwise(edges.tolist()):
         earlier, later = np.searchsorted(fixes, (first, last))

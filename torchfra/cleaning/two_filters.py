@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 from torchfra.cleaning.closed_form import (
     DEFAULT,
     Belief,
+    Chain,
     Fixes,
     Levels,
     OutlierModel,
@@ -22,6 +24,8 @@ from torchfra.cleaning.closed_form import (
     switched,
 )
 
+_TOGETHER = 16
+"""Steps that are smoothed together: few enough for a cache to hold their hypotheses."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
 
@@ -41,6 +45,18 @@ class Smoothed(NamedTuple):
     """``(T, B)`` log of how much likelier this fix is as an outlier."""
 
 
+class _Met(NamedTuple):
+    """What two filters say of some steps."""
+
+    predictions: Predictions
+    """From the fixes before each step."""
+    later: Predictions
+    """From those after it."""
+    both: Predictions
+    apart: Belief
+    """``(T, B)`` how far the second is from the first, whichever the level."""
+
+
 def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """Smoothed estimates: the filter runs forward and, on the same fixes in reverse, backward, in one batch.
 
@@ -57,22 +73,37 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
         model.of_rows(lambda x: torch.cat([x, x])),
     )
     count = fixes.z.shape[-1]
-    predictions, later = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
-    later = Predictions(*switched(later.belief, later.log_weights, levels.chain, fixes.elapsed), *later[2:])
+    forward, backward = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
+    gap, chain = fixes.elapsed, levels.chain
+    pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
+    met = [_met(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
+    apart = _joined_beliefs([of.apart for of in met], -2)
+    agree = torch.cat([of.both.log_weights.logsumexp(1) for of in met])
+    lost, lost_later = _lost(apart, agree, forward.log_likelihood - backward.log_likelihood, fixes, model)
+    done = []
+    for some, (predictions, later, both, _) in zip(pieces, met, strict=True):
+        both = _where(lost[some], later, _where(lost_later[some], predictions, both))
+        first, here = _where(lost[some], later, predictions), Fixes(*(x[some] for x in fixes))
+        done.append(updated(both.belief, both.log_weights, here, model, first))
+    return _in_a_row(done)
+
+
+def _met(predictions: Predictions, later: Predictions, gap: Tensor, levels: Levels, chain: Chain) -> _Met:
+    """What two filters say of some steps, where the one that runs backward has just passed the step after."""
+    later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
     belief, log_fit = _product(predictions.belief, later.belief)
     log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
-    both = Predictions(belief, log_weights, *predictions[2:])
-    lost, lost_later = _lost(predictions, later, log_weights, fixes, model)
-    both = _where(lost, later, _where(lost_later, predictions, both))
-    return updated(both.belief, both.log_weights, fixes, model, _where(lost, later, predictions))
+    apart = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
+    return _Met(predictions, later, Predictions(belief, log_weights, *predictions[2:]), apart)
 
 
 def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """What the fixes up to each step say of it."""
     every = list(steps(fixes, levels, model))
     predictions = predictions_of(every)
-    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(step.known for step in every), strict=True)))
-    log_weights = torch.stack([step.log_weights for step in every])  # (T, 2, J, B)
+    after = [step.known for step in every]
+    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(of.belief for of in after), strict=True)))
+    log_weights = torch.stack([of.log_weights for of in after])  # (T, 2, J, B)
     whole, _ = merged(log_weights.flatten(1, 2), known, 1)
     odds = log_weights.logsumexp(2).diff(dim=1).squeeze(1) - predictions.prior_outlier.logit()
     outlier, evidence = (torch.where(fixes.missing, 0.0, x) for x in (predictions.outlier, odds))
@@ -105,9 +136,7 @@ def updated(
     return Smoothed(whole, joint.exp().sum(1), outlier, predictions, fit[1] - fit[0])
 
 
-def _lost(
-    predictions: Predictions, later: Predictions, log_weights: Tensor, fixes: Fixes, model: OutlierModel
-) -> tuple[Tensor, Tensor]:
+def _lost(apart: Belief, agree: Tensor, gain: Tensor, fixes: Fixes, model: OutlierModel) -> tuple[Tensor, Tensor]:
     """Where one of two filters follows something else than the target, as the burst of outliers that it began with.
 
     There what one says is as far from what the other says as an outlier is from a clean fix, whichever the level.  Of
@@ -121,16 +150,16 @@ def _lost(
     for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
 
     Args:
-        predictions: of every step from the fixes before it.
-        later: the same from those after it.
-        log_weights: ``(T, J, B)`` of the levels by both; their sum is how well both agree.
+        apart: ``(T, B)`` how far the second is from the first.
+        agree: ``(T, B)`` log of how well both agree.
+        gain: ``(T, B)`` log of how much likelier each fix is by the first.
         fixes: all of them.
         model: how likely outliers are, and how large.
 
     Returns:
         ``(T, B)`` where the first is lost, and where the second is.
     """
-    ep, ev, pp, _, vv = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
+    ep, ev, pp, _, vv = apart
     squares = [x.square().mean(0) for x in (ep, ev)]
     wide = [(model.least_size * v).maximum(square) for v, square in zip((pp, vv), squares, strict=True)]
     rare = 2 * (torch.zeros_like(pp[0]) + model.begins).log()
@@ -141,9 +170,9 @@ def _lost(
     sure = fewer >= _BEGUN
     first, last = sure.long().argmax(0), len(sure) - 1 - sure.flip(0).long().argmax(0)
     nearest = torch.arange(len(sure)).unsqueeze(1).clamp(first, last)
-    contrary = ((log_weights.logsumexp(1) < log_lost) & sure).gather(0, nearest)
+    contrary = ((agree < log_lost) & sure).gather(0, nearest)
     lost = _joined(contrary, seen)
-    believed = _believed(predictions.log_likelihood - later.log_likelihood, lost, rare)
+    believed = _believed(gain, lost, rare)
     return lost & ~believed, lost & believed
 
 
@@ -187,6 +216,24 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
 def _rows(x: Predictions, rows: slice) -> Predictions:
     """Of some tracks."""
     return Predictions(Belief(*(part[..., rows] for part in x.belief)), *(part[..., rows] for part in x[1:]))
+
+
+def _steps(x: Predictions, some: slice) -> Predictions:
+    """Of some steps."""
+    return Predictions(Belief(*(part[..., some, :, :] for part in x.belief)), *(part[some] for part in x[1:]))
+
+
+def _in_a_row(several: Sequence[Smoothed]) -> Smoothed:
+    """All steps, of some at a time."""
+    belief, levels, outlier, predictions, evidence = zip(*several, strict=True)
+    rest = (torch.cat(x) for x in zip(*(of[1:] for of in predictions), strict=True))
+    every = Predictions(_joined_beliefs([of.belief for of in predictions], -3), *rest)
+    return Smoothed(_joined_beliefs(belief, -2), torch.cat(levels), torch.cat(outlier), every, torch.cat(evidence))
+
+
+def _joined_beliefs(several: Sequence[Belief], time: int) -> Belief:
+    """Beliefs of all steps, which are the dimension ``time``, counted from the last."""
+    return Belief(*(torch.cat(x, time) for x in zip(*several, strict=True)))
 
 
 def _in_order_of_time(x: Predictions) -> Predictions:

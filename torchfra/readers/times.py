@@ -270,8 +270,11 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         moment = _EPOCH + timedelta(microseconds=value) + ahead
         part = f".{moment.microsecond:06}"[: 1 + digits] if second and digits else ""
         month = _MONTHS[moment.month - 1]
-        first, last = (half.replace("%B", month).replace("%b", month[:3]) for half in (head + second, tail))
-        texts.append(moment.strftime(first) + part + moment.strftime(last))
+        first, last = (
+            moment.strftime(half.replace("%B", month).replace("%b", month[:3])) if "%" in half else half
+            for half in (head + second, tail)
+        )
+        texts.append(first + part + last)
     return texts
 
 

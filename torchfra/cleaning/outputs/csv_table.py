@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,28 +14,34 @@ from torchfra.cleaning.outputs.table import columns, united
 
 _DIGITS = {"latitude": 8, "longitude": 8, "outlier": 4, "manoeuvre": 4, "regime": 4}
 """Behind the point, by the words of a column's name; others have three."""
+_SPECIAL = re.compile('[,"\r\n]')
+"""Signs for which a cell is quoted."""
 
 
 def encode(results: Sequence[Cleaned]) -> bytes:
     """The rows of all targets under one header; an empty cell is a number that is not known."""
-    table, text = united([columns(cleaned) for cleaned in results]), io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip(*(_cells(name, values) for name, values in table.items()), strict=True))
-    return text.getvalue().encode(errors="backslashreplace")
+    table = united([columns(cleaned) for cleaned in results])
+    rows = zip(*([_quoted(name), *_cells(name, values)] for name, values in table.items()), strict=True)
+    return "".join(",".join(row) + "\n" for row in rows).encode(errors="backslashreplace")
+
+
+def _quoted(text: str) -> str:
+    """A cell of any text, as ``csv.writer`` has it, which takes ten times as long, as it looks at numbers as well."""
+    return '"' + text.replace('"', '""') + '"' if _SPECIAL.search(text) else text
 
 
 def _cells(name: str, values: NDArray[Any]) -> list[str]:
     if values.dtype.kind in "iu":
         return ["" if name == "row" and v < 0 else str(v) for v in values.tolist()]
     if values.dtype.kind != "f":
-        return [str(v).replace("\0", r"\x00") for v in values.tolist()]  # csv of Python 3.10 writes and reads none
+        # csv of Python 3.10 cannot read "\0".
+        return [_quoted(str(v).replace("\0", r"\x00")) for v in values.tolist()]
     if name.startswith("cov_"):
         cells = [f"{v + 0.0:.6g}" for v in values.tolist()]
     else:
         digits = max((_DIGITS.get(word, 3) for word in name.split("_")), default=3)
         shown = np.where(np.abs(values) < 0.5 / 10**digits, 0.0, values)  # none is written as -0.000
-        cells = [f"{v:.{digits}f}" for v in shown.tolist()]
+        cells = list(map(f"%.{digits}f".__mod__, shown.tolist()))
     for i in np.flatnonzero(~np.isfinite(values)):
         cells[i] = ""
     return cells

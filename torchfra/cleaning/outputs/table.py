@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -56,6 +57,14 @@ def columns(cleaned: Cleaned) -> Table:
     table |= {"manoeuvre": cleaned.manoeuvre, "flag": cleaned.flag}
     table |= {regime_column(name): cleaned.regime[:, i] for i, name in enumerate(cleaned.regimes)}
     return table | _covariance(cleaned, axes)
+
+
+def names_of(cleaned: Cleaned) -> list[str]:
+    """The names of its ``columns``, from those of its first step."""
+    first: dict[str, Any] = {
+        name: values[:1] for name, values in vars(cleaned).items() if isinstance(values, np.ndarray)
+    }
+    return list(columns(replace(cleaned, **first)))
 
 
 def united(tables: Sequence[Table]) -> Table:
