@@ -117,7 +117,7 @@ def _parts(
         if parts:  # the error of a rounded height is even within half a step to either side
             rounded = torch.tensor([coarse[row.track][1] / math.sqrt(12) for row in rows], dtype=torch.float64)
             least = rounded.maximum(_LEAST_OF_HEIGHT * parts[0].sigma)
-        model = _outliers(most, fastest, period)
+        model = _outliers(most, fastest, period, steady)
         sigma = first_sigma(fixes, levels, _owners(rows, tracks), model) if given is None else given
         sigma = sigma.maximum(least)
         stops = may_stop(most, fastest, period, steady)
@@ -125,16 +125,17 @@ def _parts(
     return rows, parts
 
 
-def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor) -> OutlierModel:
+def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor, steady: Tensor) -> OutlierModel:
     """What is known of outliers at first.
 
-    Between fixes that are rare a target may rest, go or come back as it likes: there an outlier is where no target can
-    be, and none that follows another is off in the same direction, for what did that is over.
+    Between fixes that are rare a target may rest, go or come back as it likes, if it keeps no slow course: there an
+    outlier is where no target can be.  And none that follows another is off in the same direction, for what did that is
+    over.
     """
     usual = USUAL * torch.minimum(hardest * period.square() / 4, fastest * period)
     rare = period > LONGEST
     offset = torch.where(rare, 0.0, torch.zeros_like(period) + DEFAULT.same_offset)
-    return DEFAULT._replace(reach=torch.where(rare, fastest * period, usual), same_offset=offset)
+    return DEFAULT._replace(reach=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset)
 
 
 def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:
