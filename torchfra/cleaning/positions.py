@@ -112,7 +112,7 @@ def _parts(
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
         levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
-        model = _outliers(most, fastest, period)
+        model = _outliers(most, fastest, period, steady)
         unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)
         parts.append(Part(fixes, levels, unknown, torch.zeros_like(unknown), unknown, stops, model))
     return rows, _with_first_sigma(parts, _owners(rows, tracks), settings.sigma, [coarse[row.track] for row in rows])
@@ -135,16 +135,17 @@ def _with_first_sigma(
     return found
 
 
-def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor) -> OutlierModel:
+def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor, steady: Tensor) -> OutlierModel:
     """What is known of outliers at first.
 
-    Between fixes that are rare a target may rest, go or come back as it likes: there an outlier is where no target can
-    be, and none that follows another is off in the same direction, for what did that is over.
+    Between fixes that are rare a target may rest, go or come back as it likes, if it keeps no slow course: there an
+    outlier is where no target can be.  And none that follows another is off in the same direction, for what did that is
+    over.
     """
     usual = USUAL * torch.minimum(hardest * period.square() / 4, fastest * period)
     rare = period > LONGEST
     offset = torch.where(rare, 0.0, torch.zeros_like(period) + DEFAULT.same_offset)
-    return DEFAULT._replace(reach=torch.where(rare, fastest * period, usual), same_offset=offset)
+    return DEFAULT._replace(reach=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset)
 
 
 def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:
