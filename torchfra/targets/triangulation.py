@@ -69,7 +69,8 @@ class Triangulation(nn.Module):
     Raises:
         ValueError: a value that is not finite and above 0, or an angle of a right one or more.
 
-    Source: Bar-Shalom, Li & Kirubarajan (2001), section 3.7, localisation by bearings of two sensors.
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 3.7, for least squares of bearings, of which two have this
+    solution.
     """
 
     def __init__(self, speed: float = 30.0, *, seconds: float = 1.0, angle: float = 0.2) -> None:
