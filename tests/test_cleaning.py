@@ -555,6 +555,21 @@ def test_an_aircraft_that_takes_off_at_the_end_of_rare_fixes_is_no_outlier():
     assert not (one.flag == "outlier").any()
 
 
+@pytest.mark.parametrize(("period", "sigma", "rare"), [(290.0, 5.0, ("ship", 900.0)), (20.0, 3.0, ("marine", 7200.0))])
+def test_a_track_is_cleaned_as_alone_beside_one_whose_fixes_are_rare(period, sigma, rare):
+    def wandering(seed, word, period):
+        rng = np.random.default_rng(seed)
+        course = np.cumsum(rng.normal(0.0, 0.3, 120))
+        path = 10.0 * period * np.cumsum(np.stack([np.cos(course), np.sin(course)], 1), 0)
+        z = path + sigma * rng.standard_normal(path.shape)
+        return Recording(word, period * np.arange(120), z, None, {}, source=Source(word=word))
+
+    recording = wandering(3, "aircraft", period)
+    (alone,), (beside, _) = clean_tracks([recording]), clean_tracks([recording, wandering(9, *rare)])
+    np.testing.assert_allclose(beside.position, alone.position, rtol=0, atol=1e-3)
+    assert beside.found.sigma == pytest.approx(alone.found.sigma, rel=1e-6)
+
+
 def test_where_targets_stop_and_go_between_fixes_the_path_goes_through_the_fixes():
     rng, speed, course, place, path = np.random.default_rng(3), 5.0, 0.0, np.zeros(2), []
     while len(path) < 12_000:  # tenths of a second

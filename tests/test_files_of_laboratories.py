@@ -80,6 +80,12 @@ def test_zones_of_a_shop_are_no_zones_of_a_grid(write):
     assert len(read(write(["time,zone,x,y", *(f"{i},{i // 20},{x},0" for i, x in enumerate(EAST))]))) == 1
 
 
+@pytest.mark.parametrize(("one", "other", "start"), [("hall", "office", 5e5), ("1", "2", 0.0)])
+def test_zones_of_a_house_are_no_zones_of_a_grid(write, one, other, start):
+    rows = [f"{i},{one if i < 40 else other},{start + x},7" for i, x in enumerate(EAST)]
+    assert len(read(write(["time,zone,east,north", *rows]))) == 1
+
+
 # ---------------------------------------------------------------- targets and repeated positions
 
 
@@ -89,6 +95,11 @@ def test_storms_of_one_name_are_parted_by_what_numbers_them(write):
     beneath = " , , ,degrees_north,degrees_east"
     tracks = read(write(["SID,NAME,ISO_TIME,LAT,LON", beneath, *rows]))
     assert [track.name for track in tracks] == ["2021208N", "2021218N"]
+
+
+def test_what_numbers_sensors_does_not_name_the_targets(write):
+    tracks = read(write(["time,id,x,y,sid", *(f"{i // 2},{'ab'[i % 2]},{i},0,7" for i in range(ROWS))]))
+    assert [track.name for track in tracks] == ["a", "b"]
 
 
 def repeated(times, seed=5):
@@ -108,6 +119,13 @@ def test_a_target_that_rests_at_times_is_not_held(write):
     times = np.ones(ROWS, int)
     times[[10, 30]] = 200
     assert len(read(write(repeated(times)))[0].time) == times.sum()
+
+
+def test_a_target_that_stays_at_one_of_a_few_receivers_is_not_held(write):
+    rng = np.random.default_rng(2)
+    places, stays = rng.uniform(0, 5000, (8, 2)), np.repeat(rng.integers(0, 8, 60), rng.integers(2, 15, 60))
+    rows = [f"{60 * i},{x:.1f},{y:.1f}" for i, (x, y) in enumerate(places[stays])]
+    assert len(read(write(["time,x,y", *rows]))[0].time) == len(stays)
 
 
 def test_rounded_positions_of_a_slow_target_are_not_held(write):

@@ -102,6 +102,19 @@ def test_times_of_a_logger_that_was_started_again_are_refused(write):
         read(write("t", [i if i < 80 else i - 79.5 for i in range(ROWS)]))
 
 
+@pytest.mark.parametrize("step", [21_600, 86_400])
+def test_a_row_that_is_late_by_hours_begins_no_other_day(write, step):
+    order = [0, 1, 3, 2, *range(4, ROWS)]
+    (track,) = read(write("t", [step * i for i in order]))
+    assert track.time.tolist() == [step * i for i in range(ROWS)]
+
+
+def test_pieces_of_one_path_that_take_turns_are_put_in_time_order(tmp_path):
+    path, order = tmp_path / "a.csv", [*range(0, ROWS, 2), *range(1, ROWS, 2)]
+    path.write_text("\n".join(["t,lat,lon", *(f"{i},{50 + i / 1e4},7" for i in order)]) + "\n", encoding="utf-8")
+    assert np.diff(read(path)[0].time).tolist() == [1.0] * (ROWS - 1)
+
+
 def test_pieces_in_another_order_are_put_in_time_order(write):
     (track,) = read(write("t", [*range(60, ROWS), *range(60)]))
     assert np.diff(track.time).tolist() == [1.0] * (ROWS - 1)

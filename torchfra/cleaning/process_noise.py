@@ -29,8 +29,9 @@ _WALK_FIXES, _WALK_FIXES_RARE = 10.0, 3.0
 """How many fixes each of them lasts; and where fixes are rare, for a target that rests for hours moves now and then."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
-_RAREST = -25.0
-"""Log of the least share: of much rarer levels nothing is left of the digits of ``Levels.chain``."""
+_RAREST, _NEVER = -25.0, -60.0
+"""Log of the least share, as of much rarer levels no digits of ``Levels.chain`` are left; and that of levels which only
+other tracks of a batch have, so that they count for nothing."""
 
 
 def levels_up_to(
@@ -107,8 +108,8 @@ def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor,
     number = torch.arange(_WALKS_RARE if rare.any() else _WALKS).flip(0).unsqueeze(1)
     there = walking & (rare | (number < _WALKS))
     size = there * farthest / _APART**number
-    walks = torch.where(walking, period / (period + 4 * stops), math.exp(_RAREST))
-    each = torch.where(there | ~walking, walks / torch.where(walking, there.sum(0), len(number)), math.exp(_RAREST))
+    walks = torch.where(walking, period / (period + 4 * stops), math.exp(_NEVER))
+    each = torch.where(there | ~walking, walks / torch.where(walking, there.sum(0), len(number)), math.exp(_NEVER))
     fixes = torch.where(rare, _WALK_FIXES_RARE, _WALK_FIXES)
     return Levels(
         torch.cat([levels.q, levels.q[:1].expand_as(size)]),

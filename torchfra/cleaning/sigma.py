@@ -101,13 +101,15 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
     """
     tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
-    several = [part.levels]
-    if bool(((part.period > LONGEST) & (part.levels.walk == 0).all(0)).any()):
+    several, asked = [part.levels], [torch.ones_like(part.period, dtype=torch.bool)]
+    slow = (part.period > LONGEST) & (part.levels.walk == 0).all(0)
+    if slow.any():
         several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.reach), part.period))
+        asked.append(slow)
     fits, least = [], []
-    for levels in several:
+    for levels, rows in zip(several, asked, strict=True):
         log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.of_any_offset)
-        fits.append(log_likelihood)
+        fits.append(log_likelihood.where(rows, -torch.inf))  # what is tried of some tracks changes no others
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
     open_ = (fit >= fit.amax((0, 1)) + torch.stack(least)).any(0)

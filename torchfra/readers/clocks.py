@@ -125,6 +125,8 @@ class Clock:
             return time
         usual, ahead = np.median(steps[steps > 0]), np.zeros(len(time))
         for whole in (_DAY, 7 * _DAY, _COUNTER / per_second(self.form)):
+            if time.max() > whole:  # as of a count from a start, whose rows may be out of order
+                continue
             ahead[back & (np.abs(steps + whole - usual) <= _LATE * usual)] = whole
         return np.asarray(time + np.cumsum(ahead))
 

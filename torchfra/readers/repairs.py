@@ -23,12 +23,14 @@ _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
 
 
-_HELD, _ONCE, _FAR = 25, 0.1, 10.0
-"""Positions from which on they may be held, the share of them that may come once only, and how many of the finest steps
-lie between neighbours."""
+_HELD, _ONCE, _NEW, _FAR = 25, 0.1, 0.5, 10.0
+"""Positions from which on they may be held, the share of them that may come once only, the share that is new at least,
+and how many of the finest steps lie between neighbours."""
 _RARELY, _MIXED = 0.04, 10
 """Share of rows whose time may go back, and how often rows change their order for each of these, where a count begins
 anew."""
+_ZONE, _LEAST_EASTING = re.compile(r"\s*[0-9]{1,2}\s*[A-Za-z]?\s*"), 1e5
+"""The name of a zone of a grid, and the least easting in one, m: zones of a house or of a field are others."""
 _YEAR, _HOUR = 366 * 86_400.0, 3600.0
 """s."""
 _PUT_BACK = 1.0
@@ -91,7 +93,8 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     good = [target for target in targets if len(target.time) >= 2]
     zones = table.texts.get(layout.columns.get("zone", ""), [])
     for target in good:
-        if len(several := {zones[row] for row in target.row if zones and zones[row]}) > 1:
+        several = {zones[row] for row in target.row if zones and _ZONE.fullmatch(zones[row])}
+        if len(several) > 1 and np.abs(target.place[:, 0]).min() > _LEAST_EASTING:
             raise ValueError(
                 f"expected positions of {layout.source.word} {target.name} in one zone of the grid, received "
                 f"{layout.columns['zone']} {', '.join(sorted(several)[:3])}: convert them to one, or to degrees"
@@ -176,10 +179,14 @@ class _Columns:
     def _are_held(self, index: NDArray[np.intp], moved: NDArray[np.bool_]) -> bool:
         """Whether rows repeat a position until there is a new one, as logs of faster sensors do, and no target rests.
 
-        So it is where nearly all positions are repeated, which lie much farther apart than they are rounded.
+        So it is where nearly all positions are repeated, which lie much farther apart than they are rounded, and most
+        of them are new: receivers that say where a target is heard have few places, where it may stay.
         """
         starts = np.flatnonzero(moved)
         if len(starts) < _HELD or (np.diff(starts) < 2).mean() > _ONCE:
+            return False
+        places = np.stack([self.first[index][starts], self.second[index][starts]], 1)
+        if len(np.unique(places, axis=0)) < _NEW * len(starts):
             return False
         steps = [np.abs(np.diff(column[index][starts])) for column in (self.first, self.second)]
         finest = [step[step > 0].min(initial=np.inf) for step in steps]
@@ -203,12 +210,19 @@ class _Columns:
         """Refuses counts of time that begin anew while rows go on, so that pieces of the track would be mixed."""
         back = np.flatnonzero(np.diff(time) < 0)
         mixed = np.count_nonzero(np.diff(np.argsort(time, kind="stable")) != 1)
-        if not self.dated and 0 < len(back) <= _RARELY * len(time) and mixed > _MIXED * len(back):
+        if self.dated or not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
+            return
+        ordered = index[np.argsort(time, kind="stable")]
+        if self._usual_way(ordered) > self._usual_way(index):  # the rows are no pieces of one path
             raise ValueError(
                 f"expected times that go on, received {time[back[0] + 1]:g} s behind {time[back[0]]:g} s in data row "
                 f"{index[back[0] + 1] + 1}, {self.clock.column}, as of a logger that was started again: name another "
                 "column by --time, or one that tells the pieces apart by --id"
             )
+
+    def _usual_way(self, index: NDArray[np.intp]) -> float:
+        """Median length of the ways between these rows, in the units of the file."""
+        return float(np.median(np.hypot(np.diff(self.first[index]), np.diff(self.second[index]))))
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
         """Refuses rows of several targets in one: many have the time of another row and another position."""
