@@ -271,7 +271,7 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     ({"data": {"z": torch.zeros(5, 4, 2).double(), "truth": torch.zeros(5, 3, 4)}}, "truth: expected 5 tracks of 4"),
     ({"data": [torch.zeros(4, 2).double(), torch.zeros(4, 1).double()]}, "z: expected measurements of one size"),
     ({"data": torch.zeros(0, 4, 2).double()}, "data: expected one track or more"),
-    ({"loss": lambda estimate, batch: 1.0}, "loss: expected one number for each of 5 tracks, received float"),
+    ({"loss": lambda estimate, batch: 1.0}, "loss: expected one number for each track, .*received float"),
     ({"loss": 3}, "loss: expected one of"),
     ({"learn": 3}, "learn: expected names"),
     ({"lr": "fast"}, "lr: expected a number above 0"),

@@ -97,7 +97,7 @@ def test_a_date_goes_with_the_time_of_the_day_that_is_told(write):
     ("", [(clock, o + 100, a) for clock, (_, a, o, _) in zip(TIMES, ROWS, strict=True)],
      "looks like --time 1 --lat 3 --lon 2"),
     ("", [(3.5 * i, -i, i) for i in range(5)], "received 0.0, 0, 0; looks like --time 1 --x 2 --y 3"),
-    ("", [(1, 1, 1)] * 5, "received 1, 1, 1$"),
+    ("", [(1, 1, 1)] * 5, "received 1, 1, 1; without a header their numbers from 1 on are their names"),
 ])  # fmt: skip
 def test_columns_that_no_name_tells_are_guessed_by_what_is_in_them(write, header, rows, said):
     with pytest.raises(ValueError, match=f"expected a header with a time and .* {said}"):

@@ -24,6 +24,7 @@ from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
+from torchfra.running.jobs import one_thread
 from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
@@ -179,9 +180,9 @@ def _clean_batch(
     own = bank if isinstance(bank, Bank) else None
     default = _is_default(name, bank)
     # Other filters take sigma and q from this one, but no estimates.
-    found = answers(
-        tracks, [kind for kind, _ in kinds], settings if default else settings._replace(smooth=False), coarse
-    )
+    known = settings if default else settings._replace(smooth=False)
+    with one_thread():
+        found = answers(tracks, [kind for kind, _ in kinds], known, coarse)
     every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]

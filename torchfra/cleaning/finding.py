@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT
-from torchfra.cleaning.parts import Part, of_each, summed
+from torchfra.cleaning.parts import Part, summed
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.sigma import finer_sigma, hardly_surer, lowest_sigma
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
@@ -42,7 +42,7 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
     """
     before = [part.levels for part in parts]
     for _ in range(_ROUNDS):
-        known = of_each(lambda part: two_filters(part.scaled, part.levels, part.model.of_any_offset), parts)
+        known = [two_filters(part.scaled, part.levels, part.model.of_any_offset) for part in parts]
         if find_q:
             parts = [_with_shares(part, of, owner) for part, of in zip(parts, known, strict=True)]
         parts = [_with_transition(part, of, owner) for part, of in zip(parts, known, strict=True)]
@@ -51,10 +51,10 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
     if not find_sigma:
         lowest = [part.sigma.where(of, math.nan) for part, of in zip(parts, unsure, strict=True)]
         return [part._replace(lowest=of) for part, of in zip(parts, lowest, strict=True)]
-    parts = of_each(lambda part: part._replace(sigma=finer_sigma(part, owner).maximum(part.least)), parts)
+    parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     # By the levels from before the track: those that have been found fit the motion that sigma left.
     asked = [part._replace(levels=levels) for part, levels in zip(parts, before, strict=True)]
-    lowest = of_each(lambda part, rows: _lowest_of(part, rows, owner), asked, unsure)
+    lowest = [_lowest_of(part, rows, owner) for part, rows in zip(asked, unsure, strict=True)]
     return [part._replace(lowest=sigma) for part, sigma in zip(parts, lowest, strict=True)]
 
 
@@ -124,9 +124,9 @@ def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], T
         parts = [part.on_line for part in parts]
         known = [filtered(part.scaled, part.levels, part.model) for part in parts]
         return known, _outlier(parts, known)
-    known = of_each(lambda part: two_filters(part.scaled, part.levels, part.model), parts)
+    known = [two_filters(part.scaled, part.levels, part.model) for part in parts]
     outlier = _outlier(parts, known)
-    return of_each(lambda part, of: _near_fixes(part, of, outlier), parts, known), outlier
+    return [_near_fixes(part, of, outlier) for part, of in zip(parts, known, strict=True)], outlier
 
 
 def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:

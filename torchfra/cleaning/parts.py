@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 
-T = TypeVar("T")
 SHORT = 0
 """Owner of the rows of all tracks that are too short to have values of their own."""
 
@@ -63,18 +60,3 @@ def summed(values: Tensor, owner: Tensor) -> Tensor:
     """Values ``(..., B)`` summed over all rows of the same ``owner (B,)``, for each row."""
     every = values.new_zeros(*values.shape[:-1], int(owner.max()) + 1).index_add(-1, owner, values)
     return every[..., owner]
-
-
-def of_each(work: Callable[..., T], *parts: Iterable[object]) -> list[T]:
-    """``list(map(work, *parts))``, with a thread for each part where torch may use several.
-
-    Operations on the states of a step are too small to be divided among threads, so that each part has one.
-    """
-    given, threads = list(zip(*parts, strict=True)), torch.get_num_threads()
-    if min(threads, len(given)) == 1:
-        return [work(*of) for of in given]
-    try:
-        with ThreadPoolExecutor(len(given), initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            return list(pool.map(lambda of: work(*of), given))
-    finally:
-        torch.set_num_threads(threads)  # of the threads that begin later

@@ -17,7 +17,7 @@ from torchfra.cleaning.cleaned import Used
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
-from torchfra.cleaning.parts import SHORT, Part, of_each
+from torchfra.cleaning.parts import SHORT, Part
 from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
@@ -124,7 +124,7 @@ def _with_first_sigma(
     """Parts with sigma as given, or a first one, and the least that it may be by what is ``coarse`` of each row."""
     least, step = torch.tensor(coarse, dtype=torch.float64).T
     if given is None:
-        several = of_each(lambda part: first_sigma(part.fixes, part.levels, owner, part.model), parts)
+        several = [first_sigma(part.fixes, part.levels, owner, part.model) for part in parts]
     else:
         several, least = [torch.full_like(least, given)] * len(parts), torch.zeros_like(least)
     found = list[Part]()

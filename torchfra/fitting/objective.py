@@ -174,7 +174,7 @@ def _of_tracks(found: Any, batch: Batch) -> Tensor:
     """
     if not isinstance(found, Tensor) or found.shape[-1:] != batch.z.shape[:1]:
         received = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
-        raise ValueError(f"loss: expected one number for each of {len(batch.z)} tracks, received {received}")
+        raise ValueError(f"loss: expected one number for each track, ({len(batch.z)},), received {received}")
     return found
 
 

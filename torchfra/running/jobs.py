@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice, starmap
 from typing import Any, TypeVar
 
@@ -32,6 +33,17 @@ def check_jobs(jobs: int) -> None:
     """
     if jobs < 1:
         raise ValueError(f"jobs: expected 1 or more, received {jobs}")
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Lets torch work in one thread, for operations so small that several would only wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, T]]:
