@@ -125,6 +125,16 @@ def test_levels_of_an_index_are_columns(walk):
     assert flag.loc["b"].to_numpy()[BAD]
 
 
+def test_rows_of_several_targets_whose_level_has_no_name_are_not_taken_for_one(walk):
+    time, _, measured = walk
+    index = pandas.to_datetime(1_600_000_000 + time, unit="s")
+    data = pandas.DataFrame(measured[:, :2], columns=["x", "y"], index=index)
+    both = pandas.concat({"a": data, "b": data + 500.0})
+    with pytest.raises(ValueError, match="targets do: name the column that distinguishes them, id='level_0'"):
+        torchfra.clean(both, **settings())
+    assert torchfra.clean(both, id="level_0", **settings())["clean_x"].notna().all()
+
+
 @pytest.mark.parametrize("kind", ["timedelta", "datetime", "Timestamp", "period"])
 def test_times_may_be_of_any_type_of_pandas(walk, kind):
     _, _, measured = walk

@@ -77,6 +77,11 @@ def test_counts_of_seconds_are_taken_for_no_clocks(write, seconds):
     assert np.diff(track.time) == pytest.approx(np.diff(seconds))
 
 
+def test_two_pieces_of_seconds_that_end_before_a_minute_are_no_clock(write):
+    seconds = [*range(60), *range(500, 560)]
+    assert read(write("time", seconds))[0].time.tolist() == seconds
+
+
 WRAPS = [("tod", 1, 86_400), ("time", 1, 86_400), ("tow", 1, 604_800), ("itow", 1000, 604_800_000),
          ("time_us", 10_000, 2**32), ("time_ms", 1000, 2**32)]  # fmt: skip
 

@@ -27,6 +27,8 @@ PREFIX = "clean_"
 _PLACES = {"x", "y", "z", "lat", "lon"}
 """Words that say which columns positions are in."""
 _LATITUDE, _LONGITUDE = "latitude", "longitude"
+_TIMES = ("datetime64", "timedelta64")
+"""Kinds of an index that tells the time."""
 _LEFT_OUT = ("row", "id", "time", "seconds")
 """Columns of an output that a table of one's own has already."""
 _OPTION = re.compile(
@@ -172,8 +174,12 @@ def _sheet_of_frame(frame: Any) -> Sheet:
     if taken := [name for name in table if name.startswith(PREFIX)]:
         raise ValueError(f"data: expected columns that are not cleaned yet, received {taken[0]}")
     index = frame.index
-    levels = {str(name or "time"): index.get_level_values(i) for i, name in enumerate(index.names)}
-    if index.nlevels > 1 or index.inferred_type in ("datetime64", "timedelta64"):
+    levels = dict[str, Any]()
+    for i, name in enumerate(index.names):
+        level = index.get_level_values(i)
+        other = "time" if level.inferred_type in _TIMES else f"level_{i}"  # as pandas calls what has no name
+        levels[str(other if name is None else name)] = level
+    if index.nlevels > 1 or index.inferred_type in _TIMES:
         table |= {name: level.to_series() for name, level in levels.items() if name not in table}
     return Sheet([*table], [(len(frame), lambda name: _cells(table[name]))])
 

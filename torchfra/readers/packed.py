@@ -15,8 +15,9 @@ _DATES_BESIDE = ("%Y%m%d", "%d%m%y", "%y%m%d", "%m%d%y", "%d%m%Y", "%Y%j")
 """Forms of dates beside a clock."""
 _YEARS = (315_532_800.0, 2_556_144_000.0)
 """From 1980 to 2050, s since 1970."""
-_MANY, _SOME, _OTHERS, _SURELY = 20, 3, 10, 0.5
-"""Moments, alone and beside a date; endings; and how much rarer uneven steps are, from which on numbers are clocks."""
+_MANY, _SOME, _OTHERS, _PIECES, _SURELY = 20, 3, 10, 2, 0.5
+"""Moments, alone and beside a date; endings; minutes; and how much rarer uneven steps are, from which on numbers are
+clocks."""
 _TICKS = {
     "ticks of .NET (100 ns since the year 1): write (ticks - 621355968000000000) / 1e7": (6.2e17, 6.6e17),
     "100 ns since 1601, as Windows counts: write (number - 116444736000000000) / 1e7": (1.24e17, 1.45e17),
@@ -72,4 +73,5 @@ def _is_clock(moments: NDArray[np.float64], unit: float, dated: bool) -> bool:
     as_clock, as_count = np.diff(3600 * hours + 60 * minutes + seconds), np.diff(moments)
     uneven = [(np.abs(steps - np.median(steps)) > 0.01 * np.median(steps)).mean() for steps in (as_clock, as_count)]
     evener = uneven[0] < _SURELY * uneven[1]
-    return bool(evener) or (unit >= 1 and len(np.unique(seconds // 1)) >= _OTHERS)
+    several = len(np.unique(digits // 100)) > _PIECES  # two pieces of counts may end below 60 by chance
+    return bool(evener) or (unit >= 1 and several and len(np.unique(seconds // 1)) >= _OTHERS)
