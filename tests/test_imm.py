@@ -1,5 +1,6 @@
 """Interacting models are what moment-form arithmetic says, keep every model alive, and take any filter inside."""
 
+import copy
 import math
 from functools import partial
 
@@ -172,6 +173,17 @@ def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
         optimiser.step()
     assert -loss > before
     same(f.transition().sum(-1), torch.ones(3, dtype=torch.float64))
+
+
+@pytest.mark.slow
+def test_compiled_a_matrix_of_transitions_has_the_same_gradients():
+    f, found = presets.imm(bank()[:2], SENSOR, learn=("transition", "initial")), []
+    for g in (f, copy.deepcopy(f).compile()):
+        e = g(measured(2)[:, :6], PRIOR, dt=DT)
+        (e.mean.square().mean() + e.log_likelihood.mean()).backward()
+        found.append((e.mean.detach(), e.info.probabilities.detach(), *(p.grad for p in g.parameters())))
+    for eager, compiled in zip(*found, strict=True):
+        same(compiled, eager, 1e-8)
 
 
 def test_models_that_learn_are_copies():

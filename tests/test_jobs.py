@@ -3,10 +3,13 @@
 import math
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import torch
 
-from torchfra.running.jobs import check_jobs, finished
+from torchfra.running.jobs import check_jobs, finished, one_thread
 
 
 def test_every_part_is_done_and_comes_with_its_number():
@@ -57,3 +60,43 @@ def test_processes_end_with_the_one_that_started_them_even_if_it_is_killed(tmp_p
 def test_a_process_that_is_killed_is_said():
     with pytest.raises(ChildProcessError, match="jobs: expected processes that end by themselves, one was killed"):
         list(finished(exec, [("import os, signal; os.kill(os.getpid(), signal.SIGKILL)",)], 2))
+
+
+# ---------------------------------------------------------------- threads
+
+
+def threads_of_a_new_one():
+    """The number of threads of torch in a thread that begins now."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(torch.get_num_threads).result()
+
+
+def test_a_thread_that_begins_while_torch_has_one_leaves_the_number_as_it_was():
+    before, over = torch.get_num_threads(), threading.Event()
+
+    def work(begun):
+        with one_thread():
+            begun.set()
+            over.wait(60)
+
+    torch.set_num_threads(2)
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            with one_thread():
+                pool.submit(work, begun := threading.Event())
+                assert begun.wait(60)
+            over.set()
+        assert (torch.get_num_threads(), threads_of_a_new_one()) == (2, 2)
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_an_error_leaves_the_number_of_threads_as_it_was():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(ZeroDivisionError), one_thread():
+            1 / 0  # noqa: B018
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)

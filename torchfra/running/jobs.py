@@ -39,6 +39,9 @@ def check_jobs(jobs: int) -> None:
 def one_thread() -> Iterator[None]:
     """Lets torch work in one thread, for operations so small that several would only wait for each other."""
     before = torch.get_num_threads()
+    if before == 1:  # as in a thread that began while another was in here, whose number is not restored by this one
+        yield
+        return
     torch.set_num_threads(1)
     try:
         yield
