@@ -197,6 +197,11 @@ def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
         assert np.diff(run.time) == pytest.approx(1440.0)
         assert run.noise.std() == pytest.approx(100.0, rel=0.1)
         assert 0.2 < np.linalg.norm(np.diff(run.truth, axis=0), axis=1).mean() / 1440.0 < 0.8
+    if kind == "rare":  # an animal: it rests, and forages at 0.6 m/s at most
+        assert np.diff(run.time) == pytest.approx(360.0)
+        speed = np.linalg.norm(np.diff(run.truth, axis=0), axis=1) / 360.0
+        assert 0.1 < (speed == 0).mean() < 0.9
+        assert 0.3 < speed.max() <= 0.6
 
 
 def test_who_goes_along_streets_moves_as_such():

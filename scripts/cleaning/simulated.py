@@ -1,4 +1,4 @@
-"""What sails, flies, walks or drives in legs of steady turn, speed and climb; animals, whose velocity wanders."""
+"""What moves in legs of steady turn, speed and climb, or rests between its ways; animals, whose velocity wanders."""
 
 from __future__ import annotations
 
@@ -97,6 +97,49 @@ def along_streets(rng: np.random.Generator, seconds: int, manner: Manner) -> Arr
         return _turn(rng, rng.uniform(*manner.rate), rng.uniform(*manner.angle))
 
     return _moved(rng, seconds, rng.uniform(*manner.speed), leg, Handling(1.0, manner.pull, 0.05))[:, :2]
+
+
+class Outing(NamedTuple):
+    """How somebody rests and moves, each from least to most."""
+
+    rest: tuple[float, float]
+    """Seconds of a rest."""
+    legs: tuple[int, int]
+    """Straight legs of an outing."""
+    leg: tuple[float, float]
+    """Seconds of a leg."""
+    speed: tuple[float, float]
+    """M/s of a leg."""
+    turn: float
+    """Most radians from the course of a leg to that of the next."""
+    home: float = math.inf
+    """Metres from the first place from which on an outing leads back to it."""
+
+
+OUTINGS = {
+    "walk": Outing((60.0, 28_800.0), (3, 25), (20.0, 180.0), (0.8, 1.8), 1.6, 3000.0),
+    "car": Outing((300.0, 21_600.0), (5, 40), (15.0, 240.0), (6.0, 28.0), 1.6, 20_000.0),
+    "ship": Outing((14_400.0, 108_000.0), (5, 30), (600.0, 10_800.0), (4.0, 11.0), 0.5),
+    "aircraft": Outing((2500.0, 28_800.0), (4, 15), (120.0, 2400.0), (120.0, 240.0), 1.0),
+    "animal": Outing((720.0, 28_800.0), (5, 60), (60.0, 900.0), (0.05, 0.6), 3.0, 5000.0),
+}
+"""Of those who rest between their ways."""
+
+
+def resting(rng: np.random.Generator, steps: int, dt: float, outing: Outing) -> Array:
+    """Positions ``(steps + 1, 2)``, m, every ``dt`` s: rests, and outings of straight legs between them."""
+    times, places = [0.0], [np.zeros(2)]
+    while times[-1] < steps * dt:
+        times.append(times[-1] + rng.uniform(*outing.rest))
+        places.append(places[-1])
+        away = np.linalg.norm(places[-1]) > outing.home
+        course = math.atan2(*-places[-1][::-1]) if away else rng.uniform(-math.pi, math.pi)
+        for _ in range(rng.integers(*outing.legs)):
+            course += rng.uniform(-outing.turn, outing.turn)
+            seconds, speed = rng.uniform(*outing.leg), rng.uniform(*outing.speed)
+            times.append(times[-1] + seconds)
+            places.append(places[-1] + seconds * speed * np.array([math.cos(course), math.sin(course)]))
+    return np.stack([np.interp(dt * np.arange(steps + 1), times, along) for along in np.transpose(places)], 1)
 
 
 def animal(rng: np.random.Generator, steps: int, dt: float) -> Array:

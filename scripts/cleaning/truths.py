@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cleaning.simulated import MANNERS, along_streets, animal, drone, ship
+from cleaning.simulated import MANNERS, OUTINGS, along_streets, animal, drone, resting, ship
 from torchfra import readers
 from torchfra.readers.columns import Array
 from torchfra.readers.grid import hermite
@@ -24,10 +24,10 @@ GROUPS = {
 }
 """Kinds of flights, and the folders of the sample package that hold them."""
 KINDS = (*GROUPS, "ships", "drones", "ranges")
-HARDER = ("late", "lasting", "heights", "animals", "slow")
+HARDER = ("late", "lasting", "heights", "animals", "slow", "rare")
 """Kinds whose errors are not white: ships with wrong time stamps and with time-correlated errors, drones with the
-heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; and who walks,
-cycles, drives, flies a drone or sails, with errors some of which are slow."""
+heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; who walks, cycles,
+drives, flies a drone or sails, with errors some of which are slow; and those whose fixes are rare."""
 SLOW = ((0.0, 0.0), *((seconds, size) for size in (0.5, 1.0) for seconds in (10.0, 20.0, 40.0)))
 """Seconds that slow errors last, and their standard deviation over that of the white noise beside them."""
 PER_FILE, FIXES = 3, 4000
@@ -46,6 +46,8 @@ SCALE, PACE = 0.02, 0.125
 """Noise and outliers of a path that was walked, and its periods, as shares of those of the others."""
 HERD, HOURS = 100 / 3, 1440.0
 """The same of animals: 15 m are 500 m, and 5 s are 2 h."""
+RARE = 360.0
+"""Factor on periods of those who rest between their ways: 5 s are 30 min."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,8 @@ def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[
             found += _flights(kind, most)
         elif kind == "slow":
             found += [truth for i in range(most) for truth in _slow(i)]
+        elif kind == "rare":
+            found += [_rare(who, i) for who in OUTINGS for i in range(most)]
         elif kind == "ranges":
             found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
         else:
@@ -135,6 +139,13 @@ def _slow(number: int) -> list[Truth]:
             kind = f"{seconds:g} s, {size:g}" if seconds else "white"
             found.append(Truth(kind, f"{who}-{number}", 1.0, path, lasting=seconds, size=size, white=1.0))
     return found
+
+
+def _rare(who: str, number: int) -> Truth:
+    """Somebody who rests between ways of minutes to hours."""
+    dt, word = RARE / 4, who if who in ("ship", "animal") else "target"
+    path = resting(np.random.default_rng(number), 4 * LONGEST, dt, OUTINGS[who])
+    return Truth(f"rare {who}", f"{who}-{number}", dt, path, pace=RARE, word=word)
 
 
 def _flights(kind: str, most: int) -> list[Truth]:

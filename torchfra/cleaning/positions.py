@@ -18,7 +18,7 @@ from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.parts import SHORT, Part
-from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
+from torchfra.cleaning.process_noise import levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
@@ -29,6 +29,8 @@ ROW, _OVERLAP = 256, 64
 """Steps of a row that are its own, and fixes of its neighbours on either side that it has besides."""
 _FEW = 60
 """Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
+_ANYWHERE = 700.0
+"""Seconds between fixes from which on a target may rest, go or come back as it likes."""
 _CALM = 0.05
 """A level of process noise is calm while it changes the speed over ten seconds by less than this share of the kind's
 hardest acceleration times ten seconds, or while it is below ten times the track's usual level."""
@@ -138,12 +140,11 @@ def _with_first_sigma(
 def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor, steady: Tensor) -> OutlierModel:
     """What is known of outliers at first.
 
-    Between fixes that are rare a target may rest, go or come back as it likes, if it keeps no slow course: there an
-    outlier is where no target can be.  And none that follows another is off in the same direction, for what did that is
-    over.
+    Where a target may be anywhere that it can go from one fix to the next, an outlier is a fix beyond.  An outlier does
+    not share the offset of the one before: what caused that is over.  A kind that keeps slow courses is more regular.
     """
     usual = USUAL * torch.minimum(hardest * period.square() / 4, fastest * period)
-    rare = period > LONGEST
+    rare = period > _ANYWHERE
     offset = torch.where(rare, 0.0, torch.zeros_like(period) + DEFAULT.same_offset)
     return DEFAULT._replace(reach=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset)
 
