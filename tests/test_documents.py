@@ -117,7 +117,7 @@ def commands_of(text):
             yield command
 
 
-LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_text())})
+LINES = sorted({line for path in DOCUMENTS for line in commands_of(path.read_text(encoding="utf-8"))})
 
 
 @pytest.mark.slow
@@ -129,14 +129,14 @@ def test_every_block_of_code_runs(name, tmp_path, monkeypatch, request):
         before = dict(entries)
         request.addfinalizer(lambda entries=entries, before=before: (entries.clear(), entries.update(before)))
     scope: dict[str, object] = {}
-    for language, block in blocks_of((ROOT / name).read_text())[0]:
+    for language, block in blocks_of((ROOT / name).read_text(encoding="utf-8"))[0]:
         if language == "python":
             exec(compile(block, name, "exec"), scope)
 
 
 def anchors(path):
     """The anchors of a document's headings, as GitHub makes them."""
-    return anchors_of(path.read_text())
+    return anchors_of(path.read_text(encoding="utf-8"))
 
 
 def anchors_of(text):
@@ -147,7 +147,7 @@ def anchors_of(text):
 @pytest.mark.parametrize("name", NAMES)
 def test_links_and_images_lead_to_what_is_there(name):
     path, broken = ROOT / name, []
-    for link in re.findall(r"\]\(([^)\s]+)\)", blocks_of(path.read_text())[1]):
+    for link in re.findall(r"\]\(([^)\s]+)\)", blocks_of(path.read_text(encoding="utf-8"))[1]):
         if not re.match(r"[a-z]+:", link):
             file, _, anchor = link.partition("#")
             target = (path.parent / file).resolve() if file else path
@@ -157,7 +157,7 @@ def test_links_and_images_lead_to_what_is_there(name):
 
 
 def test_the_readme_is_one_page():
-    assert len((ROOT / "README.md").read_text().split()) <= WORDS
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= WORDS
 
 
 # ---------------------------------------------------------------- docstrings
@@ -165,7 +165,7 @@ def test_the_readme_is_one_page():
 
 def strings_that_stand_alone(path):
     """The docstrings of a module: of itself, its classes and functions, and those under attributes."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             yield node.value.value
 
@@ -358,7 +358,11 @@ def test_the_demo_compares_recorded_tracks(tmp_path, monkeypatch):
     except (ImportError, ValueError) as missing:
         pytest.skip(str(missing))
     monkeypatch.chdir(tmp_path)
-    (line,) = (line for line in (ROOT / "scripts/demo.sh").read_text().splitlines() if line.startswith("torchfra "))
+    (line,) = (
+        line
+        for line in (ROOT / "scripts/demo.sh").read_text(encoding="utf-8").splitlines()
+        if line.startswith("torchfra ")
+    )
     words = shlex.split(
         line.replace('"${files[@]}"', min(files, key=lambda file: Path(file).stat().st_size)).replace('"$@"', "")
     )

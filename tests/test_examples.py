@@ -34,7 +34,7 @@ def numbers(pattern, text):
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
     assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 18)]
-    assert all(len(path.read_text().splitlines()) <= 80 for path in EXAMPLES.values())
+    assert all(len(path.read_text(encoding="utf-8").splitlines()) <= 80 for path in EXAMPLES.values())
 
 
 def test_the_first_filter_is_beaten_by_the_robust_adaptive_one(capsys, tmp_path):

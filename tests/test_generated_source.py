@@ -53,7 +53,7 @@ def test_comments_name_lines_of_functions_that_exist_and_none_of_the_tracing(sou
     for file, line, name in sorted(origins):
         assert not file.startswith("compiler/")
         path = Path(__file__) if file == Path(__file__).name else LIBRARY / file
-        tree = ast.walk(ast.parse(path.read_text()))
+        tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         spans = [range(f.lineno, f.end_lineno + 1) for f in tree if getattr(f, "name", None) == name]
         assert any(int(line) in span for span in spans), (file, line, name)
 

@@ -21,7 +21,7 @@ from torchfra.sensors import Position
 @pytest.fixture(scope="module")
 def page():
     """What the page defines, without the lines that use it."""
-    return layer.code_of(layer.PAGE.read_text())
+    return layer.code_of(layer.PAGE.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,9 @@ def ran(tmp_path_factory):
     scope: dict[str, object] = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("page"))
-        for block in re.findall(r"^```python\n(.*?)^```$", layer.PAGE.read_text(), re.DOTALL | re.MULTILINE):
+        for block in re.findall(
+            r"^```python\n(.*?)^```$", layer.PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        ):
             exec(compile(block, str(layer.PAGE), "exec"), scope)
     return scope
 
@@ -118,7 +120,7 @@ def test_torch_compile_and_half_precision_together_are_the_layer(page, model):
 
 def learn(arguments):
     """Two steps of descent of the page's layer on the tracks of this process; the first one prints what it learned."""
-    scope = layer.code_of(layer.PAGE.read_text())
+    scope = layer.code_of(layer.PAGE.read_text(encoding="utf-8"))
     with team():
         model = scope["layer"](presets.srckf(ConstantVelocity(q=0.1), Position(2.0), learn=("q",)))
         replica = DistributedDataParallel(model) if distributed.is_initialized() else model

@@ -39,7 +39,7 @@ def imports_of(name, modules):
     """The modules that a module imports, anywhere in its file and whichever way it is written."""
     path = modules[name]
     package = name if path.stem == "__init__" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom):
             source = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
             for alias in node.names:
