@@ -63,7 +63,7 @@ def test_scans_of_several_targets_too(compiled, crossing, scans):
 
 @pytest.mark.parametrize("name", ["srckf", "gpb"])
 @KERNELS
-def test_the_way_back_too(name, compiled, make, tracks):
+def test_the_backward_pass_too(name, compiled, make, tracks):
     f, data = make(name), moved(tracks)
     with torch.no_grad():
         here = f.smooth(tracks.z, tracks.prior, u=tracks.u)

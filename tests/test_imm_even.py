@@ -105,7 +105,7 @@ def test_angles_mix_alike_wherever_the_circle_is_cut(turn):
     assert torch.cat([wrap(away[..., :1]), away[..., 1:]], -1).abs().max() < 1e-12
 
 
-def test_motions_that_are_not_linear_and_the_way_back():
+def test_motions_that_are_not_linear_and_the_backward_pass():
     even, rows = both([Curved(0.1), Curved(0.01), Curved(0.3)], stay=0.7)
     equal(even(measured(2), PRIOR, dt=times()), rows(measured(2), PRIOR, dt=times()))
     even, rows = both(bank(), stay=0.7)

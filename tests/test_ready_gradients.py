@@ -100,7 +100,7 @@ def test_measurements_of_inference_mode_are_taken_as_others(make, tracks, soon):
 
 
 @pytest.mark.parametrize("options", [{"truncate": 4}, {"checkpoint": 3}])
-def test_a_way_back_of_its_own_kind_is_not_that_of_ready_tracks(options, make, tracks, prepared, soon):
+def test_a_backward_pass_of_its_own_kind_is_not_that_of_ready_tracks(options, make, tracks, prepared, soon):
     fast, given = make("srckf", learn="all").compile(), alone(tracks)
     plain, other = ([torch.autograd.grad(fast(**given, **more).mean.square().sum(), [*fast.parameters()])[0]
                      for _ in range(3)] for more in ({}, options))  # fmt: skip

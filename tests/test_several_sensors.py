@@ -194,7 +194,7 @@ def test_what_a_filter_says_of_elements_is_filled_up_with_nan():
 
 
 @pytest.mark.parametrize("name", ["srckf", "imm_srckf"])
-def test_the_way_back_knows_all_sensors(name):
+def test_the_backward_pass_knows_all_sensors(name):
     z = measured()[:, :, :2]
     f, both, two = made(name), made(name, Stacked()), torch.tensor([0.7, 0.0] * 3, **F64)
     z = torch.tensor([100.0, 80.0] * 2, **F64) + torch.randn(2, 3, 4, generator=torch.Generator().manual_seed(1), **F64)

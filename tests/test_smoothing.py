@@ -161,7 +161,7 @@ def symmetric(rule):
 
 
 @pytest.mark.parametrize("share", [None, 0.3])
-def test_fading_factors_widen_the_prediction_on_the_way_back_as_they_did_on_the_way_forward(share):
+def test_fading_factors_widen_the_prediction_in_the_backward_pass_as_they_did_in_the_forward_pass(share):
     fading = Fading(1.0, share=None if share is None else [share], states=slice(0, 2))
     motion = ConstantVelocity(0.5)
     f, z = SRCKF(motion, Position(2.0), fading=fading), walk(motion)
