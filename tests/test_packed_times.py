@@ -53,6 +53,13 @@ def test_times_that_come_unevenly_are_told_by_their_endings(write):
         read(write("time", [f"{moment:%H%M%S}" for moment in moments(seconds)]))
 
 
+def test_a_clock_whose_hour_rises_as_far_as_its_minute_falls_is_one(write):
+    seconds = 30 * np.arange(119)  # from 08:30:00 to 09:29:00
+    cells = [f"{datetime(2024, 6, 3, 8, 30) + timedelta(seconds=int(passed)):%H%M%S}" for passed in seconds]
+    with pytest.raises(ValueError, match="hours and minutes in one number"):
+        read(write("time", cells))
+
+
 def test_parts_of_a_second_behind_the_digits_are_asked_for(write):
     cells = [f"{moment:%d%m%y,%H%M%S}25" for moment in moments(np.arange(ROWS))]
     with pytest.raises(ValueError, match=r"parts of one in one number: write them as 08:15:00.25"):

@@ -67,7 +67,7 @@ def _is_clock(moments: NDArray[np.float64], unit: float, dated: bool) -> bool:
     hours, minutes, seconds = digits // 10_000, digits // 100 % 100, digits % 100
     if (minutes >= 60).any() or (seconds >= 60).any():
         return False
-    if len(moments) < (_SOME if dated else _MANY) or minutes[0] + hours[0] == minutes[-1] + hours[-1]:
+    if len(moments) < (_SOME if dated else _MANY) or digits[0] // 100 == digits[-1] // 100:
         return False
 
     as_clock, as_count = np.diff(3600 * hours + 60 * minutes + seconds), np.diff(moments)
