@@ -45,17 +45,8 @@ def test_the_quickstart_of_the_readme_runs(capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_reproduce_writes_results_and_the_papers_figures(tmp_path):
-    arguments = [
-        "bearings-outliers",
-        "--runs",
-        "10",
-        "--json",
-        str(tmp_path / "r.json"),
-        "--plots",
-        str(tmp_path),
-        "--quiet",
-    ]
-    assert reproduce.main(arguments) == 0
+    files = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
+    assert reproduce.main(["bearings-outliers", "--runs", "10", *files, "--quiet"]) == 0
     result = json.loads((tmp_path / "r.json").read_text())
     assert result.keys() == {"experiment", "runs", "seed", "settings", "versions", "filters"}
     assert result["experiment"] == "bearings-outliers"

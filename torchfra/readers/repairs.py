@@ -164,10 +164,10 @@ class _Columns:
         time = self.time[index]
         self._check_season(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
-        ordered = index[np.argsort(time, kind="stable")]
-        self._check_same_times(ordered)
-        self._check_restart(time, index)
-        index = ordered
+        order = np.argsort(time, kind="stable")
+        self._check_same_times(index[order])
+        self._check_restart(time, index, order)
+        index = index[order]
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
         moved = np.zeros(len(index), dtype=bool)
         for column in (self.first, self.second, self.update) if self.may_be_held else (self.first, self.second):
@@ -206,14 +206,13 @@ class _Columns:
                 "hour at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
             )
 
-    def _check_restart(self, time: Array, index: NDArray[np.intp]) -> None:
-        """Refuses counts of time that begin anew while rows go on, so that pieces of the track would be mixed."""
+    def _check_restart(self, time: Array, index: NDArray[np.intp], order: NDArray[np.intp]) -> None:
+        """Refuses counts of time that begin anew while rows go on: ordered, pieces of a track would be mixed."""
         back = np.flatnonzero(np.diff(time) < 0)
-        mixed = np.count_nonzero(np.diff(np.argsort(time, kind="stable")) != 1)
+        mixed = np.count_nonzero(np.diff(order) != 1)
         if self.dated or not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
             return
-        ordered = index[np.argsort(time, kind="stable")]
-        if self._usual_way(ordered) > self._usual_way(index):  # the rows are no pieces of one path
+        if self._usual_way(index[order]) > self._usual_way(index):  # the rows are no pieces of one path
             raise ValueError(
                 f"expected times that go on, received {time[back[0] + 1]:g} s behind {time[back[0]]:g} s in data row "
                 f"{index[back[0] + 1] + 1}, {self.clock.column}, as of a logger that was started again: name another "

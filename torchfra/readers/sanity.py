@@ -79,7 +79,7 @@ def check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
 
 
 def check_unit(recordings: Sequence[Recording], layout: Layout) -> None:
-    """Refuses x and y whose unit nobody says, and that move faster than all but rockets if they are metres.
+    """Refuses x and y without a stated unit that, in metres, would move faster than all but rockets.
 
     Raises:
         ValueError: all do.
