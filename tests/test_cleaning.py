@@ -555,6 +555,37 @@ def test_an_aircraft_that_takes_off_at_the_end_of_rare_fixes_is_no_outlier():
     assert not (one.flag == "outlier").any()
 
 
+def error_over_raw_in_bursts(path, gaps, word):
+    """The error of a path whose fixes, with 5 m of noise, come after these gaps, over that of the fixes."""
+    z = path + 5.0 * np.random.default_rng(3).standard_normal(path.shape)
+    (cleaned,) = clean_tracks([Recording("bursts", np.cumsum(gaps), z, None, {}, source=Source(word=word))])
+    return error(cleaned, path, slice(None)) / np.sqrt(np.square(z - path).sum(1).mean())
+
+
+@pytest.mark.parametrize("gap", [1.0, 10.0])
+def test_a_ship_that_is_elsewhere_after_each_pause_between_bursts_is_where_it_was_measured(gap):
+    places = np.cumsum(40_000.0 * np.random.default_rng(5).standard_normal((16, 2)), 0)
+    path = np.repeat(places, 10, 0)[:-9]  # the last fix is alone
+    gaps = np.where(np.arange(len(path)) % 10, gap, 14_400.0)
+    assert error_over_raw_in_bursts(path, gaps, "ship") < 1.05
+
+
+def test_an_aircraft_that_turns_in_the_three_fixes_between_two_pauses_is_where_it_was_measured():
+    gaps, number = np.tile((3600.0, 20.0, 20.0), 50), np.arange(150)
+    course = np.cumsum(np.where(number // 3 % 12 == 0, np.tile((0.2, 0.3, 0.3), 50), 0.0))
+    velocity = 190.0 * np.stack([np.cos(course), np.sin(course)], 1) * (number >= 75)[:, None]  # it rests before
+    path = np.cumsum(velocity * gaps[:, None], 0)
+    assert error_over_raw_in_bursts(path, gaps, "aircraft") < 1.05
+
+
+def test_a_car_that_drives_in_few_of_the_pauses_between_bursts_is_a_vehicle():
+    rng, gaps = np.random.default_rng(6), np.tile((1800.0, *[5.0] * 29), 20)
+    drives = (gaps > 60.0) & (rng.random(len(gaps)) < 0.4)
+    path = np.cumsum(np.where(drives, 15.0 * gaps, 0.0)[:, None] * (1.0, 0.5), 0)
+    (cleaned,) = clean_tracks([Recording("car", np.cumsum(gaps), path + rng.standard_normal(path.shape), None, {})])
+    assert cleaned.found.bank == "vehicle"
+
+
 @pytest.mark.parametrize(("period", "sigma", "rare"), [(290.0, 5.0, ("ship", 900.0)), (20.0, 3.0, ("marine", 7200.0))])
 def test_a_track_is_cleaned_as_alone_beside_one_whose_fixes_are_rare(period, sigma, rare):
     def wandering(seed, word, period):

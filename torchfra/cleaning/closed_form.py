@@ -24,6 +24,8 @@ from torchfra.sensors.position import Position
 _LOG_TWO_PI = math.log(2 * math.pi)
 _LEAST = 1e-300
 """Least probability that is distinguished from 0."""
+_PAUSE = 5.0, 300.0
+"""Periods and seconds without a fix from which on there was a pause."""
 
 
 class Belief(NamedTuple):
@@ -167,6 +169,17 @@ class Fixes(NamedTuple):
         last = torch.where(self.missing, -math.inf, time).cummax(0).values
         elapsed = (time[1:] - last[:-1]).nan_to_num(posinf=0.0)
         return torch.cat([torch.zeros_like(time[:1]), elapsed])
+
+    @property
+    def period(self) -> Tensor:
+        """``(B,)`` seconds between most fixes."""
+        return torch.where(self.missing, math.nan, self.elapsed).nanmedian(0).values
+
+    @property
+    def after_pause(self) -> Tensor:
+        """``(T, B)`` whether a fix comes after a pause: rests, and all that a target may do, are shorter."""
+        periods, seconds = _PAUSE
+        return ~self.missing & (self.elapsed > (periods * self.period).clamp_min(seconds))
 
     def backwards(self) -> Fixes:
         """The same with time reversed."""
@@ -362,10 +375,11 @@ class _Walking(ConstantVelocity):
 
 
 def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
-    """The prior: near the first fixes, as far as those are apart, of any speed."""
+    """The prior: near the first fixes up to a pause, as far as those are apart, of any speed."""
     z = fixes.z
     order = (~fixes.missing).to(z).cumsum(0)
-    first = torch.where((order <= 9).unsqueeze(1), z, torch.nan)
+    soon = (order <= 9) & ~fixes.after_pause.cummax(0).values
+    first = torch.where(soon.unsqueeze(1), z, torch.nan)
     middle = first.nanquantile(0.5, dim=0)  # of a few, as robust as can be, and no lower than when mirrored
     apart = (first - middle).abs().nanmean((0, 1)).nan_to_num()
     shape = (2, *levels.q.shape)
