@@ -186,9 +186,9 @@ class GPB(Filter[GPBState]):
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
         last = None if state.last is None else Last(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
-        now = GPBState(belief, lagged, *kept, state.lasted, relaxation, last)
+        now = GPBState(belief, lagged, *kept, state.duration, relaxation, last)
         alarm = self.alarm(state, now, frame)
-        now = now._replace(lasted=alarm.lasted)  # the alarm has counted this step
+        now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
         # The record: for the estimate, and for the backward pass.
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
@@ -286,7 +286,7 @@ class GPB(Filter[GPBState]):
         was, faulty = self.faulty(before), self.faulty(now)
         estimated = self.sensor.at_points(now.belief.mean[None, ..., : self.sensor.reads], frame.u)[0]
         offset = torch.where(frame.measured > 0, self.sensor.difference(frame.z, estimated), 0.0)
-        return Alarm(faulty, faulty_seconds(before.lasted, was, faulty, frame.dt), offset)
+        return Alarm(faulty, faulty_seconds(before.duration, was, faulty, frame.dt), offset)
 
     # ------------------------------------------------------------ what is expected later
 
@@ -352,7 +352,7 @@ class GPB(Filter[GPBState]):
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: Last | None = tree.map_tensors(torch.zeros_like, before.last)
-        return state._replace(outlier=none, lasted=none, relaxation=relaxation, last=last)
+        return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last)
 
     def _unmeasured(self, like: Tensor) -> Last:
         """The measurement of a step without any, for states ``like (..., n)``."""
