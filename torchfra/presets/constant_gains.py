@@ -34,7 +34,9 @@ def alphabeta(
     initiation: str = "two-point", period: Value | None = None, confirm: bool | None = None,
     learn: Collection[str] = (),
 ) -> AlphaBetaBank:  # fmt: skip
-    """Alpha-beta filters that switch with manoeuvres, the cheapest.  Source: Xu et al.; Kalata (1984) for the gains.
+    """Alpha-beta filters that switch with manoeuvres: the least computation of all presets.
+
+    Source: Xu et al.; Kalata (1984) for the gains.
 
     With a motion of constant velocity it is the paper's.  With constant acceleration and without ``gains`` the fast
     levels have three gains, which extrapolate a manoeuvre over outliers, and the defaults are those in brackets.  All

@@ -342,13 +342,13 @@ class GPB(Filter[GPBState]):
         return super().parts_for(sensor) | {"outliers": outliers}
 
     def without_memory(self, state: GPBState) -> GPBState:
-        """A state without outliers in its last measurement, from which outliers in the next do not follow."""
+        """A state without outliers in its last measurement, so that none continues in the next."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
         last = None if state.last is None else self._unmeasured(state.belief.mean)
         return self.with_memory_of(state, state._replace(outlier=outlier, last=last))
 
     def with_memory_of(self, state: GPBState, before: GPBState) -> GPBState:
-        """A state after a measurement of another sensor, whose outliers say nothing of this filter's own sensor."""
+        """A state after a measurement of another sensor, whose outliers are independent of this filter's own."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: Last | None = tree.map_tensors(torch.zeros_like, before.last)
@@ -373,7 +373,7 @@ class GPB(Filter[GPBState]):
         return steps
 
     def provisional_past(self, past: GPBPast) -> GPBPast:
-        """The past as it is: no later measurement decides anything of it."""
+        """The past as it is: no later measurement changes it."""
         return past
 
     last_past = provisional_past
