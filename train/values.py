@@ -129,7 +129,7 @@ def taken(folder: Path) -> Figures:
         else:
             _put(arguments, path, learned[path])
     if "gate.size" in arguments:
-        arguments["gate"] = {"size": arguments.pop("gate.size"), "least": 0.9999}
+        arguments["gate"] = {"size": arguments.pop("gate.size"), "probability": 0.9999}
     head = {"preset": config["filter"], "values": SOURCES[run].name, "run": f"python -m train.tune {run}"}
     data = {"learned_on": SOURCES[run].learned_on, "seeds": [config["seed"], config["validation_seed"]]}
     return {**head, **data, "versions": result["versions"], "arguments": arguments, "factors": factors, "results": []}
