@@ -22,8 +22,16 @@ from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
-from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
-from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.cli.command import (
+    add_output_options,
+    add_runs_options,
+    check_files,
+    check_least,
+    check_list,
+    exit_status,
+    make_parser,
+)
+from torchfra.running.jobs import add_jobs_option, finished
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
@@ -60,7 +68,7 @@ def bounds(options: argparse.Namespace) -> None:
     Raises:
         ValueError: a name that no cell has, no filter that goes with any, or fewer than 1 job.
     """
-    check_jobs(options.jobs)
+    check_least(options, jobs=1)
     check_files({"json": options.json})
     names = list(chosen_cells(known_cells(), options.cells.split(",")))
     listed = None if options.filters is None else options.filters.split(",")

@@ -40,6 +40,7 @@ from torchfra.cli.command import (
     add_output_options,
     add_runs_options,
     check_files,
+    check_least,
     check_list,
     exit_status,
     make_parser,
@@ -107,8 +108,7 @@ def gradients(options: argparse.Namespace) -> None:
     steps = numbers_in("steps", options.steps)
     if any(number % 1 for number in steps):
         raise ValueError(f"steps: expected whole numbers, received {options.steps!r}")
-    if options.runs < 2:
-        raise ValueError(f"runs: expected 2 or more, received {options.runs}")
+    check_least(options, runs=2)
     lengths = sorted(map(int, steps))
     tell, _ = reporters(options.compile, options.quiet)
     compiled = choose(options.compile, options.runs * lengths[-1] >= WORTHWHILE, tell)

@@ -32,6 +32,7 @@ from torchfra.cli.command import (
     add_output_options,
     add_runs_options,
     check_files,
+    check_least,
     check_list,
     exit_status,
     make_parser,
@@ -88,9 +89,7 @@ def compare(options: argparse.Namespace) -> None:
     """
     check_files({"json": options.json})
     variances = numbers_in("variances", options.variances)
-    for name, value, least in (("runs", options.runs, 1), ("network", options.network, 0)):
-        if value < least:
-            raise ValueError(f"{name}: expected {least} or more, received {value}")
+    check_least(options, runs=1, network=0)
     cells = [
         (name, variance)
         for name in options.settings.split(",")

@@ -24,7 +24,15 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
+from torchfra.cli.command import (
+    Failures,
+    add_output_options,
+    add_runs_options,
+    check_files,
+    check_least,
+    exit_status,
+    make_parser,
+)
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
@@ -198,9 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
 def particles(options: argparse.Namespace) -> None:
     """All cells."""
     check_files({"json": options.json})
-    for name in ("particles", "runs"):
-        if getattr(options, name) < 1:
-            raise ValueError(f"{name}: expected 1 or more, received {getattr(options, name)}")
+    check_least(options, particles=1, runs=1)
     results = {
         name: compare(*cell, options.particles, options.seed, progress=not options.quiet)
         for name, cell in cells(options.runs, options.seed).items()
