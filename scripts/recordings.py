@@ -32,8 +32,7 @@ from statistics import fmean
 from typing import Any
 
 from recorded_bench import autoferry, nclt, smartloc, uwb
-from recorded_bench.picture import picture
-from recorded_bench.tracks import Figures, Followed, followed, judged
+from recorded_bench.tracks import Figures, Followed, followed, judged, picture
 
 from torchfra.catalogue import track_filters
 from torchfra.cli.command import Failures, add_output_options, check_files, check_list, exit_status, make_parser
