@@ -91,7 +91,7 @@ def of_cell(cell: str, listed: list[str] | None, runs: int, seed: int) -> Found 
         error = of["mean_rmse_position"]
         ratio = torch.tensor(of["rmse_position"]) / least
         # the standard error of the root of a mean square over runs and dimensions, of errors that are normal
-        sure = 1 / (2 * comparison.metrics[name].counts["position"] * scenario.motion.dims).sqrt()
+        sure = 1 / (2 * comparison.metrics[name].sums["count_position"] * scenario.motion.dims).sqrt()
         low = ((ratio - 1) / sure).nan_to_num(nan=torch.inf).min()
         filters[name] = {"rmse": error, "ratio": error / float(least.nanmean()), "lowest_step": float(low)}
     return {"bound": float(least.nanmean()), "kind": comparison.bound.kind, "known": comparison.bound.known,
