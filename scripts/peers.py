@@ -87,16 +87,6 @@ def in_turn(track: Callable[[np.ndarray, np.ndarray], np.ndarray], job: Job) -> 
     return lambda: np.array([track(mean, z) for mean, z in zip(job.means, job.z, strict=True)])
 
 
-def last_means(track: Callable, job: Job) -> Run:
-    """All tracks under jit and vmap: the last means ``(B, n)``."""
-    import jax
-    import jax.numpy as jnp
-
-    means, z, std = jnp.asarray(job.means), jnp.asarray(job.z), jnp.full(job.z.shape[1:], job.std)
-    compiled = jax.jit(jax.vmap(lambda mean, z: track(mean, z, std)[-1]))
-    return lambda: np.asarray(compiled(means, z).block_until_ready())
-
-
 def jax_srckf(job: Job) -> Callable:
     """Hand-written for this job, to be under jit and vmap, a scan over time: from mean, ``z`` and std to all means."""
     import jax.numpy as jnp
@@ -410,8 +400,18 @@ def descent(track: Callable, job: Job, learning: Learning) -> Run:
 
 
 def in_jax(track: Callable[[Job], Callable]) -> Callable[[Job], Run]:
-    """A peer of a function of one track in JAX, all tracks under jit and vmap."""
-    return lambda job: last_means(track(job), job)
+    """A peer of a function of one track in JAX: the last means ``(B, n)`` of all tracks, under jit and vmap."""
+
+    def peer(job: Job) -> Run:
+        import jax
+        import jax.numpy as jnp
+
+        means, z, std = jnp.asarray(job.means), jnp.asarray(job.z), jnp.full(job.z.shape[1:], job.std)
+        call = track(job)
+        compiled = jax.jit(jax.vmap(lambda mean, z: call(mean, z, std)[-1]))
+        return lambda: np.asarray(compiled(means, z).block_until_ready())
+
+    return peer
 
 
 def in_jax_by_roots(track: Callable[[Job], Callable], own: bool = True) -> Callable[[Job], Run]:
