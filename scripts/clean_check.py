@@ -40,10 +40,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cleaning.bounds import verdicts
+from cleaning.bounds import bounds_table, cases_table, table, verdicts
 from cleaning.figures import Counts, add, figures
 from cleaning.measured import GHOSTS, Case, Measured, measured
-from cleaning.show import bounds_table, cases_table, table
 from cleaning.truths import HARDER, KINDS, truths
 
 from torchfra.cleaning import Cleaned
