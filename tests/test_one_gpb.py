@@ -115,6 +115,15 @@ def test_a_cleaned_track_gives_its_filters_which_track_on_from_its_end(dims):
         assert wrong > 0.95
 
 
+@pytest.mark.parametrize("value", [lambda x: x.sigma, lambda x: x.levels.q, lambda x: x.model.begins])
+def test_gradients_flow_through_what_a_track_was_cleaned_with(value):
+    time = np.arange(0.0, 40.0, 2.0)
+    (used,) = torchfra.clean((time, np.outer(time, [30.0, 10.0])), bank="aircraft").used
+    factor = torch.ones(1, dtype=torch.float64, requires_grad=True)
+    (factor * value(used)).sum().backward()
+    assert_close(factor.grad, value(used).sum().reshape(1))
+
+
 def test_other_filters_give_none():
     time = np.arange(20.0)
     assert torchfra.clean((time, np.outer(time, [3.0, 1.0])), filter="srckf", bank="person").filters() == ()
