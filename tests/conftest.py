@@ -19,7 +19,7 @@ from torchfra.types import Gaussian
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
 
-OPTIMISED = {"test_battery", "test_compile", "test_divisions", "test_every_filter_compiles", "test_generated_source",
+OPTIMISED = {"test_compile", "test_divisions", "test_every_filter_compiles", "test_generated_source",
              "test_processors", "test_regions"}  # fmt: skip
 """Tests whose kernels are those that users have; in others LLVM does not optimise them, which is twice as fast."""
 LEVEL = jit._LEVEL
