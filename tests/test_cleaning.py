@@ -10,7 +10,7 @@ import torch
 import torchfra
 from torchfra.cleaning import check_settings, clean_tracks
 from torchfra.cleaning.kinds import kind_of
-from torchfra.cleaning.two_filters import _believed, _joined
+from torchfra.cleaning.two_filters import _believed, _joined, _jumps
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
 from torchfra.motion.bank import Bank
 from torchfra.readers import Recording
@@ -214,6 +214,25 @@ def jumps_and_reversals():
     ]
 
 
+@track
+def whoever_turns_and_jumps_by_a_kilometre():
+    found = []
+    for period, speed, turn in ((5.0, 1.4, 0.7), (10.0, 1.4, 0.7), (10.0, 13.0, 0.3)):
+        rng = np.random.default_rng(3)
+        course = np.cumsum(turn * rng.standard_normal(120) * (rng.random(120) < 0.3))
+        path = np.cumsum(period * speed * np.stack([np.cos(course), np.sin(course)], 1), 0)
+        path[60:] += 800.0, -600.0
+        found.append(
+            (Recording("jump", period * np.arange(120), path + 5.0 * rng.standard_normal((120, 2)), None, {}), path)
+        )
+    return found
+
+
+def test_whoever_turns_and_jumps_by_a_kilometre_is_on_either_side_where_it_was(results):
+    for path, one in results["whoever_turns_and_jumps_by_a_kilometre"]:
+        assert error(one, path, slice(None)) < np.sqrt(np.square(one.raw - path).sum(1).mean())
+
+
 def test_each_filter_is_believed_on_its_side_of_a_jump_or_a_reversal(results):
     for truth, one in results["jumps_and_reversals"]:
         assert (one.flag != "outlier").all()
@@ -266,6 +285,16 @@ def test_rounded_metres_have_no_less_noise_than_their_rounding(results):
 def error(one, truth, at):
     """Root mean square of both axes together, which is 1.4 sigma of the fixes themselves."""
     return np.sqrt(np.square(one.position - truth)[at].sum(1).mean())
+
+
+def test_a_jump_is_the_likeliest_step_from_which_on_the_other_filter_is_believed():
+    rng, rare = np.random.default_rng(1), np.array([-1.0, -4.0] * 60)
+    gain, lost, may = rng.standard_normal((40, 120)), rng.random((40, 120)) < 0.02, rng.random((40, 120)) < 0.8
+    found = _jumps(*map(torch.from_numpy, (gain, lost, may, rare)))
+    expected = [oracles.jumps(*of, float(one)) for *of, one in zip(gain.T, lost.T, may.T, rare, strict=True)]
+    for one, other in zip(found, zip(*expected, strict=True), strict=True):
+        np.testing.assert_array_equal(one.numpy(), np.stack(other, 1))
+    assert all(of.any() for of in found)
 
 
 def test_the_filters_believed_are_the_likeliest_choice_of_every_stretch():

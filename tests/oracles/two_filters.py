@@ -27,6 +27,21 @@ def believed(gain: Array, lost: Array, rare: float, least: int) -> Array:
     return first
 
 
+def jumps(gain: Array, lost: Array, may: Array, rare: float) -> tuple[Array, Array]:
+    """Where of ``(T,)`` the second is lost, before jumps, and where the first is, from them on."""
+    until, since = np.zeros(len(gain), bool), np.zeros(len(gain), bool)
+    worth = np.array([-gain[k:].sum() for k in range(len(gain))])
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], worth > 0, [False]])))
+    for begin, end in ends.reshape(-1, 2):
+        steps = [k for k in range(begin, end) if may[k]]
+        if lost[begin:end].any() or not steps:
+            continue
+        jump = max(steps, key=lambda k: worth[k])
+        if worth[jump] > -rare:
+            until[begin:jump] = since[jump:end] = True
+    return until, since
+
+
 def joined(contrary: Array, fixes: Array, fewer: int) -> Array:
     """Stretches with fewer fixes than that between them as one."""
     whole, at = contrary.copy(), np.flatnonzero(contrary)

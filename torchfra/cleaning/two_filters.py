@@ -28,6 +28,10 @@ _TOGETHER = 16
 """Steps that are smoothed together: few enough for a cache to hold their hypotheses."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
+_ENOUGH = 10
+"""Fixes before and after a jump: fewer are a burst of outliers that a track begins or ends with."""
+_RARE = 300.0
+"""Seconds without a fix in which a target that is elsewhere has gone there: tracks with such gaps have no jumps."""
 
 
 class Smoothed(NamedTuple):
@@ -80,7 +84,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     met = [_met(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
     apart = _joined_beliefs([of.apart for of in met], -2)
     agree = torch.cat([of.both.log_weights.logsumexp(1) for of in met])
-    lost, lost_later = _lost(apart, agree, forward.log_likelihood - backward.log_likelihood, fixes, model)
+    lost, lost_later = _lost(apart, agree, forward, backward, fixes, model)
     done = []
     for some, (predictions, later, both, _) in zip(pieces, met, strict=True):
         both = _where(lost[some], later, _where(lost_later[some], predictions, both))
@@ -137,15 +141,18 @@ def updated(
     return Smoothed(whole, joint.exp().sum(1), outlier, predictions, fit[1] - fit[0])
 
 
-def _lost(apart: Belief, agree: Tensor, gain: Tensor, fixes: Fixes, model: OutlierModel) -> tuple[Tensor, Tensor]:
+def _lost(
+    apart: Belief, agree: Tensor, forward: Predictions, backward: Predictions, fixes: Fixes, model: OutlierModel
+) -> tuple[Tensor, Tensor]:
     """Where one of two filters follows something else than the target, as the burst of outliers that it began with.
 
-    There what one says is as far from what the other says as an outlier is from a clean fix, whichever the level.  Of
-    each such stretch that filter is lost by which the fixes are less likely.  Where the target itself jumps or turns
-    back at once, the first filter is right until then and the second from then on.  So the first is believed up to the
-    step that makes the fixes likeliest and the second after it, if that beats either alone by more than it is rare.
-    Both sides have three steps of the stretch, or one has two if there are five, or else the last outlier of a burst
-    would be a jump.
+    There what one says is as far from what the other says as an outlier is from a clean fix, whichever the level; or,
+    next to that, one takes the fix for an outlier and the other does not.  Of each such stretch that filter is lost by
+    which the fixes are less likely.  Where the target itself jumps or turns back at once, the first filter is right
+    until then and the second from then on.  So the first is believed up to the step that makes the fixes likeliest and
+    the second after it, if that beats either alone by more than it is rare.  Both sides have three steps of the
+    stretch, or one has two if there are five, or else the last outlier of a burst would be a jump.  A jump shows too
+    where what the filters say is not far apart: see ``_jumps``.
 
     A filter that begins is sure of nothing, so that it contradicts the other as it does thereafter; and two that agree
     for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
@@ -153,7 +160,8 @@ def _lost(apart: Belief, agree: Tensor, gain: Tensor, fixes: Fixes, model: Outli
     Args:
         apart: ``(T, B)`` how far the second is from the first.
         agree: ``(T, B)`` log of how well both agree.
-        gain: ``(T, B)`` log of how much likelier each fix is by the first.
+        forward: what the first said.
+        backward: what the second said.
         fixes: all of them.
         model: how likely outliers are, and how large.
 
@@ -168,13 +176,53 @@ def _lost(apart: Belief, agree: Tensor, gain: Tensor, fixes: Fixes, model: Outli
     seen = (~fixes.missing).long()
     before = seen.cumsum(0) - seen
     fewer = before.minimum(seen.sum(0) - seen - before)
-    sure = fewer >= _BEGUN
+    sure, enough = fewer >= _BEGUN, fewer >= _ENOUGH
     first, last = sure.long().argmax(0), len(sure) - 1 - sure.flip(0).long().argmax(0)
     nearest = torch.arange(len(sure)).unsqueeze(1).clamp(first, last)
-    contrary = ((agree < log_lost) & sure).gather(0, nearest)
-    lost = _joined(contrary, seen)
-    believed = _believed(gain, lost, rare)
-    return lost & ~believed, lost & believed
+    contrary = _joined(((agree < log_lost) & sure).gather(0, nearest), seen)
+    either = contrary | ((forward.outlier > 0.5) != (backward.outlier > 0.5))
+    lost = either & (_largest(contrary.long(), _numbers(either)) > 0)
+    gain = forward.log_likelihood - backward.log_likelihood
+    believed = _believed(gain, lost, rare.where(enough, -torch.inf))
+    until, since = _jumps(gain, lost, enough & (fixes.elapsed <= _RARE).all(0), rare)
+    return (lost & ~believed) | since, (lost & believed) | until
+
+
+def _jumps(gain: Tensor, lost: Tensor, may: Tensor, rare: Tensor) -> tuple[Tensor, Tensor]:
+    """Where a target jumps or turns back at once, as far as the filter that comes from beyond has not recovered.
+
+    All fixes by the first are as likely as all by the second.  If instead the first is believed before a step and the
+    second from it on, they are likelier by what ``gain`` sums to from there, negative.  A jump is where this is largest
+    of all steps around it where it is positive, and more than a jump is rare.
+
+    Args:
+        gain: ``(T, B)``, the log of how much likelier each fix is by the first than by the second.
+        lost: ``(T, B)``, what is decided already.
+        may: ``(T, B)``, where there may be jumps.
+        rare: ``(B,)``, the log of how probable a jump is.
+
+    Returns:
+        ``(T, B)`` the steps before jumps, where the second is lost, and those from them on, where the first is.
+    """
+    likelier = -gain.flip(0).cumsum(0).flip(0)
+    around = likelier > 0
+    number, step = _numbers(around), torch.arange(len(gain)).unsqueeze(1)
+    most = _largest(likelier.where(around & may, -torch.inf), number)
+    decided = _largest((around & lost).long(), number) > 0
+    jumps = (likelier == most) & (most > -rare) & ~decided
+    at = _largest(torch.where(jumps, step, -1), number)
+    near = around & (at >= 0)
+    return near & (step < at), near & (step >= at)
+
+
+def _numbers(inside: Tensor) -> Tensor:
+    """Numbers of stretches ``(T, B)``: steps inside one have its number, steps outside that of the last before them."""
+    return (inside & ~torch.cat([torch.zeros_like(inside[:1]), inside[:-1]])).long().cumsum(0)
+
+
+def _largest(x: Tensor, number: Tensor) -> Tensor:
+    """The largest value ``(T, B)`` of all steps of the same number."""
+    return torch.empty_like(x).scatter_reduce(0, number, x, "amax", include_self=False).gather(0, number)
 
 
 def _joined(contrary: Tensor, seen: Tensor) -> Tensor:
@@ -191,7 +239,7 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
     Args:
         gain: ``(T, B)``, the log of how much likelier each fix is by the first than by the second.
         lost: ``(T, B)``, the stretches.
-        rare: ``(B,)``, the log of how probable a change from the first to the second is within a stretch.
+        rare: ``(B,)`` or ``(T, B)``, the log of how probable a change from the first to the second is in a stretch.
 
     Returns:
         ``(T, B)``; outside the stretches it says nothing.
@@ -209,9 +257,8 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
     inside = lost & ((b2 & a3) | short)
     prior = torch.where(ends, 0.0, torch.where(inside, rare, -torch.inf))
     likelier = total - base + prior  # than by the second alone
-    most = torch.full_like(total, -torch.inf).scatter_reduce(0, stretch, likelier, "amax").gather(0, stretch)
-    change = torch.where((likelier == most) & (most >= 0), step, -1)
-    return step <= torch.full_like(stretch, -1).scatter_reduce(0, stretch, change, "amax").gather(0, stretch)
+    most = _largest(likelier, stretch)
+    return step <= _largest(torch.where((likelier == most) & (most >= 0), step, -1), stretch)
 
 
 def _rows(x: Predictions, rows: slice) -> Predictions:
