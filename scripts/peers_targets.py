@@ -225,7 +225,7 @@ def tracker(name: str, options: argparse.Namespace) -> Targets:
     birth, confirmation = BIRTHS[options.birth], CONFIRMATIONS[options.confirmation]
     return Targets(
         joint, birth=birth, confirmation=confirmation,
-        deletion=Deletion(options.misses, drop=1e-4) if options.misses else None,
+        deletion=Deletion(options.misses, score_drop=1e-4) if options.misses else None,
         visibility=None if options.visible is None else {None: Visibility(*options.visible)},
         stitching=None if options.stitch is None else Stitching(*options.stitch),
         clutter_map=None if options.map is None else ClutterMap(*options.map),

@@ -57,7 +57,7 @@ def test_alarms_are_those_of_loops_over_steps_and_blocks(make, chain):
     expected = oracle.alarms(r, case.z, case.model, case.blocks, DT, qualities)
     for name, values in expected.items():
         close(getattr(estimate.info.alarm, name), values)
-    assert expected["lasted"][11, 0] == DT[5:12].sum()  # the fault was seen, from its first step on
+    assert expected["duration"][11, 0] == DT[5:12].sum()  # the fault was seen, from its first step on
 
 
 def drive(steps=300, first=40, nothing=211, wrong=24):
@@ -85,7 +85,7 @@ def test_positions_that_are_hundreds_of_metres_off_after_a_long_gap_raise_the_al
     assert (off - usual).max() < 20
     assert (alarm.probability[0, fault] > 0.5).all()
     assert (alarm.probability[:, : fault.start] > 0.5).sum() == 0
-    close(alarm.lasted[0, fault.stop - 1], [23.0])
+    close(alarm.duration[0, fault.stop - 1], [23.0])
     close(alarm.offset[0, fault, 1], torch.linspace(720, 840, 24, **F64), tolerance=0.05)
 
 
@@ -140,10 +140,10 @@ def test_a_tracker_says_which_of_its_sensors_is_faulty_since_when_and_by_how_muc
     report = fed(t, events())
     assert all(map(torch.equal, report.alarm, t.alarms["radar"]))
     assert t.alarms["radar"].probability > 0.99
-    close(t.alarms["radar"].lasted, [5.0])
+    close(t.alarms["radar"].duration, [5.0])
     close(t.alarms["radar"].offset, [300.0, 0.0], tolerance=0.02)
     assert t.alarms["gps"].probability < 0.1
-    close(t.alarms["gps"].lasted, [0.0])
+    close(t.alarms["gps"].duration, [0.0])
 
 
 def test_a_tracker_keeps_an_alarm_while_its_sensor_measures_nothing_and_others_do():
@@ -151,7 +151,7 @@ def test_a_tracker_keeps_an_alarm_while_its_sensor_measures_nothing_and_others_d
     fed(t, events())
     t.update(12.0, [108.0, 100.0], "gps")
     t.update(12.5, [math.nan, math.nan], "radar")
-    close(t.alarms["radar"].lasted, [6.0])
+    close(t.alarms["radar"].duration, [6.0])
     close(t.alarms["radar"].offset, [300.0, 0.0], tolerance=0.02)
 
 

@@ -110,7 +110,7 @@ def test_what_is_not_stable_is_refused():
 
 # ---------------------------------------------------------------- the bank
 
-OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "degrees": [60 / 70], "margin": 3.6}
+OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "level_shares": [60 / 70], "margin": 3.6}
 
 
 def with_outliers(seed, steps=80, outliers=6):
@@ -206,7 +206,17 @@ def test_soft_choices_become_hard_ones_and_have_gradients():
         f = presets.alphabeta(motion, sensor, temperature=temperature)
         errors.append((f(tracks.z, tracks.prior).mean - hard).abs().max().item())
     assert errors[1] < 1e-3 < errors[0]
-    names = ("alpha", "beta", "manoeuvre", "outlier", "degrees", "limit", "margin", "hysteresis", "dwell")
+    names = (
+        "alpha",
+        "beta",
+        "manoeuvre",
+        "outlier",
+        "level_shares",
+        "max_acceleration",
+        "margin",
+        "hysteresis",
+        "dwell",
+    )
     f = presets.alphabeta(motion, sensor, temperature=0.2, learn=names)
     f(tracks.z, tracks.prior).mean[..., :3].sub(tracks.truth[..., :3]).square().mean().backward()
     assert all((p.grad != 0).all() and p.grad.isfinite().all() for p in f.parameters())
@@ -214,7 +224,9 @@ def test_soft_choices_become_hard_ones_and_have_gradients():
 
 @pytest.mark.slow
 def test_gradients_of_the_soft_bank_are_exact():
-    f = presets.alphabeta(LINE, SENSOR, temperature=0.5, learn=("alpha", "manoeuvre", "outlier", "limit"), **OPTIONS)
+    f = presets.alphabeta(
+        LINE, SENSOR, temperature=0.5, learn=("alpha", "manoeuvre", "outlier", "max_acceleration"), **OPTIONS
+    )
     z = torch.from_numpy(with_outliers(1)[24:38])[:, None]
     parameters = dict(f.named_parameters())
 
@@ -278,7 +290,7 @@ def test_after_a_long_gap_it_starts_anew():
     z = torch.cat([torch.arange(20.0) * 100, 5000 - torch.arange(20.0) * 100]).double()[:, None]
     dt = torch.ones(40).double()
     dt[20] = 600.0
-    e = presets.alphabeta(LINE, SENSOR, longest=60.0)(z, PRIOR, dt=dt)
+    e = presets.alphabeta(LINE, SENSOR, max_gap=60.0)(z, PRIOR, dt=dt)
     assert e.info.restarted[:, 0].nonzero().tolist() == [[20]]
     assert not e.info.rejected.any()
     torch.testing.assert_close(e.mean[21:, 0], z[21:, 0])
@@ -294,11 +306,11 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, gains.kalata(tensor(0.1, 0.5))), "the fastest first"),
         (lambda: AlphaBetaBank(LINE, SENSOR, gains.levels(3)), "gains: expected two for constant velocity"),
         (lambda: AlphaBetaBank(LINE, SENSOR, outlier=1.0), "outlier: expected"),
-        (lambda: AlphaBetaBank(LINE, SENSOR, degrees=[0.5, 0.2]), "degrees"),
+        (lambda: AlphaBetaBank(LINE, SENSOR, level_shares=[0.5, 0.2]), "level_shares"),
         (lambda: AlphaBetaBank(LINE, SENSOR, votes=3), "votes, patience, converged"),
         (lambda: AlphaBetaBank(LINE, SENSOR, detect="polar"), "detect"),
         (lambda: AlphaBetaBank(LINE, SENSOR, onset="late"), "onset"),
-        (lambda: AlphaBetaBank(LINE, SENSOR, longest=0.0), "longest"),
+        (lambda: AlphaBetaBank(LINE, SENSOR, max_gap=0.0), "max_gap"),
         (lambda: AlphaBetaBank(LINE, SENSOR, period=0.0), "period"),
         (lambda: AlphaBetaBank(LINE, SENSOR, temperature=-1.0), "temperature"),
         (lambda: gains.kalata(0.0), "index"),

@@ -17,7 +17,7 @@ from torchfra.types import Gaussian
 
 LINE, SENSOR = ConstantVelocity(1.0, 1), Position(20.0, dims=1)
 PRIOR = Gaussian(torch.zeros(2).double(), torch.tensor([500.0, 300.0]).double().diag())
-OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "degrees": [60 / 70], "margin": 3.6}
+OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "level_shares": [60 / 70], "margin": 3.6}
 
 
 def wild(seed):

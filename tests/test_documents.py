@@ -33,6 +33,7 @@ DOCUMENTS = [
     ROOT / "scripts/docs/gradients.md",
     ROOT / "scripts/docs/layer.md",
     *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
+    *sorted((ROOT / "scripts/results").glob("[a-z]*.md")),
 ]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 RUN_ELSEWHERE = {"README.md": "test_scripts.py, which reads what it prints", "scripts/docs/layer.md": "test_layer.py"}

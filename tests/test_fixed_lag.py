@@ -66,7 +66,7 @@ def test_a_bank_tells_its_probabilities_and_a_compiled_filter_does_the_same():
 
 
 def test_scans_come_one_at_a_time_too(crossing, scans):
-    gate = Euclidean(150.0, least=0.9999)
+    gate = Euclidean(150.0, probability=0.9999)
     f = presets.iaukf_jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter, gate=gate)
     stream, whole = FixedLag(f, 3), f.smooth(scans.z[:, :8], scans.prior, lag=3)
     state = stream.init(scans.prior)

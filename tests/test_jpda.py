@@ -70,7 +70,7 @@ def test_the_noise_estimate_wins_by_far_where_the_noise_grows_and_costs_nothing_
         s = scenarios.clutter_crossing(noise_scale=scale)
         t = s.simulate(100, 0)
         runs = {}
-        for name, gate in (("ukf_jpda", Euclidean(150.0)), ("iaukf_jpda", Euclidean(150.0, least=0.9999))):
+        for name, gate in (("ukf_jpda", Euclidean(150.0)), ("iaukf_jpda", Euclidean(150.0, probability=0.9999))):
             mean = s.cartesian(make(name, s, gate=gate)(t.z, t.prior)).mean
             runs[name] = metrics.error(mean, t.truth, s.truth_position)[..., 10:].square().mean((1, 2)).sqrt()
         worst = {name: run.square().mean().sqrt() for name, run in runs.items()}
@@ -98,7 +98,7 @@ def test_what_does_not_fit_is_named(crossing):
         (lambda: Clutter(), "volume, extent"),
         (lambda: Clutter(-1.0), "volume"),
         (lambda: ChiSquare(1.0), "probability"),
-        (lambda: Euclidean(1.0, least=1.0), "least"),
+        (lambda: Euclidean(1.0, probability=1.0), "probability"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, detection=0.0), "detection: expected a prob"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, lost=1.0), "lost"),
         (lambda: presets.ukf_jpda(motion, sensor, clutter=clutter, exact=(8, 12)), "exact"),

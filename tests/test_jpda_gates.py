@@ -20,7 +20,7 @@ def test_gates_hold_what_they_say():
     inside = Euclidean(65.0)(candidates, sensor, 0.0)
     assert inside.exp().tolist() == [[1.0, 1.0, 0.0]]
     assert ChiSquare(0.999)(candidates, sensor, 0.0).exp().tolist() == [[1.0, 1.0, 0.0]]  # 13.816 for two elements
-    assert Euclidean(30.0, least=0.999)(candidates, sensor, 0.0).exp().tolist() == [[1.0, 1.0, 0.0]]
+    assert Euclidean(30.0, probability=0.999)(candidates, sensor, 0.0).exp().tolist() == [[1.0, 1.0, 0.0]]
     one = candidates._replace(measured=torch.tensor([1.0, 0.0]).double().expand(1, 3, 2))
     assert ChiSquare(0.999)(one, sensor, 0.0).exp().tolist() == [[1.0, 0.0, 0.0]]  # 10.83 for one
 

@@ -19,7 +19,7 @@ from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, Spherical, 
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
-STD, STEPS, VOLUME = 2.0, 12, 400.0
+STD, STEPS, VOLUME = 2.0, 9, 400.0
 TURN = CoordinatedTurn(0.3, 0.5)
 PAIR = Bank([ConstantVelocity(0.05), TURN])
 GPB = {
@@ -260,7 +260,9 @@ def test_values_may_differ_between_targets():
 def test_targets_across_the_cut_of_the_azimuth_are_those_of_any_other_direction(crossing, scans, inner):
     """The whole scene turned, so that one target flies to and fro where the azimuth jumps by a turn."""
     bank = Bank([crossing.motion, Spherical(ConstantVelocity(4.0, 3))])
-    f = presets.jpda(bank, crossing.sensor, inner=inner, clutter=crossing.clutter, gate=Euclidean(150.0, least=0.9999))
+    f = presets.jpda(
+        bank, crossing.sensor, inner=inner, clutter=crossing.clutter, gate=Euclidean(150.0, probability=0.9999)
+    )
     z, (mean, root) = scans.z[:, :12], scans.prior
     azimuth, (of_state,) = 0, bank.angles
     plain = f(z, scans.prior)

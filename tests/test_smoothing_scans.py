@@ -70,7 +70,7 @@ def test_a_target_that_seemed_lost_goes_back_through_the_wider_prediction():
 @pytest.mark.slow
 def test_batches_vmap_and_lags_give_the_same(crossing, scans):
     f = presets.iaukf_jpda(
-        crossing.motion, crossing.sensor, clutter=crossing.clutter, gate=Euclidean(150.0, least=0.9999)
+        crossing.motion, crossing.sensor, clutter=crossing.clutter, gate=Euclidean(150.0, probability=0.9999)
     )
 
     def smooth(z, mean, root, **options):

@@ -35,7 +35,10 @@ CONFIRMATIONS = {
         {"lifetime": 60.0, "birth": 0.2, "confirmed": 0.98, "deleted": 0.02},
     ),
 }
-DELETIONS = {"misses": (Deletion(3), {"misses": 3}), "drop": (Deletion(4, drop=0.01), {"misses": 4, "drop": 0.01})}
+DELETIONS = {
+    "misses": (Deletion(3), {"misses": 3}),
+    "drop": (Deletion(4, score_drop=0.01), {"misses": 4, "drop": 0.01}),
+}
 
 
 def scans(seed, steps=30):
@@ -135,7 +138,7 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, co
         gate=ChiSquare(PG), exact=(6, 6),
     )  # fmt: skip
     targets = manager(
-        how, confirmation, Deletion(4, drop=0.001), sensors={"other": other}, clutter_map=ClutterMap(**LEARNED),
+        how, confirmation, Deletion(4, score_drop=0.001), sensors={"other": other}, clutter_map=ClutterMap(**LEARNED),
         views={"other": FieldOfView(60.0)},
     )  # fmt: skip
     options = [
@@ -143,7 +146,7 @@ def test_a_map_of_clutter_and_a_field_of_view_are_those_of_plain_loops(birth, co
     ]
     follow(targets, z, expected, options)
     assert any(t.confirmed for t in expected[-1])
-    plain = manager(how, confirmation, Deletion(4, drop=0.001), sensors={"other": other})
+    plain = manager(how, confirmation, Deletion(4, score_drop=0.001), sensors={"other": other})
     state = plain.init()
     for scan, option in zip(z, options, strict=True):
         state = plain.step(state, torch.from_numpy(scan), **option)

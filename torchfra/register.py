@@ -44,8 +44,8 @@ class FilterEntry:
     gated: bool = False
     """Whether it takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
     constant_gains: bool = False
-    """Whether it takes positions with a standard deviation only, the ``period`` of its gains, and the
-    ``longest`` gap that it bridges."""
+    """Whether it takes positions with a standard deviation only, the ``period`` of its gains, and the ``max_gap``
+    that it bridges."""
     emphasised: bool = False
     """Whether its lines in figures are bold."""
     listed: bool = True

@@ -82,14 +82,14 @@ class Prediction(NamedTuple):
     """``(...)`` bool, for a rule with negative weights: the covariance was not positive definite and was repaired."""
 
 
-@event_ranks(probability=1, lasted=1, offset=1)
+@event_ranks(probability=1, duration=1, offset=1)
 class Alarm(NamedTuple):
     """Whether a sensor is faulty now, since when, and by how much."""
 
     probability: Tensor
     """``(..., B)`` probability that each block of its elements is faulty; over steps without a measurement that of the
     last measurement, or its prediction by a Markov chain in continuous time."""
-    lasted: Tensor
+    duration: Tensor
     """``(..., B)`` seconds since the first of successive measurements that are more likely wrong than right; 0 at the
     first, and if the last measurement is more likely right."""
     offset: Tensor

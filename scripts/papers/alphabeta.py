@@ -32,7 +32,7 @@ def filters(scenario: Scenario, names: Sequence[str]) -> Filters:
             made[name] = AlphaBeta(motion, sensor, gains.kalata(TRACKING_INDEX[name]))
         elif name == "paper":
             made[name] = presets.alphabeta(
-                motion, sensor, gains=gains.levels(), manoeuvre=3.5, outlier=10.0, degrees=[6 / 7], margin=3.6
+                motion, sensor, gains=gains.levels(), manoeuvre=3.5, outlier=10.0, level_shares=[6 / 7], margin=3.6
             )
         else:
             made |= catalogue_filters(scenario, [name])

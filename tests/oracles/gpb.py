@@ -436,9 +436,9 @@ def step(
 def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: Qualities) -> Result:
     """Of the results of `gpb` for z (T,m): whether blocks are faulty, since when (s), and by how much.
 
-    Keys: probability (T,B), lasted (T,B), offset (T,m).
+    Keys: probability (T,B), duration (T,B), offset (T,m).
     """
-    probability, lasted = np.zeros(r["outlier"].shape), np.zeros(r["outlier"].shape)
+    probability, duration = np.zeros(r["outlier"].shape), np.zeros(r["outlier"].shape)
     offset = np.zeros(z.shape)
     for b in range(len(blocks)):
         found, last, began = 0.0, -math.inf, None
@@ -451,12 +451,12 @@ def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array
                 began = None
             elif began is None:
                 began = now
-            lasted[k, b] = 0.0 if began is None else now - began
+            duration[k, b] = 0.0 if began is None else now - began
     for k in range(len(z)):
         seen = present(z[k])
         angles = np.asarray(model.angles, dtype=bool)[seen]
         offset[k, seen] = difference(z[k][seen], model.h(r["mean"][k], k)[seen], angles)
-    return {"probability": probability, "lasted": lasted, "offset": offset}
+    return {"probability": probability, "duration": duration, "offset": offset}
 
 
 def gpb(

@@ -68,24 +68,25 @@ class Euclidean(Gate):
 
     Args:
         size: radius, m.
-        least: the gate also contains the ellipsoid of the innovation covariance with this probability, in [0, 1), for
-            predictions that are less certain than the sphere is wide, such as a wide prior.  0 for the sphere alone.
+        probability: the gate also contains the ellipsoid of the innovation covariance with this probability, in
+            [0, 1), for predictions that are less certain than the sphere is wide, such as a wide prior.  0 for the
+            sphere alone.
 
     The sensor must know where in space a measurement lies (``Sensor.locate``).  The gate probability is taken as 1.
 
     Raises:
-        ValueError: ``size`` is not above 0, or ``least`` not in [0, 1).
+        ValueError: ``size`` is not above 0, or ``probability`` not in [0, 1).
 
     Source: Chen, Zou & Wu, section 4, who print gates of 100 and 150.  Differs: they state neither unit nor form,
-    metres and sphere are our reading; ``least`` is an addition.
+    metres and sphere are our reading; ``probability`` is an addition.
     """
 
-    def __init__(self, size: Value = 100.0, least: float = 0.0) -> None:
+    def __init__(self, size: Value = 100.0, probability: float = 0.0) -> None:
         super().__init__()
-        if not 0 <= as_number(least) < 1:
-            raise ValueError(f"least: expected a probability of 0 or more and below 1, received {least!r}")
+        if not 0 <= as_number(probability) < 1:
+            raise ValueError(f"probability: expected a probability of 0 or more and below 1, received {probability!r}")
         self.size = Hyper(size, name="size")
-        self.least = least
+        self.probability = probability
 
     def check(self, sensor: Sensor) -> None:
         """Checks that the sensor measures where a target is.
@@ -100,9 +101,9 @@ class Euclidean(Gate):
         """Distance in space less the radius, as a fraction of the radius."""
         gap = sensor.locate(candidates.z) - sensor.locate(candidates.predicted)
         beyond: Tensor = safe_sqrt(gap.square().sum(-1)) / self.size(gap) - 1
-        if not self.least:
+        if not self.probability:
             return beyond
-        return torch.minimum(beyond, _beyond_ellipsoid(candidates, torch.as_tensor(self.least).to(beyond)))
+        return torch.minimum(beyond, _beyond_ellipsoid(candidates, torch.as_tensor(self.probability).to(beyond)))
 
 
 class ChiSquare(Gate):

@@ -35,7 +35,7 @@ def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank
     if entry is not None and entry.gated:
         options["gate"] = GATE[d]
     if entry is not None and entry.constant_gains:
-        options |= {"longest": LONGEST_GAP, "period": period}
+        options |= {"max_gap": LONGEST_GAP, "period": period}
     if bank is not None and bank.dims != d:
         raise ValueError(f"bank: expected motions in {d} dimensions, received {bank.dims}")
     motion = ConstantVelocity(q, d, orders=3, spectral=True)

@@ -9,11 +9,11 @@ LIKELY = 0.5
 """Probability above which a measurement is more likely wrong than right."""
 
 
-def faulty_seconds(lasted: Tensor, was: Tensor, now: Tensor, dt: Tensor) -> Tensor:
+def faulty_seconds(duration: Tensor, was: Tensor, now: Tensor, dt: Tensor) -> Tensor:
     """Seconds ``(..., B)`` since the first of the measurements in a row that are more likely wrong than right.
 
     Args:
-        lasted: ``(..., B)`` these seconds at the step before.
+        duration: ``(..., B)`` these seconds at the step before.
         was: ``(..., B)`` probability at the step before that the last measurement is wrong.
         now: ``(..., B)`` probability after this step that the last measurement is wrong.
         dt: ``(...)`` seconds between the two steps.
@@ -21,4 +21,4 @@ def faulty_seconds(lasted: Tensor, was: Tensor, now: Tensor, dt: Tensor) -> Tens
     Returns:
         0 at the first such measurement, and where the last measurement is more likely right.
     """
-    return torch.where((was > LIKELY) & (now > LIKELY), lasted + dt.unsqueeze(-1), 0.0)
+    return torch.where((was > LIKELY) & (now > LIKELY), duration + dt.unsqueeze(-1), 0.0)

@@ -78,7 +78,7 @@ class Filter(nn.Module, Generic[S]):
     ::
 
         begin(belief) -> state                           usually a named tuple, with a ``belief``
-        advance(state, frame) -> state, Record           one step; a frame has all of it that is not the belief
+        advance(state, frame) -> state, Record           one step; a frame has everything of it but the belief
         retreat(step, after) -> state, Smoothed          one step of the backward pass
 
     From these come ``step``, ``forward``, ``smooth`` with or without a lag, ``FixedLag``, ``predict``, other sensors,

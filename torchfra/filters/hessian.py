@@ -19,7 +19,7 @@ class Hessian(NamedTuple):
     matrix: Tensor
     """``(k, k)``, symmetric."""
     error: Tensor
-    """``(k, k)``: estimated error of each entry, rather too large than too small."""
+    """``(k, k)``: conservative estimate of the error of each entry."""
 
 
 def hessian(loss: Callable[[], Tensor], parameters: Sequence[Tensor]) -> Hessian:

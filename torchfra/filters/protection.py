@@ -22,8 +22,8 @@ def protection_level(
     """Radius around the estimated position, m, that the error exceeds with a probability of ``risk`` at most.
 
     It takes all hypotheses of the filter, each with its own mean, covariance and probability, and holds if motion and
-    noise are as stated.  No filter detects a sensor's error that grows as slowly as the sensor's own drift: ``fault``
-    states how often there is such an error and how large it is, and all of it counts as an error of the estimate.
+    noise are as stated.  No filter detects an error of a sensor that grows as slowly as the sensor's own drift.
+    ``fault`` states how often such an error occurs and its size; all of it counts as an error of the estimate.
 
     Args:
         f: the filter, of a motion whose state has a position in metres, of 1 to 3 dimensions.
@@ -72,7 +72,7 @@ def protection_level(
 
 
 def _halved(too_small: Callable[[Tensor], Tensor], low: Tensor, high: Tensor) -> Tensor:
-    """The least value that is not too small, by bisection."""
+    """The smallest value that is large enough, by bisection."""
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         small = too_small(middle)

@@ -39,7 +39,7 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 """Values for each ``manoeuvres``: those of ``"some"`` were optimised, except the calm level's self-transition
-probability, which is as large as consistent covariances of turning targets allow; the others were derived by hand."""
+probability, the largest with consistent covariances of turning targets; the others were derived by hand."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
@@ -102,8 +102,8 @@ def gpb(
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is the
-            value of ``manoeuvres``, and 0 for one level.  A calm level that shares a belief with the others is
-            hardly distinguished from them: with 0, errors of targets that hardly manoeuvre are far larger.
+            value of ``manoeuvres``, and 0 for one level.  With 0 the calm level can hardly be
+            distinguished from the others, and errors of targets that hardly manoeuvre are far larger.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation

@@ -59,7 +59,7 @@ def ukf_jpda(
 ) -> JPDA:  # fmt: skip
     """``jpda`` with the unscented filter of ``iaukf`` under constant measurement noise.
 
-    ``gate=Euclidean(100.0, least=0.9999), lost=1e-3`` are the safeguards of ``iaukf_jpda``.
+    ``gate=Euclidean(100.0, probability=0.9999), lost=1e-3`` are the safeguards of ``iaukf_jpda``.
 
     Args:
         motion: how targets move.
@@ -106,7 +106,7 @@ def iaukf_jpda(
         highest: multiple of the nominal variance above which the estimate does not rise.
         warmup: first innovations, which change nothing.
         adapt: by the ``"innovation"``, before the update, or the ``"residual"``, after it.
-        gate: measurements that may be a target's; ``Euclidean(100.0, least=0.9999)``, in m, if None.
+        gate: measurements that may be a target's; ``Euclidean(100.0, probability=0.9999)``, in m, if None.
         detection: probability that a target is measured: ``filters.JPDA``.
         lost: probability of so many misses in a row below which a track is lost; 0 for never: ``filters.JPDA``.
         share_noise: whether targets share their estimates of the measurement noise: ``filters.JPDA``.
@@ -123,6 +123,7 @@ def iaukf_jpda(
     inner = partial(iaukf, forgetting=forgetting, confidence=confidence, confidence_in=confidence_in, lowest=lowest,
                     highest=highest, warmup=warmup, adapt=adapt)  # fmt: skip
     return jpda(
-        motion, sensor, clutter=clutter, inner=inner, gate=Euclidean(100.0, least=0.9999) if gate is None else gate,
+        motion, sensor, clutter=clutter, inner=inner,
+        gate=Euclidean(100.0, probability=0.9999) if gate is None else gate,
         detection=detection, lost=lost, share_noise=share_noise, exact=exact, temperature=temperature, learn=learn,
     )  # fmt: skip

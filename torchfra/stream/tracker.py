@@ -158,7 +158,7 @@ class Tracker:
     def alarms(self) -> dict[str, Alarm]:
         """For each sensor whether it is faulty, since when, and by how much; empty for filters without alarms.
 
-        It is that of the sensor's last measurement, but for ``lasted``, which counts to now.
+        It is that of the sensor's last measurement, but for ``duration``, which counts to now.
         """
         return dict(zip(self._intake.names, self._now.alarms, strict=False))
 
@@ -367,8 +367,8 @@ def _alarms_after(alarms: Alarms, number: int, alarm: Alarm | None, z: Tensor, d
         return ()
     measured = ~z.isnan().all(-1, keepdim=True)
     after = []
-    for i, (probability, lasted, offset) in enumerate(alarms):
+    for i, (probability, duration, offset) in enumerate(alarms):
         now = torch.where(measured, alarm.probability, probability) if i == number else probability
         off = torch.where(measured, alarm.offset, offset) if i == number else offset
-        after.append(Alarm(now, faulty_seconds(lasted, probability, now, lasted.new_tensor(dt)), off))
+        after.append(Alarm(now, faulty_seconds(duration, probability, now, duration.new_tensor(dt)), off))
     return tuple(after)

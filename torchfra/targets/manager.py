@@ -57,7 +57,7 @@ class Targets(nn.Module):
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
         merging: which tracks are of one target, and how large targets are; None for never.
-        free: a measurement may begin a target if it belongs to no other with a probability above this.
+        birth_threshold: a measurement may begin a target if it belongs to no other with a probability above this.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
             counts as one for confirmation, and a miss by its own probability (see ``Deletion``); targets begin from the
@@ -85,7 +85,7 @@ class Targets(nn.Module):
 
     def __init__(
         self, filter: JPDA, *, birth: Birth | None = None, confirmation: Confirmation | None = None,
-        deletion: Deletion | None = None, merging: Merging | None = None, free: float = 0.5,
+        deletion: Deletion | None = None, merging: Merging | None = None, birth_threshold: float = 0.5,
         sensors: Mapping[str, JPDA] | None = None,
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
         lag: float = 0.0, stitching: Stitching | None = None, linkage: Mapping[str | None, float] | None = None,
@@ -96,15 +96,16 @@ class Targets(nn.Module):
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
                     merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap),
                     stitching=(stitching, Stitching), triangulation=(triangulation, Triangulation))  # fmt: skip
-        if not 0 < as_number(free) < 1:
-            raise ValueError(f"free: expected a probability above 0 and below 1, received {free}")
+        if not 0 < as_number(birth_threshold) < 1:
+            raise ValueError(f"birth_threshold: expected a probability above 0 and below 1, received {birth_threshold}")
         if not 0 <= as_number(lag) < math.inf:
             raise ValueError(f"lag: expected finite seconds of 0 or more, received {lag}")
         self.filter = copy.deepcopy(filter)
         self.birth = OnePoint() if birth is None else birth
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
-        self.merging, self.free, self.clutter_map, self.lag = merging, free, clutter_map, float(lag)
+        self.merging, self.clutter_map, self.lag = merging, clutter_map, float(lag)
+        self.birth_threshold = birth_threshold
         self.stitching, self.triangulation = stitching, triangulation
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
@@ -112,8 +113,8 @@ class Targets(nn.Module):
         self.linkage = check_linkage(linkage, self.filter, more)
         self.visibility = check_visibility(visibility, list(more))
         rates = [f.clutter.rate for f in (self.filter, *more.values())]
-        if (self.confirmation.scored or getattr(self.deletion, "drop", None) is not None) and None in rates:
-            expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no drop"
+        if (self.confirmation.scored or getattr(self.deletion, "score_drop", None) is not None) and None in rates:
+            expected = "clutter of a Poisson rate for scores, as of Clutter(..., rate=), or MOfN and no score_drop"
             raise ValueError(f"confirmation, deletion: expected {expected}, received none")
         if clutter_map is not None and None in rates:
             raise ValueError(
@@ -404,7 +405,7 @@ class Targets(nn.Module):
         """
         free, excess = (x[located.scene, located.number] for x in (free, excess))
         new = free * torch.exp(-excess)
-        chosen = (free > self.free).nonzero()[:, 0]
+        chosen = (free > self.birth_threshold).nonzero()[:, 0]
         position, scene, new = rows((located.position, located.scene, new), chosen)
         now = Unassociated(position, scene, scan.dt.new_zeros(len(scene)), new, torch.full_like(scene, sensor))
         before = before._replace(since=before.since + scan.dt[before.scene])
@@ -423,7 +424,9 @@ class Targets(nn.Module):
             return newborn, lines
         number = 0 if sensor is None else 1 + list(self.sensors).index(sensor)
         farthest = self.views[sensor].farthest if sensor in self.views else math.inf
-        found, lines = triangulation(triangulation.lines(of, scan, free, self.free, farthest, number), lines, number)
+        found, lines = triangulation(
+            triangulation.lines(of, scan, free, self.birth_threshold, farthest, number), lines, number
+        )
         begun, _ = OnePoint(triangulation.speed, self.birth.more)(self.filter.motion, found, rows(found, slice(0)))
         return begun._replace(hits=2), lines
 

@@ -173,7 +173,7 @@ class Deletion(nn.Module):
         misses: successive misses by the filter's own sensor.  A miss by another sensor counts as many as have the same
             probability: ``log(1 - P)`` of the other sensor over that of the own, where ``P`` is the probability of a
             detection within the gate times that of being visible to the sensor.
-        drop: probability such that the score has fallen by more than its log below the highest so far.
+        score_drop: probability such that the score has fallen by more than its log below the highest so far.
         spread: largest standard deviation of the position in any direction, m.
 
     Raises:
@@ -183,17 +183,17 @@ class Deletion(nn.Module):
     Source: Blackman & Popoli (1999), chapter 6, for the drop of the score.
     """
 
-    def __init__(self, misses: int | None = 5, *, drop: float | None = None, spread: float | None = None) -> None:
+    def __init__(self, misses: int | None = 5, *, score_drop: float | None = None, spread: float | None = None) -> None:
         super().__init__()
-        if misses is None and drop is None and spread is None:
-            raise ValueError("misses, drop, spread: expected at least one of them, received none")
+        if misses is None and score_drop is None and spread is None:
+            raise ValueError("misses, score_drop, spread: expected at least one of them, received none")
         if misses is not None and not is_integer(misses, 1):
             raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
-        if drop is not None and not 0 < as_number(drop) < 1:
-            raise ValueError(f"drop: expected a probability above 0 and below 1, received {drop}")
+        if score_drop is not None and not 0 < as_number(score_drop) < 1:
+            raise ValueError(f"score_drop: expected a probability above 0 and below 1, received {score_drop}")
         if spread is not None and not as_number(spread) > 0:
             raise ValueError(f"spread: expected metres above 0, received {spread}")
-        self.misses, self.drop, self.spread = misses, drop, spread
+        self.misses, self.score_drop, self.spread = misses, score_drop, spread
 
     def forward(self, track: Track, position: Tensor) -> Tensor:
         """Which targets ``(N,)`` are deleted.
@@ -205,12 +205,12 @@ class Deletion(nn.Module):
         deleted = torch.zeros_like(track.confirmed)
         if self.misses is not None:
             deleted = deleted | (track.misses >= self.misses)
-        if self.drop is not None:
-            deleted = deleted | (track.score - track.best < math.log(self.drop))
+        if self.score_drop is not None:
+            deleted = deleted | (track.score - track.best < math.log(self.score_drop))
         if self.spread is not None:
             deleted = deleted | (torch.linalg.matrix_norm(position, 2) > self.spread)
         return deleted
 
     def extra_repr(self) -> str:
         """Values of the three criteria."""
-        return f"misses={self.misses}, drop={self.drop}, spread={self.spread}"
+        return f"misses={self.misses}, score_drop={self.score_drop}, spread={self.spread}"

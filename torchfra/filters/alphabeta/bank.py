@@ -182,15 +182,15 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             ``torchfra.filters.alphabeta.gains.levels`` if None.
         manoeuvre: residual that raises a flag, in std; None for 3 times the slowest filter's own.
         outlier: residual that is rejected outside manoeuvres, in std; None for 3 times ``manoeuvre``.
-        degrees: ``(N - 2,)`` degrees of a manoeuvre, falling: shares of ``manoeuvre``, the thresholds of the residual
-            between the levels that a manoeuvre uses.
-        limit: largest acceleration of the target, m/s^2.
+        level_shares: ``(N - 2,)`` falling shares of ``manoeuvre``: the thresholds of the residual between the
+            levels that a manoeuvre uses.
+        max_acceleration: largest acceleration of the target, m/s^2.
         margin: residual in std that is never rejected in a manoeuvre.
         hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre.
         dwell: steps without a vote after which a manoeuvre ends.
         votes: number of flags before the newest one, even.
         patience: rejections in a row after which the next rejection restarts the filter.
-        longest: seconds without a used measurement after which the next measurement restarts the filter.
+        max_gap: seconds without a used measurement after which the next measurement restarts the filter.
         converged: measurements before the first decision; until then the fastest level is used.
         flag_on_reject: the flag that the history keeps of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the
             vote.
@@ -203,8 +203,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
             for steps that hardly differ.
         confirm: whether a start or restart from two measurements needs a third one that the target can reach from them
-            by ``limit`` and ``margin``.  Without it, a start uses the newest measurement at a velocity of 0, and a
-            track is not restarted.
+            by ``max_acceleration`` and ``margin``.  Without it, a start uses the newest measurement at a velocity of
+            0, and a track is not restarted.
 
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
@@ -222,14 +222,14 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         *,
         manoeuvre: Value | None = None,
         outlier: Value | None = None,
-        degrees: Value | None = None,
-        limit: Value = 60.0,
+        level_shares: Value | None = None,
+        max_acceleration: Value = 60.0,
         margin: Value = 3.0,
         hysteresis: Value = 0.5,
         dwell: Value = 3.0,
         votes: int = 2,
         patience: int = 5,
-        longest: float = math.inf,
+        max_gap: float = math.inf,
         converged: int = 5,
         flag_on_reject: str = "raw",
         detect: str = "cartesian",
@@ -240,14 +240,15 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         confirm: bool = False,
     ) -> None:
         super().__init__(motion, sensor, initiation, period)
-        self.votes, self.patience, self.longest, self.converged = votes, patience, longest, converged
+        self.votes, self.patience, self.max_gap, self.converged = votes, patience, max_gap, converged
         self.flag_on_reject, self.detect, self.onset = flag_on_reject, detect, onset
         self.confirm = confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
         self._set_levels(gains)
-        self._set_thresholds(gains, manoeuvre, outlier, degrees)
-        self.limit, self.margin = Hyper(limit, name="limit"), Hyper(margin, constraints.nonnegative, name="margin")
+        self._set_thresholds(gains, manoeuvre, outlier, level_shares)
+        self.max_acceleration = Hyper(max_acceleration, name="max_acceleration")
+        self.margin = Hyper(margin, constraints.nonnegative, name="margin")
         self.hysteresis = Hyper(hysteresis, constraints.interval(0.0, 1.0), name="hysteresis")
         self.dwell = Hyper(dwell, constraints.greater_than_eq(1.0), name="dwell")
         self.temperature = temperature
@@ -265,8 +266,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
                 "votes, patience, converged: expected an even number of 2 or more, 1 or more, 3 or more, received "
                 f"{self.votes!r}, {self.patience!r}, {self.converged!r}"
             )
-        if not as_number(self.longest) > 0:
-            raise ValueError(f"longest: expected seconds above 0, received {self.longest!r}")
+        if not as_number(self.max_gap) > 0:
+            raise ValueError(f"max_gap: expected seconds above 0, received {self.max_gap!r}")
         if self.detect == "polar" and self.motion.dims < 2:
             raise ValueError("detect: expected 'cartesian' for a motion of one dimension, received 'polar'")
 
@@ -283,7 +284,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         )
 
     def _set_thresholds(
-        self, gains: Gains, manoeuvre: Value | None, outlier: Value | None, degrees: Value | None
+        self, gains: Gains, manoeuvre: Value | None, outlier: Value | None, level_shares: Value | None
     ) -> None:
         slowest = 1 + design.variances(gains.alpha[..., -1], gains.beta[..., -1]).prediction
         manoeuvre = 3 * slowest.sqrt() if manoeuvre is None else as_numbers(manoeuvre, "manoeuvre").double()
@@ -292,10 +293,10 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             raise ValueError(f"outlier: expected {manoeuvre.tolist()} or more, received {outlier.tolist()}")
         between = gains.alpha.shape[-1] - 2
         falling = torch.linspace(0.9, 0.9 / max(between, 1), between, dtype=torch.float64)
-        degrees = falling if degrees is None else as_numbers(degrees, "degrees").double()
-        if degrees.shape[-1:] != (between,) or not bool((degrees.diff() < 0).all()):
-            raise ValueError(f"degrees: expected ({between},), falling, received {degrees.tolist()}")
-        self.degrees = Hyper(degrees, event_dim=1, name="degrees")
+        level_shares = falling if level_shares is None else as_numbers(level_shares, "level_shares").double()
+        if level_shares.shape[-1:] != (between,) or not bool((level_shares.diff() < 0).all()):
+            raise ValueError(f"level_shares: expected ({between},), falling, received {level_shares.tolist()}")
+        self.level_shares = Hyper(level_shares, event_dim=1, name="level_shares")
         self.manoeuvre, self.outlier = Hyper(manoeuvre, name="manoeuvre"), Hyper(outlier, name="outlier")
 
     def begin(self, belief: Gaussian) -> AlphaBetaBankState:
@@ -371,7 +372,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         rejected = self._any(self._above(innovation.size / limit, 1.0))
         rejected = rejected * measured * started  # the first two points start a track and are never rejected
         any_used = (state.used > 0.5).to(rejected)
-        expired = (innovation.since > self.longest).to(rejected) * measured * any_used
+        expired = (innovation.since > self.max_gap).to(rejected) * measured * any_used
         rejected = torch.maximum(rejected, expired * started) if self.confirm else rejected * (1 - expired)
         in_a_row, accepted = state.rejected + rejected, (1 - rejected) * measured
         restarted = torch.maximum((in_a_row > self.patience).to(rejected) * (rejected > 0.5), expired)
@@ -390,7 +391,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         since = state.since_last + innovation.dt
         ratio = since / between
         bend = innovation.z - state.last - ratio * (state.last - before)
-        limit, margin = (h(bend).unsqueeze(-1) for h in (self.limit, self.margin))
+        limit, margin = (h(bend).unsqueeze(-1) for h in (self.max_acceleration, self.margin))
         noise = innovation.std * (1 + (1 + ratio).square() + ratio.square()).sqrt()
         near = bend.abs() < 0.5 * limit * since * (between + since) + margin * noise
         return 1 - self._any(1 - (near & (count > 1.5)).to(bend))
@@ -399,7 +400,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         """``(..., d)`` in std: the reach of the target in a manoeuvre, otherwise the threshold of outliers."""
         flagged_steps = self._flags_in_a_row(state)
         reach = innovation.since + innovation.dt * flagged_steps * (1 - self._above(state.rejected, 0.5))
-        limit, margin, outlier = (h(reach).unsqueeze(-1) for h in (self.limit, self.margin, self.outlier))
+        limit, margin, outlier = (h(reach).unsqueeze(-1) for h in (self.max_acceleration, self.margin, self.outlier))
         reached = 0.5 * limit * reach.square() / innovation.std + margin
         largest: Tensor = manoeuvre * reached + (1 - manoeuvre) * outlier
         return largest
@@ -421,7 +422,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         degree = channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
         degree = degree / self.manoeuvre(degree).unsqueeze(-1)
         zero = torch.zeros_like(converged)
-        over = [self._above(degree / q, 1.0) for q in self.degrees(degree).unsqueeze(-2).unbind(-1)]
+        over = [self._above(degree / q, 1.0) for q in self.level_shares(degree).unsqueeze(-2).unbind(-1)]
         within = [b - a for a, b in pairwise([zero, *over, zero + 1])]
         manoeuvring = converged * manoeuvre
         shares = [manoeuvring * w + (1 - converged) * (i == 0) for i, w in enumerate(within)]
@@ -454,8 +455,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             root = torch.lerp(root, fastest.scale_tril, (vote.manoeuvre * (1 - state.manoeuvre)).unsqueeze(-2))
             belief = Gaussian(mean + onset * (fastest.mean - mean), root)
             fastest = self._where(test.restarted, restart, fastest)
-        if math.isfinite(self.longest):
-            lost = (innovation.since > self.longest) * (state.used > 0.5) * (1 - test.accepted)
+        if math.isfinite(self.max_gap):
+            lost = (innovation.since > self.max_gap) * (state.used > 0.5) * (1 - test.accepted)
             belief = belief._replace(
                 scale_tril=torch.where(lost.unsqueeze(-2) > 0, _lost_root(state, innovation), belief.scale_tril)
             )
@@ -517,7 +518,7 @@ def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Te
 
 
 def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
-    """Entries of the root of a track that has used no measurement for ``longest``, with the velocity of the prior."""
+    """Entries of the root of a track that has used no measurement for ``max_gap``, with the velocity of the prior."""
     speed = state.start[..., 1, :]
     entries = [innovation.since * speed, speed, 0 * speed]
     if state.start.shape[-2] > 2:

@@ -186,9 +186,9 @@ class GPB(Filter[GPBState]):
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
         last = None if state.last is None else Last(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
-        now = GPBState(belief, lagged, *kept, state.lasted, relaxation, last)
+        now = GPBState(belief, lagged, *kept, state.duration, relaxation, last)
         alarm = self.alarm(state, now, frame)
-        now = now._replace(lasted=alarm.lasted)  # the alarm has counted this step
+        now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
         # The record: for the estimate, and for the backward pass.
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
@@ -286,7 +286,7 @@ class GPB(Filter[GPBState]):
         was, faulty = self.faulty(before), self.faulty(now)
         estimated = self.sensor.at_points(now.belief.mean[None, ..., : self.sensor.reads], frame.u)[0]
         offset = torch.where(frame.measured > 0, self.sensor.difference(frame.z, estimated), 0.0)
-        return Alarm(faulty, faulty_seconds(before.lasted, was, faulty, frame.dt), offset)
+        return Alarm(faulty, faulty_seconds(before.duration, was, faulty, frame.dt), offset)
 
     # ------------------------------------------------------------ what is expected later
 
@@ -342,17 +342,17 @@ class GPB(Filter[GPBState]):
         return super().parts_for(sensor) | {"outliers": outliers}
 
     def without_memory(self, state: GPBState) -> GPBState:
-        """A state without outliers in its last measurement, from which outliers in the next do not follow."""
+        """A state without outliers in its last measurement, so that none continues in the next."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
         last = None if state.last is None else self._unmeasured(state.belief.mean)
         return self.with_memory_of(state, state._replace(outlier=outlier, last=last))
 
     def with_memory_of(self, state: GPBState, before: GPBState) -> GPBState:
-        """A state after a measurement of another sensor, whose outliers say nothing of this filter's own sensor."""
+        """A state after a measurement of another sensor, whose outliers are independent of this filter's own."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: Last | None = tree.map_tensors(torch.zeros_like, before.last)
-        return state._replace(outlier=none, lasted=none, relaxation=relaxation, last=last)
+        return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last)
 
     def _unmeasured(self, like: Tensor) -> Last:
         """The measurement of a step without any, for states ``like (..., n)``."""
@@ -373,7 +373,7 @@ class GPB(Filter[GPBState]):
         return steps
 
     def provisional_past(self, past: GPBPast) -> GPBPast:
-        """The past as it is: no later measurement decides anything of it."""
+        """The past as it is: no later measurement changes it."""
         return past
 
     last_past = provisional_past

@@ -40,8 +40,8 @@ class Outliers(nn.Module):
         outliers_inform: whether outliers update the belief, as measurements with larger noise; if not, it stays as
             predicted.
         same_offset: ``(...)`` probability that an outlier of a block that was one in the step before has the same
-            offset, as the fixes of a second target have; it does not update the belief.  The noise of both steps is
-            taken for that of the later one.  For linear sensors; None for 0.
+            offset, as the fixes of a second target have; it does not update the belief.  Both steps are assumed to have
+            the noise of the later one.  For linear sensors; None for 0.
 
     Raises:
         ValueError: shapes that do not go together, values out of their range or that do not sum to one, or not one of

@@ -23,7 +23,7 @@ from torchfra.types import Gaussian
 LARGEST_FACTOR = 1e5
 """Largest factor of a jump or a manoeuvre on a covariance, whatever the normalised innovation squared."""
 JUMP_NIS, MANOEUVRE_NIS = 1000.0, 30.0
-"""Normalised innovation squared per element beyond which a jump, or a manoeuvre, is less likely the larger it is."""
+"""Normalised innovation squared per element beyond which the weight of a jump, or a manoeuvre, falls with its size."""
 
 
 class Switching(NamedTuple):
@@ -53,14 +53,13 @@ class Regimes(nn.Module):
     several ``q``.
 
     The levels of a motion share a belief, but for the lowest ``separate_levels``, which keep beliefs of their own:
-    while a target moves as calmly as such a level says, the belief becomes as sure as that.  So there are
-    ``S = K + separate_levels + C`` beliefs: of each motion, of these levels, then of climbs.
+    while a target moves as calmly as such a level states, the covariance of its belief shrinks accordingly.  So there
+    are ``S = K + separate_levels + C`` beliefs: of each motion, of these levels, then of climbs.
 
     If ``vertical`` components are given, each separate level has a climb beside it, so ``C`` is ``separate_levels``,
-    else 0.  In a climb the vertical process noise is the stated one and all other noise that of the level: a target
-    that flies on calmly may yet climb, and a sensor of precise ranges or range rates and coarse elevations shows the
-    one at once and the other late.  A climb has a belief of its own, and the level's self-transition probability; the
-    two share its entry of the restart distribution.
+    else 0.  In a climb the vertical process noise is the stated one and all other noise that of the level: a sensor
+    with precise ranges or range rates and a coarse elevation shows a turn at once and a climb late.  A climb has a
+    belief of its own, and the level's self-transition probability; the two share its entry of the restart distribution.
 
     Tensors of regimes have the axes of ``Hypotheses``.
 
@@ -74,8 +73,8 @@ class Regimes(nn.Module):
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
             theirs evenly, and a level with its climb.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
-            normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations a
-            manoeuvre is the less likely the larger it is, as a single large innovation is rather an outlier.
+            normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations its
+            weight falls with its size, as a single large innovation is rather an outlier.
         separate_levels: the number of lowest levels with beliefs of their own, fewer than all.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
 
@@ -179,8 +178,8 @@ class Regimes(nn.Module):
         """Self-transition probabilities and restart distribution, both ``(R, ...)``, of a chain that counts steps.
 
         No level, climb, manoeuvre or jump begins in a step without a measurement; otherwise their posterior
-        probabilities would decay over a gap.  Other motions may begin: the longer a gap, the less is known of the
-        motion.  Over 0 seconds every regime continues.
+        probabilities would decay over a gap.  Other motions may begin: the uncertainty of the motion grows with a gap.
+        Over 0 seconds every regime continues.
 
         Args:
             like: ``(R, ...)``.
@@ -282,8 +281,9 @@ class Regimes(nn.Module):
     def predictions(self, carried: Carried, nis: Tensor, position: slice) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
-        Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement that says
-        little of the state, or a missing one, could not rule them out, and they would widen the estimate without bound.
+        Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
+        little information on the state, or a missing one, could not rule them out, and they would widen the estimate
+        without bound.
 
         Args:
             carried: ``(1, S, 2, ...)``, each belief by its motion.

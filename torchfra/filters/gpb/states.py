@@ -36,7 +36,7 @@ class GPBState(NamedTuple):
     """``(..., 2, R)`` logs of the joint probabilities of no outlier or some, and of the regime."""
     outlier: Tensor
     """``(..., B)`` probability that each block was an outlier, given that some block was."""
-    lasted: Tensor
+    duration: Tensor
     """``(..., B)`` seconds, as in ``Alarm``."""
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last

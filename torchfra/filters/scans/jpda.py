@@ -77,7 +77,7 @@ class JPDA(Soft, Filter[JPDAState]):
         clutter: density of false measurements.
         detection: probability of detection, up to 1.
         lost: largest probability that a track which is on its target misses so many scans in a row.  Below it a track
-            is taken for lost: its covariance quadruples with every further miss, five times at most, until it is
+            is considered lost: its covariance quadruples with every further miss, five times at most, until it is
             measured again (that of several models before the prediction).  0 for never.
         share_noise: whether all targets share one noise estimate, the mean weighted by their probabilities of being
             measured.
@@ -299,7 +299,7 @@ class JPDA(Soft, Filter[JPDAState]):
         return ScanPast(self.inner.past(belief, info, None, None), steps)
 
     def provisional_past(self, past: ScanPast) -> ScanPast:
-        """The past as it is: no later scan decides anything of it."""
+        """The past as it is: no later scan changes it."""
         return past
 
     last_past = needed_of_next = provisional_past

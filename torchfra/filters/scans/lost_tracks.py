@@ -1,4 +1,4 @@
-"""Tracks that have been missed so often that they are taken for lost, and the inflation of their covariances."""
+"""Tracks that have been missed so often that they are considered lost, and the inflation of their covariances."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def lost_inflation(missed: Tensor, inflations: Tensor, log_miss: Tensor, lost: f
         missed: ``(..., N)`` expected number of scans since the last measurement.
         inflations: ``(..., N)`` number of times that the covariance has been quadrupled before.
         log_miss: log of the probability that a target has no measurement in its gate.
-        lost: probability of so many misses in a row below which a track is taken for lost.
+        lost: probability of so many misses in a row below which a track is considered lost.
     """
     tolerated = math.log(lost) / log_miss
     wanted = (missed - tolerated).clamp(0.0, _MOST_INFLATIONS)

@@ -113,7 +113,7 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         moment_match(states.hypotheses, shares, angles),
         log_sum(joint, 0),
         averaged(states.outlier, some),
-        averaged(states.lasted, log_weights),
+        averaged(states.duration, log_weights),
         None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
         tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # it is not known whose measurement it was
     )
