@@ -9,6 +9,8 @@ from test_compile import close
 
 from torchfra import metrics, presets, scenarios
 from torchfra.hyper import hypers
+from torchfra.motion import ConstantSpeed, ConstantVelocity, UnknownTurn
+from torchfra.sensors import Camera, Position
 from torchfra.types import Gaussian
 
 NEVER, ALWAYS = -1e6, 1e6
@@ -203,3 +205,40 @@ def test_learned_odds_load_and_those_of_two_branches_stay_as_they_were(make, tra
     torch.testing.assert_close(estimate(fixed, tracks).mean, estimate(learned, tracks).mean, rtol=0, atol=0)
     assert "plain" not in hypers(make("fra"))
     make("fra").load_state_dict({k: x for k, x in fixed.state_dict().items() if k != "plain.raw"})
+
+
+# ---------------------------------------------------------------- tracks that fork beside tracks that do not
+
+
+SEPARATE = torch.tensor([1.0, 4.0, 9.0]).double()
+"""A value for each of three tracks."""
+TURNS = [UnknownTurn(1.0, 0.01), UnknownTurn(9.0, 0.1)]
+ABOVE = torch.tensor([0.0, 0.0, 50.0]).double()
+DOWN = torch.tensor([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]).double()
+
+
+def of_a_camera(values):
+    focal = 100 * torch.stack([values, values], -1)
+    return presets.fra(ConstantVelocity(1.0, 3), Camera(focal, 2.0, position=ABOVE, rotation=DOWN))
+
+
+UNEVEN = {
+    "models that are not linear": (lambda _: presets.imm_fra(TURNS, Position(2.0)), 5),
+    "values of a motion that is not linear": (lambda q: presets.fra(ConstantSpeed(q, 0.01, 2), Position(2.0)), 4),
+    "values of a sensor": (of_a_camera, 6),
+}
+
+
+@pytest.mark.parametrize("name", UNEVEN)
+def test_a_batch_in_which_some_tracks_fork_is_a_loop_over_tracks(name):
+    make, n = UNEVEN[name]
+    generator = torch.Generator().manual_seed(5)
+    z = 4 * torch.randn(3, 8, 2, generator=generator, dtype=torch.float64)
+    z[0, 3], z[2, 5] = 300.0, 300.0
+    root, mean = torch.eye(n, dtype=torch.float64), torch.zeros(3, n, dtype=torch.float64)
+    together = make(SEPARATE)(z, Gaussian(mean, root))
+    assert together.mean.isfinite().all()
+    for track, q in enumerate(SEPARATE):
+        alone = make(q)(z[track], Gaussian(mean[track], root))
+        torch.testing.assert_close(together.mean[track], alone.mean, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(together.covariance[track], alone.covariance, rtol=1e-9, atol=1e-9)

@@ -123,6 +123,14 @@ def test_its_noise_is_that_of_its_parts_side_by_side_also_where_elements_are_mis
     torch.testing.assert_close(both.root @ both.root.mT, root @ root.mT)
 
 
+def test_a_root_of_its_noise_is_that_of_its_parts_also_of_biased_ones():
+    correlated = Position(noise=tensor([1.0, 0.0], [0.5, 2.0]))
+    root = Stacked(Biased(Position((3.0, 4.0)), 4), correlated).root
+    expected = np.diag([9.0, 16.0, 1.0, 4.25])
+    expected[2, 3] = expected[3, 2] = 0.5
+    np.testing.assert_allclose(root @ root.mT, expected, rtol=1e-14)
+
+
 def test_one_stacked_measurement_is_as_good_as_one_after_the_other():
     sensors = Position(2.0), Ranges(ANCHORS, 0.5)
     z = Stacked(*sensors)(TRUTH) + noise(20, 6)

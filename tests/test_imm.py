@@ -325,3 +325,5 @@ def test_what_does_not_fit_is_named():
         Embedded(ConstantVelocity(1.0), torch.eye(4), torch.eye(4), orders=3)
     with pytest.raises(ValueError, match="motion: expected a linear one"):
         Embedded(Curved(0.1), torch.eye(6).double(), torch.eye(6).double(), orders=3)
+    with pytest.raises(ValueError, match="motion: expected one that does not adapt to an estimated acceleration"):
+        Embedded(CurrentStatistical(0.3, 5.0), torch.eye(6), torch.eye(6), orders=3)

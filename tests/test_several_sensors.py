@@ -11,7 +11,7 @@ from torchfra import Gaussian, presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.filters import FixedLag
 from torchfra.motion import ConstantVelocity, aircraft
-from torchfra.sensors import Bearings, Position, RangeBearing
+from torchfra.sensors import Bearings, Position, RangeBearing, RangeRates
 from torchfra.sensors.base import Sensor
 
 F64 = {"dtype": torch.float64}
@@ -191,6 +191,19 @@ def test_what_a_filter_says_of_elements_is_filled_up_with_nan():
     assert weights[:, of_camera, 1].isnan().all()
     assert weights[:, of_camera, 0].isfinite().all()
     assert weights[:, ~of_camera].isfinite().all()
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_repairs_are_counted_for_all_sensors_where_the_rule_of_one_has_no_negative_weights(first):
+    """Of six components that a sensor reads the fifth degree has negative weights, of three it has none."""
+    sensors = [Position(2.0, dims=3), RangeRates(torch.eye(3, **F64) * 100, 0.5)]
+    f, which = presets.ghckf(ConstantVelocity(1.0, 3), sensors[first]), [first, first, 1 - first]
+    z, prior = torch.ones(3, 3, **F64), Gaussian(torch.ones(6, **F64), torch.eye(6, **F64))
+    together, state = f(z, prior, sensors=sensors, which=which), f.init(prior)
+    assert together.info.repaired.tolist() == [0, 0, 0]
+    for k, number in enumerate(which):
+        state, _ = f.step(state, z[k], sensor=sensors[number])
+        torch.testing.assert_close(together.mean[k], state.belief.mean, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["srckf", "imm_srckf"])

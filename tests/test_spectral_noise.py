@@ -71,3 +71,19 @@ def test_banks_are_of_one_state_and_take_densities_of_a_batch(make):
     assert bank.process_noise(torch.ones(2, dtype=torch.float64)).shape[:3] == (2, 7, 9)
     rates = sorted(abs(math.degrees(model.rate())) for model in bank if isinstance(model, CoordinatedTurn))
     assert rates[0] < rates[-1]
+
+
+@pytest.fixture
+def double_by_default():
+    """Tensors of Python's numbers are double, as some programs set it."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(before)
+
+
+@pytest.mark.usefixtures("double_by_default")
+@pytest.mark.parametrize("name", MOTIONS)
+def test_the_noise_has_the_precision_of_the_step_whatever_the_default_is(name):
+    for dtype in (torch.float32, torch.float64):
+        assert MOTIONS[name].process_noise(torch.tensor([0.5, 2.0], dtype=dtype)).dtype == dtype

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from torchfra import coordinates, presets
 from torchfra.coordinates import cartesian_jacobian, from_cartesian, jacobian, to_cartesian
-from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Spherical
+from torchfra.motion import Bank, ConstantAcceleration, ConstantSpeed, ConstantVelocity, CoordinatedTurn, Spherical
 from torchfra.sensors import InfraredLaser
 from torchfra.types import Gaussian
 
@@ -118,10 +118,12 @@ def test_a_step_is_the_cartesian_step(motion, azimuth_from):
     torch.testing.assert_close(to_cartesian(moved, azimuth_from), motion(x, each), rtol=1e-10, atol=1e-7)
 
 
-def test_the_process_noise_is_mapped_at_the_predicted_mean():
-    motion, x, dt = Spherical(ConstantVelocity(0.3, 3)), from_cartesian(somewhere(1)[0]), tensor(1.5).squeeze()
+@pytest.mark.parametrize("cartesian", [ConstantVelocity(0.3, 3), ConstantSpeed(0.3, 0.01)])
+def test_the_process_noise_is_mapped_at_the_predicted_mean(cartesian):
+    there, dt = somewhere(1)[0], tensor(1.5).squeeze()
+    motion, x = Spherical(cartesian), from_cartesian(there)
     noise = motion.process_noise_at(motion.process_noise(dt), x, dt)
-    root, J = ConstantVelocity(0.3, 3).process_noise(dt), oracles.msc_jacobian(x.numpy())
+    root, J = cartesian.process_noise_at(cartesian.process_noise(dt), there, dt), oracles.msc_jacobian(x.numpy())
     expected = J @ (root @ root.mT).numpy() @ J.T
     np.testing.assert_allclose(noise @ noise.mT, expected, rtol=1e-10, atol=1e-22)
 

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import wrap
-from torchfra.linalg.triangular import tria, whiten
+from torchfra.linalg.triangular import marginal_root, whiten
 from torchfra.types import Estimate
 
 
@@ -125,8 +125,7 @@ def _normalised(
     """Errors in units of their covariance's root, half its log determinant (0 where unknown), and known steps."""
     states = slice(None) if states is None else states
     gap, known = _gap(estimate.mean, truth, states, angles)
-    rows = estimate.scale_tril[..., states, :]
-    root = rows[..., : rows.shape[-2]] if (states.start or 0) == 0 else tria(rows)
+    root = marginal_root(estimate.scale_tril, states)
     log_det = root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     return whiten(root, gap), log_det * known, known
 

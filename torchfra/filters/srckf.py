@@ -149,7 +149,7 @@ class SRCKF(Filter[State]):
             return self.update(prediction, whitened, state, frame)
         belief, root, normalised = correct(prediction.belief, whitened)  # (17)-(24)
         belief = canonical(self.motion, belief)
-        info = Info(repaired=repairs(prediction, whitened))
+        info = Info(repaired=repairs(prediction, whitened, self.motion_rule))
         return State(belief, None, None), Record(belief, whitened.residual, root, normalised, info)
 
     def update(self, prediction: Prediction, whitened: Whitened, state: State, frame: Frame) -> tuple[State, Record]:
@@ -164,7 +164,7 @@ class SRCKF(Filter[State]):
         if self.noise.adapt == "residual":
             noise = self.noise.learn(noise, self.compare(corrected.belief, frame), frame.measured, "residual")
         belief = canonical(self.motion, corrected.belief)
-        repaired = add_counts(repairs(prediction, whitened), corrected.repaired)
+        repaired = add_counts(repairs(prediction, whitened, self.motion_rule), corrected.repaired)
         info = Info(corrected.weights, factor, corrected.iterations, repaired, self.noise.scale(noise))
         root = self.noise.nominal(root, state.noise, frame.measured)
         record = Record(belief, whitened.residual, root, normalised, info, evidence=corrected.evidence)

@@ -21,9 +21,14 @@ from torchfra.tree import event_ranks
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
-def repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
-    """Number ``(...)`` of covariances of a step that were repaired; None for rules without negative weights."""
+def repairs(prediction: Prediction, whitened: Whitened, rule: Rule) -> Tensor | None:
+    """Number ``(...)`` of covariances of a step that were repaired; None for a ``rule`` without negative weights.
+
+    It is 0 where the rule of a few components that a sensor reads has none, so that all sensors of a filter count.
+    """
     measured = None if whitened.subtracted is None else repaired_root(whitened)[1]
+    if rule.signed and measured is None and prediction.repaired is None:
+        measured = torch.zeros_like(whitened.residual[..., 0], dtype=torch.bool)
     return add_counts(prediction.repaired, measured)
 
 

@@ -236,6 +236,13 @@ def whiten(root: Tensor, vector: Tensor) -> Tensor:
     return solved.squeeze(-1)
 
 
+def marginal_root(root: Tensor, states: slice) -> Tensor:
+    """Lower root of the covariance of some components, from the lower root ``(..., n, n)`` of all."""
+    rows = root[..., states, :]
+    leading = states.start in (0, None) and states.step in (1, None)
+    return rows[..., : rows.shape[-2]] if leading else tria(rows)
+
+
 def hstack(*blocks: Tensor) -> Tensor:
     """Matrices ``(..., n, p_i)`` side by side; their batch dimensions are broadcast."""
     if any(b.shape[:-2] != blocks[0].shape[:-2] for b in blocks):  # a set would hash sizes, which symbols cannot

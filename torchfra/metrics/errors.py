@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchfra.linalg.triangular import whiten
+from torchfra.linalg.triangular import marginal_root, whiten
 from torchfra.types import Estimate
 
 
@@ -56,16 +56,14 @@ def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tens
     Args:
         estimate: of tracks ``(..., T, n)``.
         truth: ``(..., T, n)``.
-        states: leading components, ``scenario.position`` say; where that raises, ``scenario.truth_position`` after
-            ``scenario.cartesian``; all if None.
-
-    Raises:
-        ValueError: ``states`` does not begin with the first component.
+        states: the components that count, with their marginal covariance, ``scenario.position`` say; where that raises,
+            ``scenario.truth_position`` after ``scenario.cartesian``; all if None.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), eq. (5.4.2-1).
     """
-    states = states or slice(0, estimate.mean.shape[-1])
-    if states.start not in (0, None):
-        raise ValueError(f"states: expected leading components, received {states}")
-    root = estimate.scale_tril[..., states, states]
-    return whiten(root, estimate.mean[..., states] - truth[..., states]).square().sum(-1)
+    states = slice(None) if states is None else states
+    return (
+        whiten(marginal_root(estimate.scale_tril, states), estimate.mean[..., states] - truth[..., states])
+        .square()
+        .sum(-1)
+    )

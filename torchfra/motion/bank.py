@@ -164,7 +164,7 @@ class Embedded(Motion):
         orders: derivatives in the larger state, which has ``n = motion.dims * orders`` components.
 
     Raises:
-        ValueError: shapes that do not fit, or a motion that is not linear.
+        ValueError: shapes that do not fit, or a motion that is not linear or adapts to an estimated acceleration.
     """
 
     linear = usual_layout = True
@@ -180,6 +180,9 @@ class Embedded(Motion):
             )
         if not motion.linear:
             raise ValueError(f"motion: expected a linear one, received {type(motion).__name__}")
+        if type(motion).adaptation is not Motion.adaptation:
+            expected = "one that does not adapt to an estimated acceleration"
+            raise ValueError(f"motion: expected {expected}, received {type(motion).__name__}")
         self.inside = motion
         self.register_buffer("out", out)
         self.register_buffer("into", into)

@@ -55,7 +55,7 @@ def white_root(dt: Tensor, density: Tensor, orders: int, dims: int) -> Tensor:
 
     powers = range(orders - 1, -1, -1)
     unit = torch.tensor([[share(k, j) for j in range(orders)] for k in powers], dtype=dt.dtype, device=dt.device)
-    power = torch.tensor(powers, device=dt.device) + 0.5
+    power = torch.tensor(powers, dtype=dt.dtype, device=dt.device) + 0.5
     scale = (density.sqrt() * torch.ones_like(dt)).unsqueeze(-1) * dt.unsqueeze(-1) ** power
     return per_axis(scale.unsqueeze(-1) * unit, dims)
 

@@ -56,6 +56,9 @@ class Spherical(Motion):
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """The root in modified spherical coordinates, at a predicted mean ``(..., 6)``: eqs. (4), (15)."""
+        if not self.cartesian.linear:
+            at = to_cartesian(mean, self.azimuth_from)
+            process_noise = self.cartesian.process_noise_at(process_noise, at, dt)
         return jacobian(mean, self.azimuth_from) @ process_noise
 
     def canonical(self, mean: Tensor) -> Tensor:

@@ -183,9 +183,12 @@ class Biased(Sensor):
 
 def noise_root(sensor: Sensor) -> Tensor:
     """A root ``(..., m, m)`` of the covariance of a sensor's noise."""
-    if sensor.root is not None or sensor.std is None:
-        assert sensor.root is not None
+    if sensor.root is not None:
         return sensor.root
-    std: Tensor = sensor.std.elements()
+    if sensor.std is None:  # made of others, whose noise is that of a complete measurement
+        like = torch.zeros(sensor.size, dtype=torch.float64, device=sensor.angles.device)
+        std = sensor.measurement_noise(like).std
+    else:
+        std = sensor.std.elements()
     root: Tensor = std.expand(*std.shape[:-1], sensor.size).diag_embed()
     return root
