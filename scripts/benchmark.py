@@ -29,12 +29,10 @@ import torch
 from benchmarks.cores import cores
 from benchmarks.layer import layer
 from benchmarks.linear import linear, long
-from benchmarks.positions import positions
 from benchmarks.roof import FILTERS, PRECISIONS, roof
 from benchmarks.scaling import draw, scaling
-from benchmarks.step import step
 from benchmarks.timing import Row, table
-from benchmarks.tracks import tracks
+from benchmarks.tracks import positions, step, tracks
 from benchmarks.training import training
 
 from torchfra import keep_memory

@@ -22,8 +22,8 @@ from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, make_scenario
-from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
-from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.cli import command
+from torchfra.running.jobs import add_jobs_option, finished
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
 from torchfra.tables import formed_table, significant
@@ -33,20 +33,20 @@ Found = dict[str, Any]
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
-    p = make_parser(__doc__)
+    p = command.make_parser(__doc__)
     p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '2-*' (default: all)")
     p.add_argument("--filters", metavar="A,B", help="those of them that go with a cell (default: all)")
     add_jobs_option(p)
-    add_runs_options(p, 200, seed=11)
-    add_output_options(p)
+    command.add_runs_options(p, 200, seed=11)
+    command.add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
         if options.filters is not None:
-            check_list(p, "filters", options.filters, FILTERS)
+            command.check_list(p, "filters", options.filters, FILTERS)
         bounds(options)
 
-    return exit_status("bounds", run)
+    return command.exit_status("bounds", run)
 
 
 def known_cells() -> dict[str, Cell]:
@@ -60,8 +60,8 @@ def bounds(options: argparse.Namespace) -> None:
     Raises:
         ValueError: a name that no cell has, no filter that goes with any, or fewer than 1 job.
     """
-    check_jobs(options.jobs)
-    check_files({"json": options.json})
+    command.check_least(options, jobs=1)
+    command.check_files({"json": options.json})
     names = list(chosen_cells(known_cells(), options.cells.split(",")))
     listed = None if options.filters is None else options.filters.split(",")
     parts = [(name, listed, options.runs, options.seed) for name in names]
@@ -91,7 +91,7 @@ def of_cell(cell: str, listed: list[str] | None, runs: int, seed: int) -> Found 
         error = of["mean_rmse_position"]
         ratio = torch.tensor(of["rmse_position"]) / least
         # the standard error of the root of a mean square over runs and dimensions, of errors that are normal
-        sure = 1 / (2 * comparison.metrics[name].counts["position"] * scenario.motion.dims).sqrt()
+        sure = 1 / (2 * comparison.metrics[name].sums["count_position"] * scenario.motion.dims).sqrt()
         low = ((ratio - 1) / sure).nan_to_num(nan=torch.inf).min()
         filters[name] = {"rmse": error, "ratio": error / float(least.nanmean()), "lowest_step": float(low)}
     return {"bound": float(least.nanmean()), "kind": comparison.bound.kind, "known": comparison.bound.known,

@@ -19,9 +19,9 @@ from torch import Tensor
 
 import torchfra
 from torchfra import Gaussian, presets
-from torchfra.cli.command import add_output_options, check_files, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_least, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
-from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.jobs import add_jobs_option, finished
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
 from torchfra.sensors import Position
@@ -54,9 +54,7 @@ def certainty(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     Raises:
         ValueError: fewer than 2 fits, or another number out of its range.
     """
-    check_jobs(options.jobs)
-    if options.fits < 2:
-        raise ValueError(f"fits: expected 2 or more, received {options.fits}")
+    check_least(options, jobs=1, fits=2)
     check_files({"json": options.json})
     sizes = (options.tracks, options.steps, options.iterations, not options.no_compile)
     parts = [(options.seed + k, *sizes) for k in range(options.fits)]

@@ -36,15 +36,7 @@ from torch.autograd.graph import saved_tensors_hooks
 
 from torchfra import learnable, plotting
 from torchfra.catalogue import make_filter
-from torchfra.cli.command import (
-    add_output_options,
-    add_runs_options,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-    numbers_in,
-)
+from torchfra.cli import command
 from torchfra.cli.compare_command import WORTHWHILE
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.filters import Filter
@@ -80,21 +72,21 @@ CLIPS = (10.0, 1.0)
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints the tables; returns the exit status: see ``torchfra.cli.command.exit_status``."""
-    p = make_parser(__doc__)
+    p = command.make_parser(__doc__)
     names = ",".join(name for name in FILTERS if "," not in name)
     p.add_argument("--filters", metavar="A,B", default=names, help=f"whose values are learned (default: {names})")
     p.add_argument("--steps", metavar="A,B", default="1,10,100,1000", help="(default: 1,10,100,1000)")
     p.add_argument("--figure", type=Path, metavar="FILE", help="PNG: the tables as curves")
     add_compile_option(p, f"for {WORTHWHILE:,} steps or more of all tracks together")
-    add_runs_options(p, 100, seed=1)
-    add_output_options(p)
+    command.add_runs_options(p, 100, seed=1)
+    command.add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
-        check_list(p, "filters", options.filters, names.split(","))
+        command.check_list(p, "filters", options.filters, names.split(","))
         gradients(options)
 
-    return exit_status("gradients", run)
+    return command.exit_status("gradients", run)
 
 
 def gradients(options: argparse.Namespace) -> None:
@@ -103,12 +95,11 @@ def gradients(options: argparse.Namespace) -> None:
     Raises:
         ValueError: steps that are no whole numbers above 0, or fewer than 2 runs.
     """
-    check_files({"json": options.json, "figure": options.figure})
-    steps = numbers_in("steps", options.steps)
+    command.check_files({"json": options.json, "figure": options.figure})
+    steps = command.numbers_in("steps", options.steps)
     if any(number % 1 for number in steps):
         raise ValueError(f"steps: expected whole numbers, received {options.steps!r}")
-    if options.runs < 2:
-        raise ValueError(f"runs: expected 2 or more, received {options.runs}")
+    command.check_least(options, runs=2)
     lengths = sorted(map(int, steps))
     tell, _ = reporters(options.compile, options.quiet)
     compiled = choose(options.compile, options.runs * lengths[-1] >= WORTHWHILE, tell)

@@ -21,7 +21,7 @@ import torch
 from torch import nn
 
 from torchfra import losses, presets
-from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_least, check_list, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
@@ -56,9 +56,7 @@ def compare(options: argparse.Namespace) -> None:
         ValueError: no steps, or no tracks.
     """
     check_files({"json": options.json})
-    for name, value in (("steps", options.steps), ("tracks", options.tracks)):
-        if value < 1:
-            raise ValueError(f"{name}: expected 1 or more, received {value}")
+    check_least(options, steps=1, tracks=1)
     page = code_of(PAGE.read_text(encoding="utf-8"))
     z, features, truth, prior = page["simulate"](options.tracks, LENGTH, JUDGES + options.seed)
     found = {}

@@ -28,15 +28,7 @@ from learned.lorenz import DT, SETTINGS, Setting, Tracks, models, simulate
 
 import torchfra
 from torchfra.catalogue import make_filter, track_filters
-from torchfra.cli.command import (
-    add_output_options,
-    add_runs_options,
-    check_files,
-    check_list,
-    exit_status,
-    make_parser,
-    numbers_in,
-)
+from torchfra.cli import command
 from torchfra.filters import Filter
 from torchfra.motion import Motion
 from torchfra.running.progress import progress_bar
@@ -58,7 +50,7 @@ LEARNING = 1_000_000
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints the tables; returns the exit status: see ``torchfra.cli.command.exit_status``."""
-    p = make_parser(__doc__)
+    p = command.make_parser(__doc__)
     names = ",".join(SETTINGS)
     p.add_argument(
         "--settings", metavar="A,B", default=names, help=f"which (default: all of {names})".replace("%", "%%")
@@ -67,17 +59,17 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--fit", metavar="A,B", default=FITTED, help=f"with fitted noise, or '' (default: {FITTED})")
     p.add_argument("--variances", metavar="A,B", default="1,0.001", help="of the measurement noise (default: 1,0.001)")
     p.add_argument("--network", type=int, default=200, metavar="N", help="iterations, or 0 (default: 200)")
-    add_runs_options(p, 200, seed=1)
-    add_output_options(p)
+    command.add_runs_options(p, 200, seed=1)
+    command.add_output_options(p)
 
     def run() -> None:
         options = p.parse_args(arguments)
-        check_list(p, "settings", options.settings, SETTINGS)
-        check_list(p, "filters", options.filters, track_filters())
-        check_list(p, "fit", options.fit, ["", *track_filters()])
+        command.check_list(p, "settings", options.settings, SETTINGS)
+        command.check_list(p, "filters", options.filters, track_filters())
+        command.check_list(p, "fit", options.fit, ["", *track_filters()])
         compare(options)
 
-    return exit_status("lorenz", run)
+    return command.exit_status("lorenz", run)
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -86,11 +78,9 @@ def compare(options: argparse.Namespace) -> None:
     Raises:
         ValueError: variances that are no numbers above 0, fewer than 1 run or 0 iterations.
     """
-    check_files({"json": options.json})
-    variances = numbers_in("variances", options.variances)
-    for name, value, least in (("runs", options.runs, 1), ("network", options.network, 0)):
-        if value < least:
-            raise ValueError(f"{name}: expected {least} or more, received {value}")
+    command.check_files({"json": options.json})
+    variances = command.numbers_in("variances", options.variances)
+    command.check_least(options, runs=1, network=0)
     cells = [
         (name, variance)
         for name in options.settings.split(",")

@@ -28,8 +28,8 @@ import pyarrow
 from pyarrow import dataset, parquet
 
 from torchfra.cleaning.many import summed
-from torchfra.cli.command import add_json_option, check_files, exit_status, make_parser, numbers_in
-from torchfra.running.jobs import add_jobs_option, check_jobs
+from torchfra.cli.command import add_json_option, check_files, check_least, exit_status, make_parser, numbers_in
+from torchfra.running.jobs import add_jobs_option
 from torchfra.running.versions import write_results
 from torchfra.tables import text_table
 
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def measure(options: argparse.Namespace) -> None:
     """Simulates, cleans and measures."""
-    check_jobs(options.jobs)
+    check_least(options, jobs=1)
     check_files({"json": options.json})
     found = []
     for tracks in map(int, numbers_in("tracks", options.tracks)):

@@ -37,7 +37,7 @@ from torch import Tensor
 
 import torchfra
 from torchfra import presets
-from torchfra.cli.command import add_output_options, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_least, check_list, exit_status, make_parser
 from torchfra.fitting import Batch
 from torchfra.motion import ConstantVelocity, UnknownTurn
 from torchfra.running.progress import progress_bar
@@ -84,13 +84,7 @@ def compare(options: argparse.Namespace) -> None:
         ValueError: fewer than 1 draw, 20 tracks or 0 iterations.
     """
     check_files({"json": options.json})
-    for name, value, least in (
-        ("draws", options.draws, 1),
-        ("tracks", options.tracks, 20),
-        ("iterations", options.iterations, 0),
-    ):
-        if value is not None and value < least:
-            raise ValueError(f"{name}: expected {least} or more, received {value}")
+    check_least(options, draws=1, tracks=20, iterations=0)
     chosen = dict.fromkeys(options.problems.split(","))
     cells = [(name, draw) for name in chosen for draw in range(options.draws)]
     found: dict[str, dict[str, list[dict[str, float]]]] = {}

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics, presets, scenarios
-from torchfra.cli.command import Failures, add_output_options, add_runs_options, check_files, exit_status, make_parser
+from torchfra.cli import command
 from torchfra.filters import GPB
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
@@ -188,19 +188,17 @@ def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) ->
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints the table; returns its exit status: see ``torchfra.cli.command.exit_status``."""
-    p = make_parser(__doc__)
+    p = command.make_parser(__doc__)
     p.add_argument("--particles", type=int, default=2000, metavar="N", help="histories kept (default: 2000)")
-    add_runs_options(p, 20, seed=3)
-    add_output_options(p)
-    return exit_status("particles", lambda: particles(p.parse_args(arguments)))
+    command.add_runs_options(p, 20, seed=3)
+    command.add_output_options(p)
+    return command.exit_status("particles", lambda: particles(p.parse_args(arguments)))
 
 
 def particles(options: argparse.Namespace) -> None:
     """All cells."""
-    check_files({"json": options.json})
-    for name in ("particles", "runs"):
-        if getattr(options, name) < 1:
-            raise ValueError(f"{name}: expected 1 or more, received {getattr(options, name)}")
+    command.check_files({"json": options.json})
+    command.check_least(options, particles=1, runs=1)
     results = {
         name: compare(*cell, options.particles, options.seed, progress=not options.quiet)
         for name, cell in cells(options.runs, options.seed).items()
@@ -214,7 +212,7 @@ def particles(options: argparse.Namespace) -> None:
         )
     settings = {"runs": options.runs, "seed": options.seed, "particles": options.particles}
     write_results(options.json, settings | {"cells": results})
-    failures = Failures()
+    failures = command.Failures()
     failures.messages += [f"{name}: an error that is not finite" for name, of in results.items()
                           if not all(map(math.isfinite, of.values()))]  # fmt: skip
     failures.end()

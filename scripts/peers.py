@@ -29,40 +29,26 @@ START = datetime.datetime(2000, 1, 1)
 
 
 class Job(NamedTuple):
-    """Two bearings of a target from two moving stations, and a linear motion."""
+    """Targets of a linear motion; two moving stations measure their bearings, or a sensor elements of their state."""
 
     matrix: np.ndarray
     """``(n, n)`` transition of a step."""
     noise: np.ndarray
     """``(n, q)`` root of the process noise."""
     std: np.ndarray
-    """``()`` of a bearing, rad."""
+    """``()`` of a bearing, rad, or ``(m,)`` of the elements."""
     means: np.ndarray
     """``(B, n)`` priors, one step before the first measurement."""
     root: np.ndarray
     """``(n, n)`` root of their covariance."""
     z: np.ndarray
-    """``(B, T, 2)`` bearings, rad."""
+    """``(B, T, m)`` bearings, rad, or elements."""
     dt: np.ndarray
     """``()`` seconds per step."""
-    u: np.ndarray
-    """``(T, 4)`` positions of the stations, m."""
-
-
-class Linear(NamedTuple):
-    """Elements of the state are measured, and the motion is linear; otherwise as ``Job``."""
-
-    matrix: np.ndarray
-    noise: np.ndarray
-    std: np.ndarray
-    """``(m,)`` of the elements."""
-    means: np.ndarray
-    root: np.ndarray
-    z: np.ndarray
-    """``(B, T, m)``."""
-    dt: np.ndarray
-    sensor: np.ndarray
-    """``(m, n)`` which elements those are."""
+    u: Any = None
+    """``(T, 4)`` positions of the stations, m; None without them."""
+    sensor: Any = None
+    """``(m, n)`` which elements are measured; None for bearings."""
 
 
 class Learning(NamedTuple):
@@ -78,13 +64,13 @@ class Learning(NamedTuple):
     """Weight and bias of two layers."""
 
 
-def covariances(job: Job | Linear) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def covariances(job: Job) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the process noise of a step, of a measurement and of the prior."""
     r = np.square(job.std) * np.eye(job.z.shape[-1])
     return job.noise @ job.noise.T, r, job.root @ job.root.T
 
 
-def predicted(job: Job | Linear) -> tuple[np.ndarray, np.ndarray]:
+def predicted(job: Job) -> tuple[np.ndarray, np.ndarray]:
     """Means ``(B, n)`` and covariance before the first measurement, for those that begin with an update."""
     q, _, p = covariances(job)
     return job.means @ job.matrix.T, job.matrix @ p @ job.matrix.T + q
@@ -96,19 +82,9 @@ def bearings(x: Any, u: Any, numbers: Any = np) -> Any:
     return numbers.arctan2(offset[:, 0], offset[:, 1])
 
 
-def in_turn(track: Callable[[np.ndarray, np.ndarray], np.ndarray], job: Job | Linear) -> Run:
+def in_turn(track: Callable[[np.ndarray, np.ndarray], np.ndarray], job: Job) -> Run:
     """One track after the other, from mean ``(n,)`` and ``z (T, m)`` to the last mean."""
     return lambda: np.array([track(mean, z) for mean, z in zip(job.means, job.z, strict=True)])
-
-
-def last_means(track: Callable, job: Job) -> Run:
-    """All tracks under jit and vmap: the last means ``(B, n)``."""
-    import jax
-    import jax.numpy as jnp
-
-    means, z, std = jnp.asarray(job.means), jnp.asarray(job.z), jnp.full(job.z.shape[1:], job.std)
-    compiled = jax.jit(jax.vmap(lambda mean, z: track(mean, z, std)[-1]))
-    return lambda: np.asarray(compiled(means, z).block_until_ready())
 
 
 def jax_srckf(job: Job) -> Callable:
@@ -264,7 +240,7 @@ def stone_soup_ckf(job: Job) -> Run:
     return in_stone_soup(job, CubatureKalmanPredictor, CubatureKalmanUpdater(None), sensors, Bearing)
 
 
-def in_stone_soup(job: Job | Linear, predictor: Any, updater: Any, sensors: Sequence[Any], number: Any) -> Run:
+def in_stone_soup(job: Job, predictor: Any, updater: Any, sensors: Sequence[Any], number: Any) -> Run:
     """Predictions and updates of Stone Soup, with the sensor of each step and the kind of number that it measures."""
     from stonesoup.models.transition.linear import LinearGaussianTimeInvariantTransitionModel
     from stonesoup.types.detection import Detection
@@ -288,7 +264,7 @@ def in_stone_soup(job: Job | Linear, predictor: Any, updater: Any, sensors: Sequ
     return in_turn(track, job)
 
 
-def dynamax_kf(job: Linear) -> Callable:
+def dynamax_kf(job: Job) -> Callable:
     """The Kalman filter of dynamax: from mean, root and ``z`` to all means."""
     from dynamax.linear_gaussian_ssm.inference import lgssm_filter, make_lgssm_params
 
@@ -301,7 +277,7 @@ def dynamax_kf(job: Linear) -> Callable:
     return track
 
 
-def cuthbert_kf(job: Linear) -> Callable:
+def cuthbert_kf(job: Job) -> Callable:
     """The Kalman filter of cuthbert, one step after the other: from mean, root and ``z`` to all means."""
     import cuthbert
     import jax.numpy as jnp
@@ -319,7 +295,7 @@ def cuthbert_kf(job: Linear) -> Callable:
     return track
 
 
-def kalman_py_kf(job: Linear) -> Callable:
+def kalman_py_kf(job: Job) -> Callable:
     """What is inside of the Kalman filter of kalman-py on JAX: from mean, root and ``z`` to all means."""
     from kalman_py.backends.jax_backend import kalman_filter
 
@@ -327,7 +303,7 @@ def kalman_py_kf(job: Linear) -> Callable:
     return lambda mean, root, z: kalman_filter(job.matrix, job.sensor, q, r, mean, root @ root.T, z).means
 
 
-def kalman_py_in_turn(job: Linear) -> Run:
+def kalman_py_in_turn(job: Job) -> Run:
     """The Kalman filter of kalman-py on JAX, as it is called."""
     from kalman_py import KalmanFilter
 
@@ -340,7 +316,7 @@ def kalman_py_in_turn(job: Linear) -> Run:
     return in_turn(track, job)
 
 
-def filterpy_kf(job: Linear) -> Run:
+def filterpy_kf(job: Job) -> Run:
     """The Kalman filter of FilterPy."""
     from filterpy.kalman import KalmanFilter
 
@@ -357,7 +333,7 @@ def filterpy_kf(job: Linear) -> Run:
     return in_turn(track, job)
 
 
-def pykalman_kf(job: Linear) -> Run:
+def pykalman_kf(job: Job) -> Run:
     """The Kalman filter of pykalman."""
     from pykalman import KalmanFilter
 
@@ -370,7 +346,7 @@ def pykalman_kf(job: Linear) -> Run:
     return in_turn(track, job._replace(means=means))
 
 
-def stone_soup_kf(job: Linear) -> Run:
+def stone_soup_kf(job: Job) -> Run:
     """The Kalman filter of Stone Soup."""
     from stonesoup.models.measurement.linear import LinearGaussian
     from stonesoup.predictor.kalman import KalmanPredictor
@@ -380,7 +356,7 @@ def stone_soup_kf(job: Linear) -> Run:
     return in_stone_soup(job, KalmanPredictor, KalmanUpdater(None), [sensor] * job.z.shape[1], float)
 
 
-def simdkalman_kf(job: Linear) -> Run:
+def simdkalman_kf(job: Job) -> Run:
     """The Kalman filter of simdkalman, all tracks at once in numpy."""
     from simdkalman import KalmanFilter
 
@@ -390,7 +366,7 @@ def simdkalman_kf(job: Linear) -> Run:
     return lambda: f.compute(job.z, 0, means[:, :, None], p, **only).filtered.states.mean[:, -1]
 
 
-def torch_kf_kf(job: Linear) -> Run:
+def torch_kf_kf(job: Job) -> Run:
     """The Kalman filter of torch-kf, all tracks at once in PyTorch."""
     import torch
     from torch_kf import GaussianState, KalmanFilter
@@ -424,14 +400,24 @@ def descent(track: Callable, job: Job, learning: Learning) -> Run:
 
 
 def in_jax(track: Callable[[Job], Callable]) -> Callable[[Job], Run]:
-    """A peer of a function of one track in JAX, all tracks under jit and vmap."""
-    return lambda job: last_means(track(job), job)
+    """A peer of a function of one track in JAX: the last means ``(B, n)`` of all tracks, under jit and vmap."""
+
+    def peer(job: Job) -> Run:
+        import jax
+        import jax.numpy as jnp
+
+        means, z, std = jnp.asarray(job.means), jnp.asarray(job.z), jnp.full(job.z.shape[1:], job.std)
+        call = track(job)
+        compiled = jax.jit(jax.vmap(lambda mean, z: call(mean, z, std)[-1]))
+        return lambda: np.asarray(compiled(means, z).block_until_ready())
+
+    return peer
 
 
-def in_jax_by_roots(track: Callable[[Linear], Callable], own: bool = True) -> Callable[[Linear], Run]:
+def in_jax_by_roots(track: Callable[[Job], Callable], own: bool = True) -> Callable[[Job], Run]:
     """The same of a linear job: each track has its ``own`` covariance, or vmap may compute one for all."""
 
-    def peer(job: Linear) -> Run:
+    def peer(job: Job) -> Run:
         import jax
         import jax.numpy as jnp
 
@@ -452,7 +438,7 @@ BEARINGS: dict[str, Callable[[Job], Run]] = {
     "pykalman": pykalman_ukf,
     "stonesoup": stone_soup_ckf,
 }
-LINEAR: dict[str, Callable[[Linear], Run]] = {
+LINEAR: dict[str, Callable[[Job], Run]] = {
     "dynamax": in_jax_by_roots(dynamax_kf),
     "dynamax-one": in_jax_by_roots(dynamax_kf, own=False),
     "cuthbert": in_jax_by_roots(cuthbert_kf),
@@ -473,9 +459,9 @@ def peer(name: str, arrays: dict[str, np.ndarray]) -> Run:
         ImportError: its package is not installed.
         KeyError: it does not do this job.
     """
-    if "sensor" in arrays:
-        return LINEAR[name](Linear(**arrays))
-    job = Job(*(arrays.pop(field) for field in Job._fields))
+    job = Job(**{field: arrays.pop(field) for field in Job._fields if field in arrays})
+    if job.sensor is not None:
+        return LINEAR[name](job)
     if not arrays:
         return BEARINGS[name](job)
     weights = tuple(arrays[key] for key in sorted(arrays) if key.startswith("weight"))

@@ -32,18 +32,16 @@ from statistics import fmean
 from typing import Any
 
 from recorded_bench import autoferry, nclt, smartloc, uwb
-from recorded_bench.picture import picture
-from recorded_bench.tracks import Figures, Followed, followed, judged
+from recorded_bench.tracks import Figures, Followed, followed, judged, picture
 
 from torchfra.catalogue import track_filters
 from torchfra.cli.command import Failures, add_output_options, check_files, check_list, exit_status, make_parser
 from torchfra.cli.compiling import add_compile_option, choose, reporters
-from torchfra.evaluation.compiling import brief
+from torchfra.evaluation.compiling import compiled
 from torchfra.filters import Filter
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
 from torchfra.tables import significant, text_table
-from torchfra.types import CompileError
 
 KINDS = {"nclt": nclt, "uwb": uwb, "smartloc": smartloc, "autoferry": autoferry}
 DEFAULT = "gpb,rsrckf,srckf"
@@ -123,13 +121,7 @@ def compare(options: argparse.Namespace) -> None:
 def ready(f: Filter, name: str, options: argparse.Namespace) -> Filter:
     """A filter that runs compiled, or as it is where it has no kernel and none is wanted by all means."""
     _, fallback = reporters(options.compile, options.quiet)
-    try:
-        return f.compile()
-    except (CompileError, NotImplementedError) as error:
-        if fallback is None:
-            raise
-        fallback(name, brief(error))
-        return f
+    return compiled({name: f}, lambda f: None, fallback=fallback)[name]
 
 
 def write(options: argparse.Namespace, tracks: list[Any], found: dict[str, dict[str, Any]]) -> None:

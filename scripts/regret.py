@@ -32,8 +32,7 @@ from typing import Any
 
 from regrets import smoothed
 from regrets.cells import all_cells, chosen_cells
-from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors
-from regrets.show import not_finite, panels, summary, summary_lines, table
+from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors, not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
 
 from torchfra.catalogue import FILTERS, filters_for, learned_filter, scenario_filters, track_filters

@@ -28,15 +28,7 @@ from papers.experiment import Experiment, Study
 
 from torchfra import plotting
 from torchfra.catalogue import learned_filter, make_scenario, track_filters
-from torchfra.cli.command import (
-    Failures,
-    add_output_options,
-    add_runs_options,
-    check_files,
-    check_folder,
-    exit_status,
-    make_parser,
-)
+from torchfra.cli import command
 from torchfra.evaluation import evaluate, not_finite, report
 from torchfra.running.atomic_write import write_json
 
@@ -48,14 +40,14 @@ _SCENARIO_OPTIONS = ("outliers", "truth_noise", "initial", "turns", "radar", "no
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs an experiment; returns its exit status: see ``torchfra.cli.command.exit_status``."""
-    return exit_status("reproduce", lambda: experiment(parser().parse_args(arguments)))
+    return command.exit_status("reproduce", lambda: experiment(parser().parse_args(arguments)))
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = make_parser(__doc__)
+    p = command.make_parser(__doc__)
     p.add_argument("experiment", choices=list(EXPERIMENTS))
-    add_runs_options(p, 100)
+    command.add_runs_options(p, 100)
     _add_scenario_options(p)
     p.add_argument("--sizes", metavar="A,B", help="of growth and reentry: how many times contaminated noise grows, for "
                    "the figure over it (default of growth: 1 to 20; of reentry: none)")  # fmt: skip
@@ -69,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     p.add_argument("--compile", action="store_true", help="run compiled kernels")
     p.add_argument("--plots", type=Path, metavar="DIR", help="write the figures there")
-    add_output_options(p)
+    command.add_output_options(p)
     return p
 
 
@@ -88,14 +80,14 @@ def _add_scenario_options(p: argparse.ArgumentParser) -> None:
 
 def experiment(options: argparse.Namespace) -> None:
     """Runs it, prints a table, and writes results and figures."""
-    check_folder("plots", options.plots)
-    check_files({"json": options.json})
+    command.check_folder("plots", options.plots)
+    command.check_files({"json": options.json})
     chosen = EXPERIMENTS[options.experiment]
     study = make_study(chosen, options)
     results = evaluate(study.scenario, study.filters, runs=study.runs, seed=study.seed, compile=study.compile,
                        progress=study.progress)  # fmt: skip
     summary, table = chosen.summarise(study, results)
-    failures = Failures()
+    failures = command.Failures()
     if not options.quiet:
         settings = ", ".join(f"{key} {value}" for key, value in study.scenario.settings.items())
         print(f"{study.title}, seed {study.seed}, {settings}\n{table}", flush=True)

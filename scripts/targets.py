@@ -12,20 +12,27 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
+import matplotlib
+import numpy as np
 import torch
-from many_targets.picture import picture
-from many_targets.worlds import World, crowd, recorded, swiss_traffic
+from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra import metrics, presets, scenarios
-from torchfra.association import ChiSquare
+from torchfra import metrics, presets, readers, scenarios
+from torchfra.association import ChiSquare, Clutter
 from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
+from torchfra.motion import ConstantVelocity
 from torchfra.plotting import save
+from torchfra.readers import Recording, resample
 from torchfra.running.versions import write_results
+from torchfra.sensors import Position
 from torchfra.tables import text_table
 from torchfra.targets import Deletion, Merging, Targets, TwoPoint, collect
 
@@ -36,6 +43,10 @@ CROWD = 120
 """Scans of the crowd, after which it would have left the square."""
 AT_ONCE, PART = 20, 10
 """Runs that are simulated side by side, and scans that are compared with the truth at once."""
+DETECTION, FALSE = 0.9, 300
+"""Probability that a target is measured, and expected false measurements per scan."""
+STD = 50.0
+"""Of the positions, m."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -144,6 +155,109 @@ def summary(of: dict[str, Tensor]) -> dict[str, float]:
         "scans until it is confirmed": float(of["begun"].nanmean()),
         "share of the tracks' scans that are false": total["false"] / max(total["track_length"], 1.0),
     }
+
+
+# ---------------------------------------------------------------- worlds with many targets
+
+
+class World(NamedTuple):
+    """Truth and scans, and the manager for them."""
+
+    truth: Tensor
+    """``(M, T, 2 or 4)`` positions, NaN where a target is not there."""
+    scans: list[Tensor]
+    """``(J, 2)`` each."""
+    dt: float
+    targets: Targets
+    cutoff: float
+    """Distance from which on a target is not followed, m."""
+
+
+def recorded(flights: Sequence[Recording], seed: int, dt: float, scans: int, *, folded: bool) -> World:
+    """Aircraft as recorded, from the middle of the recorded time on.
+
+    Args:
+        flights: without gaps, see ``torchfra.readers.flyable``.
+        seed: of the measurements.
+        dt: seconds between scans.
+        scans: how many.
+        folded: whether all flights are moved by a whole multiple of that time, so that they begin in it.
+    """
+    start, end = min(f.time[0] for f in flights), max(f.time[-1] for f in flights)
+    grid, rows = (start + end - dt * scans) / 2 + dt * np.arange(scans), []
+    for flight in flights:
+        ((time, position),) = resample(flight, 1.0, max_gap=math.inf)
+        time = time - folded * dt * scans * ((time[0] - grid[0]) // (dt * scans))
+        inside = (grid >= time[0]) & (grid <= time[-1])
+        if inside.sum() >= 2:
+            axes = [np.interp(grid, time, x) for x in position[:, :2].T]
+            rows.append(np.where(inside[:, None], np.stack(axes, -1), np.nan))
+    truth = torch.from_numpy(np.stack(rows))
+    corners = truth.nan_to_num(nan=math.inf).amin((0, 1)), truth.nan_to_num(nan=-math.inf).amax((0, 1))
+    return _world(truth, corners, seed, dt, q=4.0, speed=350.0)
+
+
+def crowd(seed: int, scans: int, count: int = 200, width: float = 100e3) -> World:
+    """Targets of up to 300 m/s with accelerations of 1 m/s^2 in a square, all of them there from the first scan on."""
+    rng, dt = np.random.default_rng([seed, 0]), 1.0
+    motion = ConstantVelocity(1.0)
+    matrix = motion.transition(torch.tensor(dt).double()).numpy()
+    speed, course = rng.uniform(50, 300, count), rng.uniform(0, 2 * np.pi, count)
+    velocity = speed[:, None] * np.stack([np.sin(course), np.cos(course)], -1)
+    state, rows = np.concatenate([rng.uniform(0, width, (count, 2)), velocity], -1), []
+    for _ in range(scans):
+        push = rng.standard_normal((count, 2))
+        state = state @ matrix.T + np.concatenate([push / 2, push], -1)
+        rows.append(state)
+    corners = torch.zeros(2).double(), torch.full((2,), width).double()
+    return _world(torch.from_numpy(np.stack(rows, 1)), corners, seed, dt, q=1.0, speed=350.0)
+
+
+def _world(truth: Tensor, corners: tuple[Tensor, Tensor], seed: int, dt: float, q: float, speed: float) -> World:
+    """Scans in any order of what is measured of the truth, and of false measurements anywhere."""
+    rng, (low, high), scans = np.random.default_rng([seed, 1]), corners, []
+    for position in truth[..., :2].unbind(1):
+        measured = position[~position.isnan().any(-1)].numpy()
+        measured = measured[rng.random(len(measured)) < DETECTION]
+        measured = measured + STD * rng.standard_normal(measured.shape)
+        false = rng.uniform(low.numpy(), high.numpy(), (rng.poisson(FALSE), 2))
+        scans.append(torch.from_numpy(rng.permutation(np.concatenate([measured, false]))))
+    clutter = Clutter(volume=float((high - low).prod()), rate=float(FALSE))
+    f = presets.jpda(ConstantVelocity(q), Position(STD), clutter=clutter, detection=DETECTION, gate=ChiSquare(0.99999))
+    manager = Targets(f, birth=TwoPoint(speed), deletion=Deletion(5), merging=Merging())
+    return World(truth, scans, dt, manager, 10 * STD)
+
+
+def swiss_traffic() -> list[Recording]:
+    """All flights of a day over Switzerland, of the sample tracks that come with the package ``traffic``.
+
+    Gaps of a minute split them, and their time stamps are mended: ``torchfra.readers.flyable``.
+
+    Raises:
+        ImportError: the package is not installed.
+    """
+    (file,) = (file for file in readers.samples("collections") if file.name.startswith("switzerland"))
+    return [piece for recording in readers.read(file) for piece in readers.flyable(recording, max_gap=60.0)]
+
+
+def picture(world: World, mean: Tensor) -> Figure:
+    """The scans, the truth, and the targets ``(K, T, n)`` that were found, each identity in a colour; km."""
+    figure = Figure(figsize=(12, 6), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    left.set_title(f"what is measured: a tenth of the {len(world.scans)} scans")
+    for scan in world.scans[::10]:
+        left.plot(*(scan / 1e3).T, ".", color="black", markersize=0.6, alpha=0.5, rasterized=True)
+    right.set_title(f"{len(mean)} targets found (colours), {len(world.truth)} true ones (grey, below)")
+    colours = matplotlib.colormaps["tab20"].colors
+    for track in world.truth:
+        right.plot(*(track[:, :2] / 1e3).T, color="lightgrey", linewidth=3)
+    for i, track in enumerate(mean):
+        right.plot(*(track[:, :2] / 1e3).T, color=colours[i % len(colours)], linewidth=0.8)
+    for axes in (left, right):
+        axes.set_aspect("equal")
+        axes.set_xlabel("east, km")
+    left.set_ylabel("north, km")
+    return figure
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 
+import joint
 import pytest
 import torch
 from short_tracks import short
@@ -19,12 +20,12 @@ from torchfra.types import Gaussian
 
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
 
-OPTIMISED = {"test_battery", "test_compile", "test_divisions", "test_every_filter_compiles", "test_generated_source",
+OPTIMISED = {"test_compile", "test_divisions", "test_every_filter_compiles", "test_generated_source",
              "test_processors", "test_regions"}  # fmt: skip
 """Tests whose kernels are those that users have; in others LLVM does not optimise them, which is twice as fast."""
 LEVEL = jit._LEVEL
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]
-STEPS = 12
+STEPS = 8
 
 
 def pytest_addoption(parser):
@@ -89,9 +90,9 @@ def crossing():
 
 @pytest.fixture(scope="session")
 def scans(crossing):
-    """Three runs of 25 scans."""
+    """Three runs of the first scans."""
     t = crossing.simulate(3, 3)
-    return t._replace(truth=t.truth[:, :, :25], z=t.z[:, :25])
+    return t._replace(truth=t.truth[:, :, : joint.STEPS], z=t.z[:, : joint.STEPS])
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 PAPER = {"gate": Euclidean(150.0), "lost": 0.0}
-STEPS = 25
+STEPS = 20
 
 
 def make(name, scenario, **options):

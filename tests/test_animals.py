@@ -67,7 +67,7 @@ def test_a_mark_that_is_neither_true_nor_false_is_refused_with_its_row(tmp_path)
         written(tmp_path, HEADER, ROWS.replace("4,true", "4,maybe"))
 
 
-def walk(seed, noise=500.0, count=300, hours=2):
+def walk(seed, noise=500.0, count=200, hours=2):
     """Fixes hours apart, one in 25 of them 20 km off: the recording, the truth and which are wrong."""
     rng = np.random.default_rng(seed)
     truth = animal(rng, 10 * hours * (count - 1), 360.0)[:: 10 * hours]
@@ -126,8 +126,8 @@ def test_it_is_said_where_a_far_lower_sigma_is_as_likely(hardly_told):
 def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():
     recording, truth, wrong = walk(3, noise=0.0)
     rng = np.random.default_rng(4)
-    sigma = rng.choice([300.0, 800.0, 4000.0], 300)
-    fixes = recording.position + sigma[:, None] * rng.standard_normal((300, 2))
+    sigma = rng.choice([300.0, 800.0, 4000.0], 200)
+    fixes = recording.position + sigma[:, None] * rng.standard_normal((200, 2))
     (one,) = clean_tracks([Recording("seal", recording.time, fixes, None, {}, sigma=sigma)], bank="marine")
     assert one.found.sigma == pytest.approx(1.0, rel=0.25)
     assert np.square(one.position - truth).mean() < 0.3 * np.square(fixes - truth)[~wrong].mean()

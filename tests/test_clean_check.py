@@ -202,6 +202,8 @@ def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
         speed = np.linalg.norm(np.diff(run.truth, axis=0), axis=1) / 360.0
         assert 0.1 < (speed == 0).mean() < 0.9
         assert 0.3 < speed.max() <= 0.6
+    if kind == "bursts":
+        np.testing.assert_allclose(np.diff(run.time)[:6], [4.0, 4.0, 3592.0] * 2)
 
 
 def test_who_goes_along_streets_moves_as_such():

@@ -106,7 +106,7 @@ def test_the_filter_that_estimates_the_measurement_noise_tracks_crossing_targets
 
 @pytest.mark.slow
 def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
-    load("07_fusion").main(["--seconds", "15"])
+    load("07_fusion").main(["--seconds", "10"])
     output = capsys.readouterr().out
     alone, left_out, both = numbers(r"RMSE +([\d.]+) m", output)
     assert both < 0.7 * min(alone, left_out)
@@ -115,7 +115,7 @@ def test_late_measurements_of_a_camera_help_a_radar_where_they_belong(capsys):
 
 @pytest.mark.slow
 def test_a_filter_that_knows_the_delay_and_how_a_vehicle_rolls_is_the_best(capsys):
-    load("08_ranges_on_a_vehicle").main(["--runs", "2", "--steps", "60"])
+    load("08_ranges_on_a_vehicle").main(["--runs", "2", "--steps", "45"])
     output = capsys.readouterr().out
     blind, straight, turning, rolling = numbers(r"position RMSE ([\d.]+) m", output)
     assert blind > 5 * straight
@@ -181,7 +181,7 @@ def test_a_filter_of_three_functions_smooths_lags_learns_and_compiles(capsys):
 
 
 def test_faults_that_last_are_found_and_leave_the_robot_in_its_place(capsys):
-    load("14_faults_that_last").main(["--runs", "6", "--steps", "240"])
+    load("14_faults_that_last").main(["--runs", "6", "--steps", "200"])
     text = capsys.readouterr().out
     white, robust, lasting = (float(x) for x in re.findall(r"RMSE +([\d.]+) m", text))
     assert lasting < 0.4 * min(white, robust)
@@ -193,7 +193,7 @@ def test_faults_that_last_are_found_and_leave_the_robot_in_its_place(capsys):
 
 
 def test_a_ride_is_cleaned_of_its_noise_and_its_outliers_by_one_call(capsys, tmp_path):
-    load("15_a_ride_cleaned").main(["--seconds", "300", "--plot", str(tmp_path / "ride.png")])
+    load("15_a_ride_cleaned").main(["--seconds", "200", "--plot", str(tmp_path / "ride.png")])
     before, after, found, outliers, others = numbers(
         r"([\d.]+) m off before, ([\d.]+) m after; (\d+) of (\d+) outliers found, (\d+) others", capsys.readouterr().out
     )

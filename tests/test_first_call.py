@@ -4,6 +4,7 @@ import threading
 
 import pytest
 import torch
+from conftest import without_acceleration
 
 from torchfra import presets, scenarios
 from torchfra.compiler import run, step
@@ -39,6 +40,7 @@ def events(monkeypatch):
 
 
 def test_the_backward_pass_is_traced_once_the_steps_are_written(scenario, events):
+    scenario = without_acceleration(scenario)
     tracks = scenario.simulate(2, 0)
     with torch.no_grad():
         presets.imm_srckf(scenario.bank, scenario.sensor).compile().smooth(tracks.z, tracks.prior, u=tracks.u)

@@ -88,12 +88,12 @@ def test_a_climb_is_a_motion_of_its_own_beside_the_calm_one_smoothed_and_compile
         separate_levels=0, climbs=False, **few,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(3)
-    dt = 0.5 + torch.rand(20, generator=generator, dtype=torch.float64)
+    dt = 0.5 + torch.rand(13, generator=generator, dtype=torch.float64)
     z = dt.cumsum(0)[:, None] * torch.tensor([8.0, 2.0, 0.0]).double()
-    z = z + 5 * torch.randn(20, 3, generator=generator, dtype=torch.float64)
+    z = z + 5 * torch.randn(13, 3, generator=generator, dtype=torch.float64)
     z[8:, 2] += 6 * dt.cumsum(0)[8:] - 6 * dt.cumsum(0)[8]
     z[5] += 200.0
-    z[14:16] = torch.nan
+    z[10:12] = torch.nan
     prior = Gaussian(torch.zeros(6).double(), torch.diag(torch.tensor([20.0, 20, 20, 9, 9, 9]).double()))
     for f in (one, copy.deepcopy(one).compile()):
         agree(f, three, z, prior, dt)

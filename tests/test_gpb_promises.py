@@ -89,7 +89,7 @@ def batches():
 
 @pytest.mark.slow
 def test_every_value_may_be_one_of_each_track():
-    sensor, z, given = SOME["two ranges"], measured("ranges")[..., :2], batches()
+    sensor, z, given = SOME["two ranges"], measured("ranges")[:, :6, :2], batches()
     every = presets.gpb(ConstantAcceleration(tensor([0.05, 0.2])), sensor, **given)(z, PRIOR)
     for i, q in enumerate((0.05, 0.2)):
         alone = presets.gpb(ConstantAcceleration(q), sensor, **{k: v[i] for k, v in given.items()})
@@ -129,7 +129,7 @@ def test_single_precision_is_close_to_double(name):
 ], ids=["two ranges", "bank"])  # fmt: skip
 def test_compiled_kernels_give_the_same_and_the_same_gradients(name, motion, options):
     f = presets.gpb(motion, SOME[name], **VALUES | options, learn="all")
-    z, prior = measured(name.removeprefix("two "), 3)[..., :2], (PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
+    z, prior = measured(name.removeprefix("two "), 3)[:, :9, :2], (PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
     found = []
     for g in (f, copy.deepcopy(f).compile()):
         x, mean, root = (x.clone().requires_grad_() for x in (z, *prior))
@@ -203,7 +203,7 @@ NEVER = {
 def test_what_never_happens_is_as_what_hardly_ever_does(never, motions):
     bank = [ConstantVelocity(q) for q in (1.0, 5.0, 0.2)][:motions]
     prior = Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
-    z = 2 * torch.randn(5, 20, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    z = 2 * torch.randn(5, 10, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     nothing, hardly = (presets.gpb(bank, Position(2.0), **values)(z, prior) for values in NEVER[never])
     for ours, expected in zip(tree.flatten(nothing), tree.flatten(hardly), strict=True):
         torch.testing.assert_close(ours, expected, rtol=1e-6, atol=1e-6)

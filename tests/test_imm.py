@@ -25,7 +25,7 @@ from torchfra.motion import (
 from torchfra.sensors import Position, RangeBearing
 from torchfra.types import Gaussian
 
-DT, SIGMA, STEPS = 2.0, 30.0, 15
+DT, SIGMA, STEPS = 2.0, 30.0, 10
 SENSOR = Position(SIGMA)
 PRIOR = Gaussian(
     torch.tensor([0, 2000, 15, 0, 0, 0], dtype=torch.float64),

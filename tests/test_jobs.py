@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 
-from torchfra.running.jobs import check_jobs, finished, one_thread
+from torchfra.running.jobs import finished, one_thread
 
 
 def test_every_part_is_done_and_comes_with_its_number():
@@ -29,11 +29,6 @@ def test_parts_done_by_processes_have_their_numbers_and_after_an_error_none_begi
     assert found
     assert found.items() <= {0: 2, 1: 4}.items()
     assert not (tmp_path / "begun").exists()
-
-
-def test_fewer_processes_than_one_are_refused():
-    with pytest.raises(ValueError, match="jobs: expected 1 or more, received 0"):
-        check_jobs(0)
 
 
 WAITING = """

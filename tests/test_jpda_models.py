@@ -19,7 +19,7 @@ from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, Spherical, 
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
-STD, STEPS, VOLUME = 2.0, 12, 400.0
+STD, STEPS, VOLUME = 2.0, 9, 400.0
 TURN = CoordinatedTurn(0.3, 0.5)
 PAIR = Bank([ConstantVelocity(0.05), TURN])
 GPB = {

@@ -105,6 +105,7 @@ def test_shared_noise_is_one_for_all_targets(crossing, scans):
 
 
 def test_residuals_may_tell_the_noise(crossing, scans):
-    estimate = make("iaukf_jpda", crossing, adapt="residual")(scans.z, scans.prior)
+    z = crossing.simulate(3, 3).z[:, :25]  # until the noise has grown
+    estimate = make("iaukf_jpda", crossing, adapt="residual")(z, scans.prior)
     assert estimate.info.noise[:, :, -1].mean() > 2
     assert not estimate.failed.any()

@@ -35,7 +35,7 @@ def cleaned():
         "missing": [voyage(0, 6.0, 15.0)],
         "few": [voyage(0, 6.0, 15.0, count=25)],
         "few and white": [voyage(0, 1.0, 0.0, 25)],
-        "white": [voyage(seed, std) for seed in range(5) for std in (1.0, 6.0)],
+        "white": [voyage(seed, std) for seed in range(3) for std in (1.0, 6.0)],
     }
     voyages["missing"][0][0].position[100:120] = np.nan
     done = iter(clean_tracks([recording for several in voyages.values() for recording, _ in several]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmarks import elsewhere
 from benchmarks.linear import long_tracks
-from peers import Job, Linear, bearings, covariances
+from peers import Job, bearings, covariances
 
 from torchfra import presets, scenarios
 from torchfra.evaluation import run
@@ -44,7 +44,7 @@ def cubature(job, expected):
 def test_the_linear_jobs_are_those_of_the_filter(name):
     scenario = LINEAR[name]
     tracks = scenario.simulate(2, 0)
-    job = Linear(**elsewhere.job_arrays(scenario, tracks))
+    job = Job(**elsewhere.job_arrays(scenario, tracks))
     np.testing.assert_allclose(cubature(job, lambda x, k: job.sensor @ x), ends(scenario, tracks), rtol=1e-7, atol=1e-7)
 
 

@@ -42,7 +42,7 @@ ROWS = b"0,1,2\n" * 2**17
 BOMBS = {
     "zeros.csv.gz": (b"t,x,y\n", bytes(2**20), 200, "rows of at most 1048576 characters"),
     "spaces.json.gz": (b"[", b" " * 2**20, 200, "at most 1073741824 bytes of text, of which one of JSON counts for 24"),
-    "names.csv.gz": (b"t,x,y", b",a" * 2**19, 130, "rows of at most 1048576 characters"),
+    "names.csv.gz": (b"t,x,y", b",a234567" * 2**17, 130, "rows of at most 1048576 characters"),
     "quotes.csv.gz": (b"t,x,y\n0,0,0\n", b'"\n",' * 2**18, 100, "rows of at most 1048576 characters"),
 }
 
@@ -126,7 +126,7 @@ def seconds(work):
 @pytest.mark.slow
 def test_many_anchors_do_not_take_the_square_of_their_number(tmp_path):
     took = []
-    for count in (1_000, 16_000):
+    for count in (500, 8_000):
         path = tmp_path / f"{count}.csv"
         path.write_text("t,anchor,range,x,y\n" + "".join(f"1,a{i},2,0,0\n" for i in range(count)))
         took.append(seconds(lambda path=path: read_ranges(path)))
@@ -136,7 +136,7 @@ def test_many_anchors_do_not_take_the_square_of_their_number(tmp_path):
 @pytest.mark.slow
 def test_many_names_of_columns_in_json_do_not_take_the_square_of_their_number(tmp_path):
     took = []
-    for count in (1_000, 16_000):
+    for count in (500, 8_000):
         path = tmp_path / f"{count}.json"
         path.write_text(json.dumps([{"t": i, "x": i, "y": i, f"more {i}": 0} for i in range(count)]))
         took.append(seconds(lambda path=path: read(path)))

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import pytest
 import torch
+from conftest import STEPS
 from short_tracks import SMALL_GPB, alone
 
 from torchfra.compiler import program
@@ -214,8 +215,8 @@ def two_threads():
 
 @pytest.mark.slow
 def test_many_tracks_are_ready_once_they_have_come_often(make, tracks, prepared, two_threads):
-    f, given = make("fra"), alone(tracks, 12)
-    noise = 0.01 * torch.randn(401, 12, 2, dtype=torch.float64)  # no multiple of the lanes of a register
+    f, given = make("fra"), alone(tracks)
+    noise = 0.01 * torch.randn(601, STEPS, 2, dtype=torch.float64)  # no multiple of the lanes of a register
     given["z"] = tracks.z[0] + noise
     fast = copy.deepcopy(f).compile()
     first = fast(**given)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import regret
 import torch
-from regrets import cells, ratios, show, tuning
+from regrets import cells, ratios, tuning
 from short_tracks import short
 
 from torchfra import metrics, plotting, presets, scenarios
@@ -317,10 +317,10 @@ def test_the_picture_has_every_ratio_in_its_place_and_leaves_what_is_missing_emp
 
 
 def test_learned_values_are_called_by_their_folder_and_large_numbers_are_short():
-    assert show.label("out/train/fra_bearings/state_dict.pt") == "fra_bearings"
-    assert show.label("fra") == "fra"
-    assert [show.metres(x) for x in (0.5123, 59.23, 3e8)] == ["0.512", "59.2", "3e+08"]
-    assert [show.regret(x) for x in (0.9, 1.0, 3.5, 4e5)] == ["-10.0%", "+0.0%", "+250.0%", "+4e+07%"]
+    assert ratios.label("out/train/fra_bearings/state_dict.pt") == "fra_bearings"
+    assert ratios.label("fra") == "fra"
+    assert [ratios.metres(x) for x in (0.5123, 59.23, 3e8)] == ["0.512", "59.2", "3e+08"]
+    assert [ratios.regret(x) for x in (0.9, 1.0, 3.5, 4e5)] == ["-10.0%", "+0.0%", "+250.0%", "+4e+07%"]
 
 
 @pytest.mark.slow

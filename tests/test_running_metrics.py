@@ -73,8 +73,7 @@ def test_memory_is_one_number_for_each_metric_and_track_however_many_steps():
     for seed in range(3):
         estimate, truth = random_tracks(20, seed)
         metrics.add(estimate, truth, 0.0, truth[..., :2])
-    held = [*metrics.squares.values(), *metrics.counts.values(), *metrics.consistency.values()]
-    assert sum(x.numel() for x in held) == 8 * 9
+    assert sum(x.numel() for x in metrics.sums.values()) == (8 + 3 * 2) * 9  # of them three by coordinate
     assert {name: len(metrics.runs(name)) for name in metrics.of_runs} == dict.fromkeys(
         ("rmse_position", "rmse_velocity", "nees", "nis", "log_likelihood"), 60
     )

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from conftest import STEPS
 
 from torchfra import Gaussian, presets, scenarios
 from torchfra.compiler import backward
@@ -13,7 +14,7 @@ LAGS = [None, 3]
 MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
 PRIOR = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
 Z = torch.zeros(6, 2).double()
-DT = torch.linspace(0.5, 1.5, 48).double().reshape(4, 12)
+DT = torch.linspace(0.5, 1.5, 4 * STEPS).double().reshape(4, STEPS)
 
 
 def close(a, b, tol=1e-9):
@@ -131,7 +132,7 @@ def test_values_may_differ_by_track(make, tracks):
     thresholds = torch.tensor([[0.8], [1.5], [3.0]]).double()
     f, together = make("rsrckf"), make("rsrckf", threshold=thresholds)
     smoothed = together.smooth(tracks.z, tracks.prior, u=tracks.u)
-    assert smoothed.mean.shape == (3, 4, 12, 4)
+    assert smoothed.mean.shape == (3, 4, STEPS, 4)
     for i, threshold in enumerate(thresholds[:, 0]):
         f.robust.threshold.set(threshold)
         close([x[i] for x in smoothed[:2]], f.smooth(tracks.z, tracks.prior, u=tracks.u))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import targets as script
 import torch
-from many_targets import worlds
 
 from torchfra.readers import Recording
 
@@ -26,16 +25,16 @@ FLIGHTS = [
 
 
 def test_recorded_flights_are_there_when_they_were():
-    world = worlds.recorded(FLIGHTS, 0, 5.0, 100, folded=False)  # from 1000 s to 1500 s
+    world = script.recorded(FLIGHTS, 0, 5.0, 100, folded=False)  # from 1000 s to 1500 s
     assert world.truth.shape == (1, 100, 2)  # the first one ends just then
     assert world.truth[0, 10, 0].item() == pytest.approx(200 * 150.0, abs=1.0)
-    folded = worlds.recorded(FLIGHTS, 0, 5.0, 100, folded=True)
+    folded = script.recorded(FLIGHTS, 0, 5.0, 100, folded=True)
     assert len(folded.truth) == 4
     assert all(len(scan) > 200 for scan in folded.scans)
 
 
 def test_a_crowd_is_followed_and_timed():
-    found, mean = script.streamed(worlds.crowd(0, 12, count=6, width=1e5))
+    found, mean = script.streamed(script.crowd(0, 12, count=6, width=1e5))
     assert found["targets"] == found["targets at once"] == 6
     assert found["missed targets"] == found["switches"] == 0
     assert mean.shape[1:] == (12, 4)
@@ -63,7 +62,5 @@ def test_arguments_that_do_not_fit_are_named(arguments, message, capsys):
 
 
 def test_the_picture_takes_any_number_of_targets():
-    from many_targets.picture import picture
-
-    world = worlds.crowd(0, 3, count=2, width=1e4)
-    assert picture(world, torch.zeros(0, 3, 4)).axes[1].get_title().startswith("0 targets found")
+    world = script.crowd(0, 3, count=2, width=1e4)
+    assert script.picture(world, torch.zeros(0, 3, 4)).axes[1].get_title().startswith("0 targets found")

@@ -77,7 +77,7 @@ if TYPE_CHECKING:
         testing,
     )
     from torchfra.cleaning.clean import clean, track
-    from torchfra.comparison.comparing import compare
+    from torchfra.comparison.comparison import compare
     from torchfra.fitting.from_tracks import fit
     from torchfra.hyper import Hyper, learnable, summary
     from torchfra.presets.values import values
@@ -92,7 +92,7 @@ else:
         "testing.models": ("check_model",),
         "fitting.from_tracks": ("fit",),
         "cleaning.clean": ("clean", "track"),
-        "comparison.comparing": ("compare",),
+        "comparison.comparison": ("compare",),
         "running.memory": ("keep_memory",),
     }
     _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -15,6 +15,7 @@ from torch import Tensor
 from torchfra import readers, scenarios
 from torchfra.catalogue import make_scenario
 from torchfra.cli.loading import is_place, load_scenario
+from torchfra.fitting.data import lengthened
 from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
@@ -95,16 +96,10 @@ def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, dev
     us = [part.u.expand(count, *part.u.shape[-2:]) for part in parts if part.u is not None]  # the same for all, or not
     roots = [part.prior.scale_tril.expand(*part.prior.mean.shape, part.prior.mean.shape[-1]) for part in parts]
     return Batch(
-        z=torch.cat([_padded(part.z, steps, math.nan, 1) for part in parts]).to(device),
-        truth=torch.cat([_padded(part.truth, steps, math.nan, -2) for part in parts]).to(device),
-        u=torch.cat([_padded(u, steps, 0.0, -2) for u in us]).to(device) if us else None,
+        z=torch.cat([lengthened(part.z, steps, math.nan, 1) for part in parts]).to(device),
+        truth=torch.cat([lengthened(part.truth, steps, math.nan, -2) for part in parts]).to(device),
+        u=torch.cat([lengthened(u, steps, 0.0, -2) for u in us]).to(device) if us else None,
         prior=Gaussian(torch.cat([part.prior.mean for part in parts]).to(device), torch.cat(roots).to(device)),
         dt=torch.cat([torch.full((count, 1), scenario.dt, dtype=torch.float64) for scenario in tasks]).to(device),
         task=torch.arange(len(tasks)).repeat_interleave(count).to(device),
     )
-
-
-def _padded(x: Tensor, steps: int, fill: float, time_dim: int) -> Tensor:
-    missing = list(x.shape)
-    missing[time_dim] = steps - x.shape[time_dim]
-    return torch.cat([x, torch.full(missing, fill, dtype=x.dtype)], time_dim)

@@ -28,11 +28,11 @@ import torch
 
 import torchfra
 from torchfra.catalogue import FILTERS, SCENARIOS, filters_for, scenario_filter
-from torchfra.cli.command import add_quiet_option, add_runs_options, check_files, exit_status, make_parser
+from torchfra.cli.command import add_quiet_option, add_runs_options, check_files, check_least, exit_status, make_parser
 from torchfra.filters import Filter
 from torchfra.presets.values import FILE, made_with
 from torchfra.running.atomic_write import write_json
-from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.jobs import add_jobs_option, finished
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
@@ -86,9 +86,7 @@ def measure(options: argparse.Namespace) -> None:
         ValueError: a folder without the results of a run that is a set, a seed that was learned on, fewer than 2 runs,
             fewer than 1 job, names that no set or scenario has, or some of them where the output has other settings.
     """
-    check_jobs(options.jobs)
-    if options.runs < 2:
-        raise ValueError(f"runs: expected 2 or more, received {options.runs}")
+    check_least(options, jobs=1, runs=2)
     check_files({"out": options.out})
     sets = {name_of(record): record for record in read(FILE)["sets"]}
     sets |= {name_of(record): record for record in map(taken, options.take)}

@@ -14,7 +14,7 @@ from learned.lorenz import SETTINGS, models, simulate
 from torch import Tensor, nn
 
 from benchmarks.elsewhere import start_learners
-from benchmarks.timing import Here, Row, System, timed
+from benchmarks.timing import Row, learners, timed
 from torchfra import presets
 from torchfra.catalogue import make_scenario
 from torchfra.scenarios import Scenario, Tracks
@@ -62,14 +62,10 @@ def layer(options: argparse.Namespace) -> list[Row]:
         for name, means in calls.items()
     }
     steps["KalmanNet, small"] = kalmannet(len(data.z))
-    systems: dict[str, System] = {
-        name: Here(step, warming=(300, 20.0) if name.endswith("compiled") else (3, 5.0), seconds=0.2)
-        for name, step in steps.items()
-    }
     with ExitStack() as stack:
         weights = [p.detach().numpy() for p in network.parameters()]
         peers = stack.enter_context(start_learners(scenario, data, features, RATE, weights)) if options.peers else {}
-        every = {**systems, **peers}
+        every = {**learners(steps), **peers}
         rows = timed(every, options.passes, len(data.z) * scenario.steps, "srckf, compiled", batch=len(data.z))
         errors = {name: peer.ready["error"] for name, peer in peers.items()}
     errors |= {name: step() for name, step in steps.items()}

@@ -9,8 +9,6 @@ import os
 import subprocess
 from array import array
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,6 +26,7 @@ from torchfra.compiler.schedule import conditions, regions
 from torchfra.compiler.source import SCALARS, Port, Scan
 from torchfra.evaluation import run
 from torchfra.filters import Filter
+from torchfra.running.jobs import one_thread
 from torchfra.tree import map_tensors
 
 ROUNDS, LANES = 20_000, 2048
@@ -99,20 +98,9 @@ def cost(op: str, count: int, dtype: torch.dtype) -> float:
             total = book.apply("add", total, book.apply(op, argument, *more))
         program = Program(Scan(book, [], [], [_port(x)], [_port(total)], dtype=dtype))
         data = torch.rand(LANES, 1, dtype=dtype, generator=torch.Generator().manual_seed(0)) * 0.3 + 0.01
-        with on_one_thread():
+        with one_thread():
             times.append(min(one_pass(partial(program, data.shape[:1], 1, [data])) for _ in range(5)))
     return max(times[1] - times[0], 0.0) / 32 / LANES
-
-
-@contextmanager
-def on_one_thread() -> Iterator[None]:
-    """Kernels run on one thread inside."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _port(number: int) -> Port:

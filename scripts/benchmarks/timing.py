@@ -112,6 +112,12 @@ def table(rows: Sequence[Row]) -> str:
     return text_table(["system", *labels, *titles], cells)
 
 
+def learners(steps: Mapping[str, Callable[[], Any]]) -> dict[str, System]:
+    """Steps of learning as systems; compiled ones get ready over many calls."""
+    warming = {name: (300, 20.0) if name.endswith("compiled") else (3, 5.0) for name in steps}
+    return {name: Here(step, warming=warming[name], seconds=0.2) for name, step in steps.items()}
+
+
 def calls(systems: Mapping[str, Callable[[], Any]], device: str = "cpu") -> dict[str, System]:
     """Calls of this process as systems."""
     return {name: Here(call, device) for name, call in systems.items()}

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from benchmarks.roof import FILTERS
-from benchmarks.timing import Here, Row, System, timed
+from benchmarks.timing import Row, learners, timed
 from torchfra.catalogue import make_filter, make_scenario
 from torchfra.filters import Filter
 from torchfra.linalg import triangular
@@ -47,11 +47,7 @@ def training(options: argparse.Namespace) -> list[Row]:
         if kind in _BESIDE:
             systems[f"{name}, eager, checkpoints"] = backward(f, data, checkpoint=10)
             systems[f"{name}, torch.linalg.qr"] = with_plain_qr(backward(f, data))
-        calls: dict[str, System] = {}
-        for system, call in systems.items():
-            warming = (300, 20.0) if system.endswith("compiled") else (3, 5.0)  # compiled calls get ready
-            calls[system] = Here(call, warming=warming, seconds=0.2)
-        of_kind = timed(calls, options.passes, batch * scenario.steps, batch=batch)
+        of_kind = timed(learners(systems), options.passes, batch * scenario.steps, batch=batch)
         for row in of_kind:
             row["peak_mib"] = peak(systems[row["system"]])
         rows += of_kind

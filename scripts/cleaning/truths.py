@@ -24,10 +24,10 @@ GROUPS = {
 }
 """Kinds of flights, and the folders of the sample package that hold them."""
 KINDS = (*GROUPS, "ships", "drones", "ranges")
-HARDER = ("late", "lasting", "heights", "animals", "slow", "rare")
+HARDER = ("late", "lasting", "heights", "animals", "slow", "rare", "bursts")
 """Kinds whose errors are not white: ships with wrong time stamps and with time-correlated errors, drones with the
 heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; who walks, cycles,
-drives, flies a drone or sails, with errors some of which are slow; and those whose fixes are rare."""
+drives, flies a drone or sails, with errors some of which are slow; and those whose fixes are rare or come in bursts."""
 SLOW = ((0.0, 0.0), *((seconds, size) for size in (0.5, 1.0) for seconds in (10.0, 20.0, 40.0)))
 """Seconds that slow errors last, and their standard deviation over that of the white noise beside them."""
 PER_FILE, FIXES = 3, 4000
@@ -48,6 +48,8 @@ HERD, HOURS = 100 / 3, 1440.0
 """The same of animals: 15 m are 500 m, and 5 s are 2 h."""
 RARE = 360.0
 """Factor on periods of those who rest between their ways: 5 s are 30 min."""
+BURST, OFTEN, PAUSE = 3, 4.0, 3600.0
+"""Fixes of a burst, the factor on the periods between them, and seconds from one burst to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,8 @@ class Truth:
     """The same of the white noise beside them."""
     coarse: float = 0.0
     """Metres between the heights that it can tell, of which one in ten is missing."""
+    bursts: bool = False
+    """Whether fixes come in bursts."""
 
     @property
     def plain(self) -> bool:
@@ -85,8 +89,13 @@ class Truth:
         return not (self.late or self.lasting or self.coarse)
 
     def window(self, period: float, steps: int) -> NDArray[np.intp] | None:
-        """Which positions are fixes: ``steps`` of them in the middle, one each period; None if too few."""
-        every = np.arange(0, len(self.position), max(1, round(self.pace * period / self.dt)))
+        """Which positions are fixes: ``steps`` in the middle, one each period or burst by burst; None if too few."""
+        step = max(1, round(self.pace * period / self.dt))
+        if self.bursts:
+            begins = np.arange(0, len(self.position) - BURST * step, round(PAUSE / self.dt))
+            every = (begins[:, None] + step * np.arange(BURST)).ravel()
+        else:
+            every = np.arange(0, len(self.position), step)
         first = max(0, (len(every) - steps) // 2)
         return every[first : first + steps] if len(every) >= SHORTEST else None
 
@@ -106,8 +115,8 @@ def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[
             found += _flights(kind, most)
         elif kind == "slow":
             found += [truth for i in range(most) for truth in _slow(i)]
-        elif kind == "rare":
-            found += [_rare(who, i) for who in OUTINGS for i in range(most)]
+        elif kind in ("rare", "bursts"):
+            found += [_at_times(kind, who, i) for who in OUTINGS for i in range(most)]
         elif kind == "ranges":
             found += [] if folder is None else [_walked(place) for place in readers.range_folders(folder)][:most]
         else:
@@ -141,11 +150,12 @@ def _slow(number: int) -> list[Truth]:
     return found
 
 
-def _rare(who: str, number: int) -> Truth:
-    """Somebody who rests between ways of minutes to hours."""
-    dt, word = RARE / 4, who if who in ("ship", "animal") else "target"
-    path = resting(np.random.default_rng(number), 4 * LONGEST, dt, OUTINGS[who])
-    return Truth(f"rare {who}", f"{who}-{number}", dt, path, pace=RARE, word=word)
+def _at_times(kind: str, who: str, number: int) -> Truth:
+    """Somebody who rests between ways of minutes to hours, whose fixes are rare or come in bursts."""
+    bursts, word = kind == "bursts", who if who in ("ship", "animal") else "target"
+    pace, dt, seconds = (OFTEN, OFTEN, 200 * PAUSE) if bursts else (RARE, RARE / 4, RARE * LONGEST)
+    path = resting(np.random.default_rng(number), round(seconds / dt), dt, OUTINGS[who])
+    return Truth(f"{kind} {who}", f"{who}-{number}", dt, path, pace=pace, word=word, bursts=bursts)
 
 
 def _flights(kind: str, most: int) -> list[Truth]:

@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from learned.okf import Cholesky, Model, Tracks
+from learned.okf import Cholesky, Model, Tracks, draws
 from torchfra.sensors import Position
 from torchfra.sensors.base import MeasurementNoise
 
@@ -30,14 +30,7 @@ MODEL = Model(lambda place: torch.eye(2, 4, dtype=place.dtype), lambda z: torch.
 
 def simulate(runs: int, seed: int) -> Tracks:
     """Tracks of a target that goes straight and turns in parts of constant acceleration."""
-    rng = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(runs, *shape, generator=rng, dtype=torch.float64)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(runs, *shape, generator=rng, dtype=torch.float64)
-
+    uniform, normal = draws(runs, seed)
     most, steps = INTERVALS[1], INTERVALS[1] * LENGTHS[1]
     parts = uniform(INTERVALS[0], INTERVALS[1] + 1, 1).long()
     ends = uniform(LENGTHS[0], LENGTHS[1] + 1, most).long().cumsum(-1)

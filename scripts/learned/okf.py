@@ -51,6 +51,19 @@ class Tracks(NamedTuple):
         return Tracks(some.truth[:, :longest], some.z[:, :longest])
 
 
+def draws(runs: int, seed: int) -> tuple[Callable[..., Tensor], Callable[..., Tensor]]:
+    """Uniform numbers ``(runs, ...)``, by ``uniform(low, high, *shape)``, and ``normal(*shape)`` ones, of one seed."""
+    rng = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(runs, *shape, generator=rng, dtype=torch.float64)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(runs, *shape, generator=rng, dtype=torch.float64)
+
+    return uniform, normal
+
+
 class Model(NamedTuple):
     """What a Kalman filter is told besides its noise."""
 

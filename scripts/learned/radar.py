@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from learned.okf import Cholesky, Model, Tracks
+from learned.okf import Cholesky, Model, Tracks, draws
 from torchfra.linalg.triangular import tria
 from torchfra.sensors import Position, RangeBearing, RangeRates, Sensor, Stacked
 from torchfra.sensors.base import MeasurementNoise
@@ -67,14 +67,7 @@ far off; speeding up; turning."""
 
 def simulate(kind: Kind, runs: int, seed: int) -> Tracks:
     """Tracks in steps of a second; ``z (B, T, 4)`` is the measured position, m, and the rate of the range, m/s."""
-    rng = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(runs, *shape, generator=rng, dtype=torch.float64)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(runs, *shape, generator=rng, dtype=torch.float64)
-
+    uniform, normal = draws(runs, seed)
     place = NEAR * normal(3) if kind.near else torch.tensor(BOX, dtype=torch.float64) * uniform(-1.0, 1.0, 3)
     speed, heading, climb = (SPEED[0] + SPEED[1] * normal()).abs(), uniform(0.0, 2 * math.pi), CLIMB * normal()
     velocity = EVEN_SPEED * normal(3) if kind.even else speed.unsqueeze(-1) * towards(heading, climb)
@@ -191,17 +184,21 @@ MODEL = Model(matrix, start, 1e6)
 """The direction in which the rate is measured is that of the measured position."""
 
 
-class AnyDoppler(Sensor):
-    """What ``matrix`` says of the direction ``u (..., 3)``, with noise of any covariance ``(4, 4)``."""
-
-    def __init__(self, covariance: Tensor) -> None:
-        super().__init__(6, [False] * 4, noise=torch.linalg.cholesky(covariance))
-        self.noise = Cholesky(covariance)
+class Doppler(Sensor):
+    """What ``matrix`` says of the direction ``u (..., 3)``."""
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Position and speed along ``u`` of states ``(..., 6)``."""
         assert u is not None
         return torch.cat([x[..., :3], (x[..., 3:6] * u).sum(-1, keepdim=True)], -1)
+
+
+class AnyDoppler(Doppler):
+    """With noise of any covariance ``(4, 4)``."""
+
+    def __init__(self, covariance: Tensor) -> None:
+        super().__init__(6, [False] * 4, noise=torch.linalg.cholesky(covariance))
+        self.noise = Cholesky(covariance)
 
     def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
         """As it is learned, where a measurement has none of its own."""
@@ -216,16 +213,11 @@ def sensor(kind: Kind) -> Sensor:
     return Stacked(places, RangeRates([[0.0, 0.0, 0.0]], DOPPLER))
 
 
-class Converted(Sensor):
-    """What ``matrix`` says of the direction ``u (..., 3)``, with the radar's noise turned to where a target is."""
+class Converted(Doppler):
+    """With the radar's noise turned to where a target is."""
 
     def __init__(self) -> None:
         super().__init__(6, [False] * 4, torch.tensor([*NOISE, DOPPLER], dtype=torch.float64))
-
-    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
-        """Position and speed along ``u`` of states ``(..., 6)``."""
-        assert u is not None
-        return torch.cat([x[..., :3], (x[..., 3:6] * u).sum(-1, keepdim=True)], -1)
 
     def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
         """Of range, bearing, elevation and rate, by their first derivatives at the measured position."""

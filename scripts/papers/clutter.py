@@ -9,20 +9,32 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from papers import scans
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters
-from torchfra import plotting
+from torchfra import metrics, plotting
+from torchfra.angles import wrap
 from torchfra.association import Euclidean
 from torchfra.catalogue import scenario_filter
+from torchfra.coordinates import AZIMUTH, ELEVATION, from_cartesian
 from torchfra.running.progress import progress_bar
-from torchfra.scenarios import Scenario
+from torchfra.scenarios import Scenario, Tracks
 from torchfra.tables import text_table
+from torchfra.types import Estimate
 
 GATES = (100.0, 150.0)
 """Sizes of the gate, m."""
 SCANS_SHOWN = 3
 """Scans of the first run whose association probabilities are reported: those in which the last filter is least sure."""
+CONVERGED, LOST = 10, 100.0
+"""Steps that do not count in averages, and the RMSE of a run, m, from which on a track of it is lost."""
+INVERSE_RANGE = 5
+"""Component of the modified spherical state."""
+RANGE = 2
+"""Element of a measurement."""
+_FARTHEST = 25.0
+"""Squared distance, in standard deviations, up to which the nearest measurement of a scan may come from a target."""
+
 _CHUNK = 500
 _SAFEGUARDS = {"paper": (0.0, 0.0), "safe": (0.9999, 1e-3)}
 """Least probability of the gate, and the probability below which a series of misses means that a track is lost."""
@@ -62,19 +74,16 @@ def summarise(study: Study, results: Results) -> tuple[dict[str, Any], str]:
 
 
 def errors(study: Study) -> dict[str, dict[str, Any]]:
-    """Of every filter, see ``scans.averages``."""
+    """Of every filter, see ``averages``."""
     scenario = study.scenario
-    parts: dict[str, list[dict[str, torch.Tensor]]] = {name: [] for name in study.filters}
+    parts: dict[str, list[dict[str, Tensor]]] = {name: [] for name in study.filters}
     for first in progress_bar(range(0, study.runs, _CHUNK), f"{_CHUNK} runs", study.progress):
         tracks = scenario.simulate(min(_CHUNK, study.runs - first), study.seed, first=first)
         for name, f in study.filters.items():
             with torch.no_grad():
                 estimate = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
-            parts[name].append(scans.errors(scenario, estimate, tracks))
-    return {
-        name: scans.averages({key: torch.cat([part[key] for part in of]) for key in of[0]})
-        for name, of in parts.items()
-    }
+            parts[name].append(of_estimate(scenario, estimate, tracks))
+    return {name: averages({key: torch.cat([part[key] for part in of]) for key in of[0]}) for name, of in parts.items()}
 
 
 def associations(study: Study) -> dict[str, dict[str, Any]]:
@@ -91,7 +100,7 @@ def associations(study: Study) -> dict[str, dict[str, Any]]:
 def _cells(values: dict[str, Any]) -> list[str]:
     cells = [str(values[key]) if isinstance(values[key], int) else f"{values[key]:.2f}" for key in _KEYS.values()]
     for angle in ("azimuth", "elevation"):
-        converged = torch.tensor(values[f"rmse_{angle}"])[:, scans.CONVERGED :]
+        converged = torch.tensor(values[f"rmse_{angle}"])[:, CONVERGED:]
         cells.append(f"{1e3 * converged.square().mean().sqrt().item():.2f}")
     return cells
 
@@ -121,7 +130,7 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     ranges = {
         f"target {i + 1}": (raw.abs(), error.abs())
         for i, (raw, error) in enumerate(
-            zip(scans.measured_ranges(scenario, tracks)[0], scans.range_errors(estimate, tracks.truth)[0], strict=True)
+            zip(measured_ranges(scenario, tracks)[0], range_errors(estimate, tracks.truth)[0], strict=True)
         )
     }
     measured = scenario.sensor.locate(tracks.z[0]).flatten(0, 1)
@@ -129,6 +138,75 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     return figures | {
         f"{scenario.name}-ranges": plotting.raw_and_filtered(ranges, scenario.dt, title),
         f"{scenario.name}-space": plotting.in_space(tracks.truth[0], paths, measured, title),
+    }
+
+
+# ---------------------------------------------------------------- errors
+
+
+def of_estimate(scenario: Scenario, estimate: Estimate, tracks: Tracks) -> dict[str, Tensor]:
+    """Per run, target and step ``(B, N, T)``: errors in spherical coordinates and in space, ``swaps`` and ``ospa``.
+
+    Args:
+        scenario: with estimates in modified spherical coordinates.
+        estimate: as the filter gives it, of several targets ``(B, N, T)`` or of one ``(B, T)``.
+        tracks: what was filtered.
+    """
+    parts = (estimate.mean, scenario.cartesian(estimate).mean, tracks.truth)
+    mean, cartesian, truth = (x if x.dim() == 4 else x.unsqueeze(1) for x in parts)
+    angles, position = from_cartesian(truth), scenario.truth_position
+    return {
+        "range": range_errors(estimate._replace(mean=mean), truth),
+        "azimuth": wrap(mean[..., AZIMUTH] - angles[..., AZIMUTH]),
+        "elevation": mean[..., ELEVATION] - angles[..., ELEVATION],
+        "position": metrics.error(cartesian, truth, position),
+        "raw": measured_ranges(scenario, tracks),
+        "swaps": metrics.swaps(cartesian, truth, position, LOST),
+        "ospa": metrics.ospa(cartesian, truth, position, cutoff=LOST).distance,
+    }
+
+
+def range_errors(estimate: Estimate, truth: Tensor) -> Tensor:
+    """Errors ``(..., T)`` in range of estimates in modified spherical coordinates, m."""
+    return 1 / estimate.mean[..., INVERSE_RANGE] - 1 / from_cartesian(truth)[..., INVERSE_RANGE]
+
+
+def measured_ranges(scenario: Scenario, tracks: Tracks) -> Tensor:
+    """Range errors ``(B, N, T)`` of the measurements nearest to each target, m; NaN where it was missed."""
+    truth, z = (tracks.truth, tracks.z) if tracks.z.dim() == 4 else (tracks.truth.unsqueeze(1), tracks.z.unsqueeze(-2))
+    exact = scenario.sensor(from_cartesian(truth)).movedim(1, 2).unsqueeze(-2)  # (B, T, N, 1, m)
+    gap = scenario.sensor.difference(z.unsqueeze(-3), exact)
+    std = scenario.sensor.std() * float(str(scenario.settings["noise_scale"]))
+    distance, nearest = (gap / std).square().sum(-1).nan_to_num(torch.inf).min(-1)
+    error = gap[..., RANGE].gather(-1, nearest.unsqueeze(-1)).squeeze(-1)
+    return torch.where(distance < _FARTHEST, error, torch.nan).movedim(1, 2)
+
+
+def averages(of: dict[str, Tensor]) -> dict[str, Any]:
+    """Of the errors of all runs.
+
+    Returns:
+        ``rmse_range``, ``rmse_azimuth``, ``rmse_elevation`` and ``rmse_position`` over time of each target ``[N][T]``;
+        from step 11 on ``rmse`` of the position, ``rmse_kept`` without the runs that are ``lost``, ``median_run``, and
+        root mean square range errors ``raw_range`` and ``filtered_range``; ``swaps``, and ``ospa`` over time.
+    """
+    over_time = {f"rmse_{key}": of[key].square().mean(0).sqrt().tolist()
+                 for key in ("range", "azimuth", "elevation", "position")}  # fmt: skip
+    converged = slice(CONVERGED, None)
+    of_run = of["position"][..., converged].square().mean((-2, -1)).sqrt()
+    lost = of_run > LOST
+    ranges = of["range"][..., converged].square()
+    return {
+        "rmse": of_run.square().mean().sqrt().item(),
+        "rmse_kept": of_run[~lost].square().mean().sqrt().item(),
+        "median_run": of_run.median().item(),
+        "lost": int(lost.sum()),
+        "swaps": int(of["swaps"].sum()),
+        "raw_range": of["raw"][..., converged].square().nanmean().sqrt().item(),
+        "filtered_range": ranges.mean().sqrt().item(),
+        "filtered_range_median_run": ranges.mean((-2, -1)).sqrt().median().item(),
+        "ospa": of["ospa"].mean(0).tolist(),
+        **over_time,
     }
 
 

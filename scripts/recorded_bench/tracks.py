@@ -1,15 +1,20 @@
-"""A recorded track with its truth, and how good estimates of it are."""
+"""A recorded track with its truth, how good estimates of it are, and a picture of both."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchfra import metrics
+from torchfra.cleaning.outputs.colours import BLACK, GREY
 from torchfra.filters import Filter, biased_copies, considered, protection_level
+from torchfra.plotting.style import TITLE, finish, line_styles, words
 from torchfra.types import Estimate, Gaussian
 
 Figures = dict[str, Any]
@@ -108,3 +113,27 @@ def judged(of: Followed, track: Track, metric: str) -> Found:
     beyond = 100 * float(torch.where((off - of.level).isnan(), torch.nan, (off > of.level).to(off)).nanmean())
     figures = {metric: rmse, "nees": nees, "smoothed": smoothed, "nees_smoothed": nees_smoothed, "beyond": beyond}
     return Found(figures, of.estimate.mean[..., states])
+
+
+# ---------------------------------------------------------------- a picture
+
+
+def picture(tracks: Sequence[Track], found: Mapping[str, Mapping[str, Found]]) -> Figure:
+    """A row for each recording: the path in the plane, and how far estimates on line are from it over time."""
+    figure = Figure(figsize=(12, 4.5 * len(tracks)), layout="constrained")
+    rows = figure.subplots(len(tracks), 2, squeeze=False)
+    for (path, error), track in zip(rows, tracks, strict=True):
+        truth, time = track.truth.numpy(), np.cumsum(track.dt.numpy())
+        path.plot(*truth[:, :2].T, color=BLACK, linewidth=4, alpha=0.25, label="truth")
+        if track.fixes is not None:
+            path.plot(*track.fixes[:, :2].numpy().T, ".", color=GREY, markersize=2, label="measured")
+        styles = line_styles(found[track.name])
+        for name, one in found[track.name].items():
+            path.plot(*one.mean[:, :2].numpy().T, label=name, **styles[name])
+            error.plot(time, metrics.error(one.mean, track.truth, slice(0, truth.shape[1])).numpy(), **styles[name])
+        path.set(xlabel="x, m", ylabel="y, m", title=words(track.name, TITLE), aspect="equal", adjustable="datalim")
+        path.legend(fontsize=8)
+        error.set(xlabel="time, s", ylabel="error, m", yscale="symlog")
+        finish(path)
+        finish(error)
+    return figure

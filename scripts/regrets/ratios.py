@@ -1,8 +1,11 @@
-"""Errors of all filters of a cell on the same runs, and their ratios to the best with intervals."""
+"""Errors of all filters of a cell on the same runs, their ratios to the best with intervals, and these as text."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -14,7 +17,8 @@ from torchfra import metrics
 from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.running.progress import progress_bar
-from torchfra.scenarios import Scenario
+from torchfra.scenarios import Scenario, Tracks
+from torchfra.tables import printable, text_table
 from torchfra.types import Estimate
 
 RESAMPLES = 1000
@@ -25,6 +29,7 @@ _STEPS = 100_000
 """Steps of all runs that are filtered at once; bounds the memory."""
 _LOST = 1e200
 """Squared error that stands for an infinite one, so that 0 times it is 0."""
+Cells = Mapping[str, dict[str, Any]]
 
 
 def estimates_of(estimate: Estimate) -> dict[str, Tensor]:
@@ -102,18 +107,21 @@ def errors(
     scenario: Scenario, filters: Mapping[str, Filter], *, runs: int, seed: int, progress: bool = False
 ) -> dict[str, dict[str, Errors]]:
     """Errors by kind and filter; every filter sees the same runs."""
-    counts = draws(runs, seed, RESAMPLES if runs > 1 else 0)
     found: dict[str, dict[str, Errors]] = {kind: {} for kind in KINDS}
-    chunk = max(1, _STEPS // scenario.steps)
     with torch.no_grad():
-        for first in progress_bar(range(0, runs, chunk), f"{chunk} runs", progress):
-            tracks = scenario.simulate(min(chunk, runs - first), seed, first=first)
+        for tracks, counts in batches(scenario, runs, seed, _STEPS, progress):
             for name, f in filters.items():
                 for kind, mean in estimates_of(run(f, scenario, tracks)).items():
                     error = metrics.error(mean, tracks.truth, scenario.truth_position)
-                    of = found[kind].setdefault(name, Errors(runs))
-                    of.add(error, counts[:, first : first + chunk])
+                    found[kind].setdefault(name, Errors(runs)).add(error, counts)
     return found
+
+
+def batches(scenario: Scenario, runs: int, seed: int, steps: int, progress: bool) -> Iterator[tuple[Tracks, Tensor]]:
+    """All runs, as many at once as have so many ``steps`` together, and how often each counts: see ``draws``."""
+    counts, chunk = draws(runs, seed, RESAMPLES if runs > 1 else 0), max(1, steps // scenario.steps)
+    for first in progress_bar(range(0, runs, chunk), f"{chunk} runs", progress):
+        yield scenario.simulate(min(chunk, runs - first), seed, first=first), counts[:, first : first + chunk]
 
 
 def ratio(rmse: NDArray[np.float64], other: NDArray[np.float64]) -> dict[str, Any]:
@@ -149,3 +157,89 @@ def both_kinds(found: Mapping[str, Mapping[str, Errors]], compared: Collection[s
     filtered, lagged = found["filtered"], found["lagged"]
     of = {"filtered": filtered, "lagged": {**filtered, **lagged}}
     return {kind: ratios(of[kind], compared, limit) for kind in KINDS} | {"with_lag": list(lagged)}
+
+
+# ---------------------------------------------------------------- as text, and what a picture shows
+
+
+def label(name: str) -> str:
+    """What a filter is called in tables: learned values by their folder."""
+    return Path(name).parent.name or name
+
+
+def table(cells: Cells, compared: Sequence[str], kind: str) -> str:
+    """A line for each compared filter in each cell."""
+    rows = []
+    for cell, result in cells.items():
+        of = result[kind]
+        best = of["filters"][of["best"]]
+        for name in (name for name in compared if name in of["filters"]):
+            one = of["filters"][name]
+            rows.append([cell, of["best"], metres(best["rmse"]), label(name), metres(one["rmse"]),
+                         regret(one["ratio"]), interval(one["interval"]), f"{one['lost']:.2%}"])  # fmt: skip
+    header = [f"{kind}: cell", "best other", "RMSE m", "compared", "RMSE m", "regret", "95 %", "lost"]
+    return text_table(header, rows, align="<<><>")
+
+
+def summary(cells: Cells, compared: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Median and largest regret of each compared filter, the cell of the latter, and its largest share of lost runs."""
+    found: dict[str, dict[str, Any]] = {}
+    for kind in KINDS:
+        found[kind] = {}
+        for name in compared:
+            of = {cell: result[kind]["filters"].get(name) for cell, result in cells.items()}
+            ratio = {cell: one["ratio"] for cell, one in of.items() if one is not None}
+            worst = max(ratio, key=ratio.__getitem__)
+            found[kind][name] = {"median": median(ratio.values()) - 1, "worst": ratio[worst] - 1, "worst_cell": worst,
+                                 "most_lost": max(one["lost"] for one in of.values() if one is not None)}  # fmt: skip
+    return found
+
+
+def summary_lines(of: Mapping[str, dict[str, Any]], kind: str) -> str:
+    """The summary as text."""
+    return "\n".join(
+        f"{printable(label(name))}, {kind}: median regret {one['median']:+.1%}, worst {regret(1 + one['worst'])} "
+        f"({printable(one['worst_cell'])}), lost at most {one['most_lost']:.2%}"
+        for name, one in of[kind].items()
+    )
+
+
+def not_finite(cells: Cells) -> list[str]:
+    """A message for each filter with an error in a cell that is not finite."""
+    return [
+        f"{cell}, {label(name)}, {kind}: an error that is not finite"
+        for cell, result in cells.items()
+        for kind in KINDS
+        for name, of in result[kind]["filters"].items()
+        if not math.isfinite(of["rmse"])
+    ]
+
+
+def panels(cells: Cells, compared: Sequence[str]) -> dict[str, tuple[list[str], list[list[float]]]]:
+    """Columns and ratios of the picture: all filters filtered, and those that have a lagged estimate, lagged."""
+    found = {}
+    for kind in KINDS:
+        names = dict.fromkeys([*compared, *(name for result in cells.values() for name in result[kind]["filters"])])
+        if kind == "lagged":
+            with_lag = {name for result in cells.values() for name in result["with_lag"]}
+            names = dict.fromkeys(name for name in names if name in with_lag)
+        nothing = {"ratio": float("nan")}
+        values = [[r[kind]["filters"].get(name, nothing)["ratio"] for name in names] for r in cells.values()]
+        if names:
+            found[kind] = ([label(name) for name in names], values)
+    return found
+
+
+def metres(value: float) -> str:
+    """To a millimetre up to 10 m, and to 0.1 m above."""
+    return f"{value:.3f}" if value < 10 else f"{value:.1f}" if value < 1e6 else f"{value:.0e}"
+
+
+def regret(ratio: float) -> str:
+    """What a ratio to the best is above 1."""
+    return f"{ratio - 1:+.1%}" if ratio < 100 else f"{100 * ratio:+.0e}%"
+
+
+def interval(bounds: Sequence[float] | None) -> str:
+    """Both bounds as regrets; nothing of a single run."""
+    return "" if bounds is None else " to ".join(map(regret, bounds))

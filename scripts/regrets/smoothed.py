@@ -8,11 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from regrets.ratios import RESAMPLES, Errors, draws, ratio
-from regrets.show import interval, metres, regret
+from regrets.ratios import Errors, batches, interval, metres, ratio, regret
 from torchfra import metrics
 from torchfra.filters import Filter
-from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 from torchfra.types import Estimate
@@ -56,17 +54,14 @@ def errors(
     scenario: Scenario, filters: Mapping[str, Filter], *, runs: int, seed: int, progress: bool = False
 ) -> dict[str, dict[str, Any]]:
     """By filter and kind the ``Errors``, and under ``"nees"`` by kind the mean of that of positions per dimension."""
-    counts = draws(runs, seed, RESAMPLES if runs > 1 else 0)
     found: dict[str, dict[str, Any]] = {name: {kind: Errors(runs) for kind in KINDS} for name in filters}
     nees: dict[str, dict[str, list[Tensor]]] = {name: {kind: [] for kind in KINDS} for name in filters}
-    chunk = max(1, _STEPS // scenario.steps)
     with torch.no_grad():
-        for first in progress_bar(range(0, runs, chunk), f"{chunk} runs", progress):
-            tracks = scenario.simulate(min(chunk, runs - first), seed, first=first)
+        for tracks, counts in batches(scenario, runs, seed, _STEPS, progress):
             for name, f in filters.items():
                 for kind, estimate in estimates(f, scenario, tracks).items():
                     error = metrics.error(estimate.mean, tracks.truth, scenario.truth_position)
-                    found[name][kind].add(error, counts[:, first : first + chunk])
+                    found[name][kind].add(error, counts)
                     nees[name][kind].append(metrics.nees(estimate, tracks.truth, scenario.truth_position))
     dims = scenario.motion.dims
     for name, of in nees.items():

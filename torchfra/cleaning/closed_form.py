@@ -24,6 +24,8 @@ from torchfra.sensors.position import Position
 _LOG_TWO_PI = math.log(2 * math.pi)
 _LEAST = 1e-300
 """Least probability that is distinguished from 0."""
+_PAUSE = 5.0, 300.0
+"""Periods and seconds without a fix from which on there was a pause."""
 
 
 class Belief(NamedTuple):
@@ -98,17 +100,18 @@ class Chain(NamedTuple):
     ended: Tensor
     """``(J, J, B)``, ``[mode, now]``; ``begun exp(-rates gap) ended`` is what the chain says over a gap."""
 
-    def over(self, gap: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    def over(self, gap: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What becomes of levels of the weights ``(n, J, B)`` over gaps ``(n, B)``.
 
         Returns:
-            Logs ``(n, J, B)`` of how likely each lasts; and how likely levels have ended, once or several times, and
-            each is there then, ``(n, J, B)``.
+            Weights ``(n, J, B)`` of each that lasts; of each that ends; and of each that is there then where levels
+            have ended, once or several times.
         """
         gap = gap.unsqueeze(1)
-        lasts = -gap / self.duration
+        ended = weights * -torch.expm1(-gap / self.duration)
+        lasted = weights - ended
         modes = _product(weights, self.begun) * torch.exp(-gap * self.rates)
-        return lasts, (_product(modes, self.ended) - weights * lasts.exp()).clamp_min(_LEAST)
+        return lasted, ended.clamp_min(_LEAST), (_product(modes, self.ended) - lasted).clamp_min(_LEAST)
 
 
 class Levels(NamedTuple):
@@ -139,8 +142,9 @@ class Levels(NamedTuple):
         scaled = (restart / self.duration.T).sqrt()
         generator = scaled.unsqueeze(-1) * scaled.unsqueeze(-2) - (1 / self.duration.T).diag_embed()
         values, vectors = torch.linalg.eigh(generator)
-        begun = vectors.permute(1, 2, 0) / root.unsqueeze(1)
-        return Chain(self.duration, -values.T, begun, vectors.permute(2, 1, 0) * root)
+        begun, ended = vectors.permute(1, 2, 0) / root.unsqueeze(1), vectors.permute(2, 1, 0) * root
+        # Next to each other in memory are the tracks: products of what else ``eigh`` leaves take three times as long.
+        return Chain(self.duration, -values.T.contiguous(), begun.contiguous(), ended.contiguous())
 
 
 class Fixes(NamedTuple):
@@ -167,6 +171,17 @@ class Fixes(NamedTuple):
         last = torch.where(self.missing, -math.inf, time).cummax(0).values
         elapsed = (time[1:] - last[:-1]).nan_to_num(posinf=0.0)
         return torch.cat([torch.zeros_like(time[:1]), elapsed])
+
+    @property
+    def period(self) -> Tensor:
+        """``(B,)`` seconds between most fixes."""
+        return torch.where(self.missing, math.nan, self.elapsed).nanmedian(0).values
+
+    @property
+    def after_pause(self) -> Tensor:
+        """``(T, B)`` whether a fix comes after a pause: rests, and all that a target may do, are shorter."""
+        periods, seconds = _PAUSE
+        return ~self.missing & (self.elapsed > (periods * self.period).clamp_min(seconds))
 
     def backwards(self) -> Fixes:
         """The same with time reversed."""
@@ -226,7 +241,7 @@ class Step(NamedTuple):
         """``(J, B)`` of each level before the fix."""
         log_weights = self.ahead.log_weights
         share = (log_weights[1] - log_weights[0]).sigmoid()
-        return _merged_pair(share, _entry(self.ahead.belief, 0), _entry(self.ahead.belief, 1))
+        return _merged_pair(share, *_entries(self.ahead.belief))
 
     @property
     def log_levels(self) -> Tensor:
@@ -256,22 +271,23 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
     state, chain, log_transition = _start(fixes, levels, model), levels.chain, model.transition(fixes.gap[0]).log()
-    rows = zip(fixes.z, fixes.variance, fixes.odds, fixes.missing, fixes.elapsed, strict=True)
-    for k, (z, variance, odds, missing, elapsed) in enumerate(rows):
+    missing, repeats = fixes.missing, bool(torch.as_tensor(model.same_offset).any())
+    rows = zip(fixes.z, fixes.variance, fixes.odds, missing, fixes.elapsed, missing.any(1).tolist(), strict=True)
+    for k, (z, variance, odds, missing, elapsed, incomplete) in enumerate(rows):
         ahead = state
         if k:  # the first fix is of the time of the prior
             mixed, log_weights = switched(state.belief, state.log_weights, chain, elapsed.unsqueeze(0))
             ahead = state._replace(belief=_propagated(mixed, levels, elapsed), log_weights=log_weights)
         inlier, log_density = corrected(ahead.belief, z, variance, missing, model)
-        if torch.as_tensor(model.same_offset).any():
+        if repeats:
             log_density[1, 1] = _with_same_offset(
-                log_density[1, 1], _entry(ahead.belief, 1), z - state.z, levels, elapsed, variance, model
+                log_density[1, 1], _entries(ahead.belief)[1], z - state.z, levels, elapsed, variance, model
             )
         joint = log_transition.unsqueeze(2) + ahead.log_weights + log_density  # (2, 2, J, B): now, before
         after, log_likelihood = _weighed(ahead, z, odds, inlier, joint)
         log_likelihood = torch.where(missing, 0.0, log_likelihood)
         # Without a fix the state stays that of the last one, from which ``elapsed`` counts.
-        state = _where(missing, state, after) if missing.any() else after
+        state = _where(missing, state, after) if incomplete else after
         prior_outlier = model.begins + ahead.outlier * (model.lasts - model.begins)
         outlier = torch.where(missing, ahead.outlier, after.outlier)
         yield Step(ahead, after, missing, prior_outlier, outlier, log_likelihood)
@@ -288,9 +304,10 @@ def _weighed(ahead: State, z: Tensor, odds: Tensor, inlier: Belief, joint: Tenso
         joint: ``(2, 2, J, B)`` logs of the joint densities of fix and hypotheses, ``[now, before]``.
     """
     share = (joint[:, 1] - joint[:, 0]).sigmoid()
-    log_weights = torch.logaddexp(joint[:, 0], joint[:, 1]) + torch.stack([torch.zeros_like(odds), odds]).unsqueeze(1)
+    log_weights = torch.logaddexp(joint[:, 0], joint[:, 1])
+    log_weights[1] += odds
     weights, log_likelihood = _normalised(log_weights.flatten(0, 1), 0)
-    pairs = [_merged_pair(share[now], _entry(x, 0), _entry(x, 1)) for now, x in enumerate((inlier, ahead.belief))]
+    pairs = [_merged_pair(of, *_entries(x)) for of, x in zip(share, (inlier, ahead.belief), strict=True)]
     belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
     outlier = weights[log_weights.shape[1] :].sum(0)
     return State(belief, log_weights - log_likelihood, outlier, z), log_likelihood
@@ -299,20 +316,25 @@ def _weighed(ahead: State, z: Tensor, odds: Tensor, inlier: Belief, joint: Tenso
 def merged(log_weights: Tensor, belief: Belief, dim: int) -> tuple[Belief, Tensor]:
     """The Gaussian with the moments of a mixture along a dimension of the weights, and the log of their sum."""
     weight, total = _normalised(log_weights, dim)
+    return _mixture(weight, belief, dim), total
+
+
+def _mixture(weight: Tensor, belief: Belief, dim: int) -> Belief:
+    """The Gaussian with the moments of a mixture along a dimension of its weights, which sum to one."""
     position, velocity = ((weight * x).sum(dim + 1) for x in belief[:2])
     dp, dv = belief.position - position.unsqueeze(dim + 1), belief.velocity - velocity.unsqueeze(dim + 1)
     spread = _with_spread([weight * x for x in belief[2:]], weight, dp, dv)
-    return Belief(position, velocity, *(x.sum(dim) for x in spread)), total
+    return Belief(position, velocity, *(x.sum(dim) for x in spread))
 
 
 def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> tuple[Belief, Tensor]:
     """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
-    lasts, follow = chain.over(gap, log_weights.exp())
-    ends = torch.log(-torch.expm1(lasts)).clamp_min(-700.0)  # over no time none does
-    common, _ = merged(log_weights + ends, belief, 1)
-    stayed, restarted = log_weights + lasts, follow.log()
+    largest = log_weights.amax(1, keepdim=True)
+    lasted, ended, follow = chain.over(gap, (log_weights - largest).exp())
+    common = _mixture(ended / ended.sum(1, keepdim=True), belief, 1)
+    total = lasted + follow
     every = Belief(*(x.unsqueeze(-2) for x in common))
-    return _merged_pair((restarted - stayed).sigmoid(), belief, every), torch.logaddexp(stayed, restarted)
+    return _merged_pair(follow / total, belief, every), total.log() + largest
 
 
 def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB:
@@ -362,10 +384,11 @@ class _Walking(ConstantVelocity):
 
 
 def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
-    """The prior: near the first fixes, as far as those are apart, of any speed."""
+    """The prior: near the first fixes up to a pause, as far as those are apart, of any speed."""
     z = fixes.z
     order = (~fixes.missing).to(z).cumsum(0)
-    first = torch.where((order <= 9).unsqueeze(1), z, torch.nan)
+    soon = (order <= 9) & ~fixes.after_pause.cummax(0).values
+    first = torch.where(soon.unsqueeze(1), z, torch.nan)
     middle = first.nanquantile(0.5, dim=0)  # of a few, as robust as can be, and no lower than when mirrored
     apart = (first - middle).abs().nanmean((0, 1)).nan_to_num()
     shape = (2, *levels.q.shape)
@@ -460,17 +483,16 @@ def _with_spread(inside: list[Tensor], weight: Tensor, dp: Tensor, dv: Tensor) -
         dv: ``(d, ...)`` of the velocity.
     """
     share = weight / len(dp)
-    for p, v in zip(dp, dv, strict=True):
-        some = share * p
-        inside[0].addcmul_(some, p)
-        inside[1].addcmul_(some, v)
-        inside[2].addcmul_(share * v, v)
+    for p, v, p_share, v_share in zip(dp, dv, share * dp, share * dv, strict=True):
+        inside[0].addcmul_(p_share, p)
+        inside[1].addcmul_(p_share, v)
+        inside[2].addcmul_(v_share, v)
     return inside
 
 
-def _entry(x: Belief, i: int) -> Belief:
-    """One of the first of three dimensions behind the axes."""
-    return Belief(*(part.select(-3, i) for part in x))
+def _entries(x: Belief) -> list[Belief]:
+    """Each of the first of three dimensions behind the axes."""
+    return [Belief(*of) for of in zip(*(part.unbind(-3) for part in x), strict=True)]
 
 
 def _product(x: Tensor, matrix: Tensor) -> Tensor:

@@ -138,7 +138,7 @@ def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
     if not len(rows):
         return known
     some = part.at(rows)
-    surely = torch.where(some.period > LONGEST, _SURELY_RARE, _SURELY)
+    surely = torch.where(some.fixes.period > LONGEST, _SURELY_RARE, _SURELY)
     fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > surely, _DECIDED, -_DECIDED))
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
     position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], known.belief[:2], strict=True))

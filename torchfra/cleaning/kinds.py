@@ -54,6 +54,8 @@ _MANY = 25
 """Fixes from which on that is looked at."""
 _MOST = 0.98
 """Share of the moves between rare fixes that are no outliers of the same offset."""
+_RARE_MOVES = 8
+"""Long gaps from which on the moves over them tell of what kind a target is."""
 
 
 def check_kind(name: str) -> None:
@@ -91,15 +93,17 @@ def kind_of(recording: Recording) -> tuple[str, str]:
 
 
 def _speed_of_rare_moves(recording: Recording) -> float:
-    """Speed, m/s, that one in fifty moves exceeds of a target whose fixes are rare; 0 of others.
+    """Speed, m/s, that one in fifty moves exceeds over the long gaps of a track; 0 if there are few of these.
 
     Such targets mostly rest, and go on average far more slowly than they can.  A move is as long as the least of the
     ways between the fixes on either side of it and those next to them: an outlier alone is none.
     """
     there = np.isfinite(recording.position[:, :2]).all(1)
     time, position = recording.time[there], recording.position[there, :2]
-    if len(time) < 4 or np.median(np.diff(time)) <= LONGEST:
+    gap = np.diff(time)[1:-1]
+    rare = gap > LONGEST
+    if rare.sum() < _RARE_MOVES:
         return 0.0
     one, two = (np.linalg.norm(position[k:] - position[:-k], axis=1) for k in (1, 2))
     move = np.minimum(one[1:-1], np.minimum(two[:-1], two[1:]))
-    return float(np.quantile(move / np.diff(time)[1:-1].clip(LONGEST), _MOST))
+    return float(np.quantile((move / gap)[rare], _MOST))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
@@ -49,11 +47,6 @@ class Part(NamedTuple):
     def scaled(self) -> Fixes:
         """The fixes with their variance in m^2."""
         return self.fixes._replace(variance=self.fixes.variance * self.sigma.square())
-
-    @property
-    def period(self) -> Tensor:
-        """Seconds ``(B,)`` between most fixes."""
-        return torch.where(self.fixes.missing, math.nan, self.fixes.elapsed).nanmedian(0).values
 
 
 def summed(values: Tensor, owner: Tensor) -> Tensor:

@@ -24,6 +24,8 @@ _MOST_OUTLIERS, _COST = 0.12, 20.0
 """Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
 _HARDLY = 0.6
 """Share of the standard deviation of its fix above which an estimate is hardly surer."""
+_PAUSES = 0.05
+"""Share of the fixes that come after a pause from which on a track counts as one of rare fixes."""
 _HALVINGS = 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0
 """How often sigma is halved for the lower ones that are tried."""
 _OPEN = 3.0
@@ -82,11 +84,16 @@ def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, 
 
 
 def hardly_surer(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
-    """Tracks ``(B,)`` whose estimates are mostly hardly surer than their own fixes, or whose fixes are very rare."""
+    """Tracks ``(B,)`` whose estimates are mostly hardly surer than their own fixes, or whose fixes are very rare.
+
+    Those in bursts are rare too.
+    """
     measured = ~part.fixes.missing
     hardly = measured & (known.belief.pp > _HARDLY**2 * part.scaled.variance)
-    several, every = (summed(of.sum(0).to(part.sigma), owner) for of in (hardly, measured))
-    return (several > 0.5 * every) | (part.period > LONGEST)
+    several, pauses, every = (
+        summed(of.sum(0).to(part.sigma), owner) for of in (hardly, part.fixes.after_pause, measured)
+    )
+    return (several > 0.5 * every) | (pauses > _PAUSES * every) | (part.fixes.period > LONGEST)
 
 
 def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -101,10 +108,10 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
     """
     tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
-    several, asked = [part.levels], [torch.ones_like(part.period, dtype=torch.bool)]
-    slow = (part.period > LONGEST) & (part.levels.walk == 0).all(0)
+    several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
+    slow = (part.fixes.period > LONGEST) & (part.levels.walk == 0).all(0)
     if slow.any():
-        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.reach), part.period))
+        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.reach), part.fixes.period))
         asked.append(slow)
     fits, least = [], []
     for levels, rows in zip(several, asked, strict=True):
@@ -119,7 +126,7 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
 
 def _misfit(levels: Levels, part: Part) -> Tensor:
     """How much less likely each fix of tracks ``(B,)`` may be, in log, with a lower sigma that they do not rule out."""
-    walks, period = (levels.log_share.exp() * (levels.walk > 0)).sum(0), part.period
+    walks, period = (levels.log_share.exp() * (levels.walk > 0)).sum(0), part.fixes.period
     often = torch.where(walks > 0, _MISFIT_OF_WALKS * walks, _MISFIT_OF_STOPS * part.stops)
     forgotten = torch.where(walks > 0, (period / _CHANGED) ** 4, period / _FORGOTTEN)
     misfit = torch.where(period > LONGEST, -_MISFIT * torch.expm1(-forgotten), often)

@@ -74,7 +74,8 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     )
     count = fixes.z.shape[-1]
     forward, backward = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
-    gap, chain = fixes.elapsed, levels.chain
+    # The levels before and after a step change in the shorter of its two gaps: over a long one all become one Gaussian.
+    gap, chain = torch.minimum(fixes.elapsed, fixes.backwards().elapsed.flip(0)), levels.chain
     pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
     met = [_met(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
     apart = _joined_beliefs([of.apart for of in met], -2)

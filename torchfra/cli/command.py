@@ -92,6 +92,18 @@ def numbers_in(option: str, value: str) -> list[float]:
     return numbers
 
 
+def check_least(options: argparse.Namespace, **least: int) -> None:
+    """Checks, before any work, that numbers of a command are no less than these; those that are None are not there.
+
+    Raises:
+        ValueError: one is.
+    """
+    for name, lowest in least.items():
+        value = getattr(options, name)
+        if value is not None and value < lowest:
+            raise ValueError(f"{name}: expected {lowest} or more, received {value}")
+
+
 # ---------------------------------------------------------------- outputs
 
 

@@ -12,8 +12,7 @@ from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
 from torchfra.cli.track_command import FILES
-from torchfra.comparison.comparing import bound_of
-from torchfra.comparison.comparison import FORMS, Comparison, table_form
+from torchfra.comparison.comparison import FORMS, Comparison, bound_of, table_form
 from torchfra.evaluation import (
     BASELINE,
     check_limit,

@@ -10,13 +10,13 @@ from typing import Any
 
 from torchfra.cleaning import DEFAULT, check_settings
 from torchfra.cleaning.many import Work, clean_part, summed
-from torchfra.cli.command import IncompleteError, add_output_options, check_files, check_folder, complain
+from torchfra.cli.command import IncompleteError, add_output_options, check_files, check_folder, check_least, complain
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data
 from torchfra.readers.repairs import in_words, plural
 from torchfra.running import distributed
-from torchfra.running.jobs import add_jobs_option, check_jobs, finished
+from torchfra.running.jobs import add_jobs_option, finished
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
 from torchfra.tables import duration, printable
@@ -62,9 +62,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, each of which does its parts."""
-    check_jobs(options.jobs)
-    if options.rows is not None and options.rows < 1:
-        raise ValueError(f"rows: expected 1 or more, received {options.rows}")
+    check_least(options, jobs=1, rows=1)
     known: dict[str, Any] = {name: getattr(options, name) for name in ("bank", "sigma", "q", "dt")}
     check_settings(DEFAULT, **known)
     rank, size = distributed.launched()

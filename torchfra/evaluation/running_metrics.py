@@ -73,14 +73,10 @@ class RunningMetrics:
 
     def __init__(self, states: Mapping[str, slice]) -> None:
         self.states = states
-        self.squares: dict[str, Tensor] = {}
-        """Sums of squared errors over the tracks, ``(T,)``."""
-        self.counts: dict[str, Tensor] = {}
-        """Numbers of tracks in those sums, ``(T,)``."""
         self.sums: dict[str, Tensor] = {}
-        """Sums over the tracks, by coordinate ``(T, d)`` or model ``(T, K)``."""
-        self.consistency: dict[str, Tensor] = {}
-        """Sums over the tracks of ``nees`` and ``nis``, and of the components that they are of, ``(T,)``."""
+        """Sums over the tracks ``(T,)``: ``square_position`` and so on, of squared errors, and ``count_position``, how
+        many these are; ``nees`` and ``nis``, and ``nees_components`` and so on, of how many components these are.  By
+        coordinate ``(T, d)``: ``error``, ``square`` and ``share``; by model ``(T, K)``: ``probabilities``."""
         self.of_runs: dict[str, list[Tensor]] = {}
         """A number for each track: ``rmse_position`` and so on (over time), ``nees`` per component, ``nis`` per element
         and ``log_likelihood`` per measurement."""
@@ -102,8 +98,8 @@ class RunningMetrics:
         for name, states in self.states.items():
             error = metrics.error(estimate.mean, truth, states)
             square, known = error.square(), ~error.isnan()
-            self.squares[name] = self.squares.get(name, 0.0) + square.nansum(0)
-            self.counts[name] = self.counts.get(name, 0) + known.sum(0)
+            self._sum(f"square_{name}", square.nansum(0))
+            self._sum(f"count_{name}", known.sum(0))
             self._keep(f"rmse_{name}", square.nanmean(-1).sqrt())
             if name == "position":
                 self.error.add(error)
@@ -127,8 +123,11 @@ class RunningMetrics:
         """Adds normalised squares ``(B, T)``, each of so many components."""
         known = torch.where(components > 0, squares, 0.0)
         self._keep(name, known.sum(-1) / components.sum(-1))
-        for key, values in ((name, known), (f"{name}_components", components.to(known))):
-            self.consistency[key] = self.consistency.get(key, 0.0) + values.sum(0)
+        self._sum(name, known.sum(0))
+        self._sum(f"{name}_components", components.to(known).sum(0))
+
+    def _sum(self, name: str, values: Tensor) -> None:
+        self.sums[name] = self.sums.get(name, 0) + values
 
     def _keep(self, name: str, values: Tensor) -> None:
         self.of_runs.setdefault(name, []).append(values)
@@ -141,15 +140,12 @@ class RunningMetrics:
         if hasattr(estimate.info, "probabilities"):
             more["probabilities"] = estimate.info.probabilities
         for name, values in more.items():
-            self.sums[name] = self.sums.get(name, 0.0) + values.nansum(0)
+            self._sum(name, values.nansum(0))
 
     def merge(self, other: RunningMetrics) -> None:
         """Adds the tracks that another has."""
-        for name in self.states:
-            self.squares[name] = self.squares[name] + other.squares[name]
-            self.counts[name] = self.counts[name] + other.counts[name]
-        self.sums = {name: values + other.sums[name] for name, values in self.sums.items()}
-        self.consistency = {name: values + other.consistency[name] for name, values in self.consistency.items()}
+        for name, total in other.sums.items():
+            self._sum(name, total)
         for name, values in other.of_runs.items():
             self.of_runs[name] = self.of_runs[name] + values
         self.error.merge(other.error)
@@ -171,7 +167,7 @@ class RunningMetrics:
             limit: root mean square position error from which a track has diverged, m.
         """
         track_rmse = self.errors()
-        over_time = {name: (self.squares[name] / self.counts[name]).sqrt() for name in self.states}
+        over_time = {name: (self.sums[f"square_{name}"] / self.sums[f"count_{name}"]).sqrt() for name in self.states}
         return {
             **{f"rmse_{name}": values.tolist() for name, values in over_time.items()},
             **{f"mean_rmse_{name}": values.nanmean().item() for name, values in over_time.items()},
@@ -186,8 +182,8 @@ class RunningMetrics:
 
     def _coordinates(self) -> dict[str, Any]:
         """Over time, for each coordinate: signed mean error, root mean square error, mean relative error (%)."""
-        counts, over_time = self.counts["position"].unsqueeze(-1), {}
-        means = {name: values / counts for name, values in self.sums.items()}
+        counts, over_time = self.sums["count_position"].unsqueeze(-1), {}
+        means = {name: self.sums[name] / counts for name in ("error", "square", "share")}
         for i, axis in enumerate("xyz"[: means["error"].shape[-1]]):
             over_time[f"mean_error_{axis}"] = means["error"][:, i].tolist()
             over_time[f"rmse_{axis}"] = means["square"][:, i].sqrt().tolist()
@@ -215,8 +211,8 @@ class RunningMetrics:
         if "log_likelihood" in self.of_runs:
             found["mean_log_likelihood"] = list(mean_interval(self.runs("log_likelihood")))
         for name in ("nees", "nis"):
-            if name in self.consistency:
-                found |= _consistency(f"a{name}", self.consistency[name], self.consistency[f"{name}_components"])
+            if name in self.sums:
+                found |= _consistency(f"a{name}", self.sums[name], self.sums[f"{name}_components"])
                 found[f"a{name}"] = list(mean_interval(self.runs(name)))
         return found
 

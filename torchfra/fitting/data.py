@@ -144,7 +144,7 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
     fills = {"z": math.nan, "truth": math.nan, "dt": 1.0, "u": 0.0}
     whole: dict[str, Any] = {
         name: torch.cat(
-            [_lengthened(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts]
+            [lengthened(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts]
         )
         for name, fill in fills.items()
         if name in parts[0]
@@ -203,8 +203,8 @@ def _belief(prior: Any) -> tuple[Tensor, Tensor]:
     return mean, root
 
 
-def _lengthened(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
-    """The tensor, padded to ``longest`` steps."""
+def lengthened(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
+    """The tensor with its dimension ``time`` padded to ``longest`` steps."""
     more = list(x.shape)
     more[time] = longest - x.shape[time]
     return torch.cat([x, x.new_full(more, fill)], time)

@@ -3,8 +3,8 @@
 Each function returns a figure outside of pyplot, so that none has to be closed; ``save`` writes it.
 """
 
-from torchfra.plotting.cleaning import cleaned
-from torchfra.plotting.comparison import comparison
+from torchfra.plotting.cleaning import cleaned, overview
+from torchfra.plotting.comparison import comparison, printed, ratios
 from torchfra.plotting.curves import (
     against,
     bands,
@@ -17,10 +17,7 @@ from torchfra.plotting.curves import (
     rmse_curves,
     scaling,
 )
-from torchfra.plotting.overview import overview
 from torchfra.plotting.paths import in_space, tracks
-from torchfra.plotting.printed import printed
-from torchfra.plotting.ratios import ratios
 from torchfra.plotting.style import save
 from torchfra.running import home  # noqa: F401  # before matplotlib
 

@@ -1,4 +1,4 @@
-"""A comparison of filters in one figure: a flight on a map, all runs of every filter, errors over time."""
+"""Filters compared: a flight on a map, all runs of every filter, errors over time; for print; and ratios of errors."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.cleaning.outputs.view import corners
 from torchfra.evaluation import Flight
 from torchfra.evaluation.results import infinite
 from torchfra.plotting.labels import SIZE, Array, at_ends, in_free_places
-from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
+from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, plain_ticks, width, without_box, words
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
@@ -24,6 +27,14 @@ _ROOM = 0.5
 """By how much fixes may widen the map of the true path, as a share of its size; those further away are left out."""
 _LONGEST = 30
 """Characters of a recording's name in the title; of longer ones it has the end."""
+_FONTS = {
+    "font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7,
+    "axes.linewidth": 0.6, "lines.linewidth": 1.0,
+}  # fmt: skip
+_PRINTED_ROW, _PRINTED_CURVES = 0.17, 1.9
+"""Heights of a filter's row and of the errors over time, inches."""
+_WORST = 10.0
+"""Ratios above have the same colour."""
 
 
 def comparison(
@@ -168,3 +179,107 @@ def _dense(paths: Array) -> Array:
     between = paths[:, :-1, None] + share * (paths[:, 1:, None] - paths[:, :-1, None])
     dense: Array = np.concatenate([between.reshape(-1, 2), paths[:, -1]])
     return dense
+
+
+# ---------------------------------------------------------------- for print
+
+
+def printed(
+    results: Mapping[str, Mapping[str, Any]], dt: float, bound: Sequence[float] | None = None, *, width: float = 3.5
+) -> Figure:
+    """Errors over time with the bound above, and the mean of each filter's runs with its 95 % interval below.
+
+    The axes are labelled ``"time"`` and ``"means"``.
+
+    Args:
+        results: from ``torchfra.evaluation.evaluate``.
+        dt: seconds per step.
+        bound: ``(T,)`` on the root mean square error of the position; None for none.
+        width: of the figure, inches.
+    """
+    styles = line_styles(results)
+    with rc_context(_FONTS):
+        height = _PRINTED_CURVES + 0.5 + _PRINTED_ROW * len(results) + 0.12 * -(-len(results) // 3)
+        figure = Figure(figsize=(width, height), layout="constrained")
+        heights = [_PRINTED_CURVES, 0.25 + _PRINTED_ROW * len(results)]
+        axes = figure.subplots(2, 1, gridspec_kw={"height_ratios": heights})
+        for name, place in zip(("time", "means"), axes, strict=True):
+            place.set_label(name)
+        _draw_errors(axes[0], results, dt, bound, styles)
+        _draw_means(axes[1], results, styles)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _draw_errors(
+    axes: Axes, results: Mapping[str, Mapping[str, Any]], dt: float, bound: Sequence[float] | None,
+    styles: Mapping[str, Mapping[str, Any]],
+) -> None:  # fmt: skip
+    for name, of in results.items():
+        curve = np.array(of["rmse_position"], dtype=float)
+        axes.plot(dt * np.arange(1, len(curve) + 1), curve, label=words(name), **styles[name])
+    if bound is not None:
+        axes.plot(dt * np.arange(1, len(bound) + 1), bound, "k--", linewidth=0.8, label="bound")
+    axes.set(xlabel="time, s", ylabel="RMSE of the position, m", yscale="log")
+    finish(axes)
+
+
+def _draw_means(axes: Axes, results: Mapping[str, Mapping[str, Any]], styles: Mapping[str, Mapping[str, Any]]) -> None:
+    for row, (name, of) in enumerate(results.items()):
+        value, low, high = of["mean_track_rmse_position"]
+        colour = styles[name]["color"]
+        axes.plot(value, row, "o", color=colour, markersize=3)
+        axes.plot([low, high], [row, row], color=colour, linewidth=1.2)
+    axes.set_yticks(range(len(results)), map(words, results))
+    axes.set(xlabel="mean RMSE of a run, m; 95 %", xscale="log", ylim=(len(results) - 0.5, -0.5))
+    finish(axes)
+    plain_ticks(axes.xaxis)
+
+
+# ---------------------------------------------------------------- ratios to the smallest error
+
+
+def ratios(panels: Mapping[str, tuple[Sequence[str], Sequence[Sequence[float]]]], rows: Sequence[str],
+           title: str) -> Figure:  # fmt: skip
+    """A heat map of each panel, dark where an error is large, on a logarithmic scale that colour blindness leaves.
+
+    Args:
+        panels: by title, the names of the columns, and for each row and column a ratio; NaN leaves a place empty.
+        rows: names that all panels share.
+        title: of the figure.
+    """
+    widths = [len(columns) for columns, _ in panels.values()]
+    beside = 0.075 * max(width(words(row)) for row in rows)
+    below = max(1.8, 0.8 + 0.075 * max(width(words(name)) for columns, _ in panels.values() for name in columns))
+    figure = Figure(figsize=(2 + beside + 0.5 * sum(widths), below + 0.27 * len(rows)), layout="constrained")
+    places = figure.subplots(1, len(panels), squeeze=False, sharey=True, gridspec_kw={"width_ratios": widths})[0]
+    values = {name: np.asarray(ratio, dtype=float) for name, (_, ratio) in panels.items()}
+    lowest = min([1.0, *(x[np.isfinite(x)].min(initial=1.0) for x in values.values())])
+    norm = LogNorm(max(lowest, 1 / _WORST), _WORST)
+    for axes, (name, (columns, _)) in zip(places, panels.items(), strict=True):
+        shown = axes.imshow(np.clip(values[name], norm.vmin, norm.vmax), norm=norm, cmap="cividis_r", aspect="auto")
+        axes.set_title(words(name), fontsize=9)
+        axes.set_xticks(range(len(columns)), map(words, columns), rotation=90, fontsize=8)
+        _write(axes, values[name], norm)
+    places[0].set_yticks(range(len(rows)), map(words, rows), fontsize=8)
+    bar = figure.colorbar(shown, ax=list(places), shrink=0.6, extend="max", ticks=(1, 2, 5, 10))
+    bar.ax.set_yticklabels(["1", "2", "5", "10"])
+    bar.set_label("error, as a multiple of the best other filter's", fontsize=8)
+    figure.suptitle(words(title, TITLE), fontsize=10)
+    return figure
+
+
+def _write(axes: Axes, values: NDArray[np.float64], norm: LogNorm) -> None:
+    """Every ratio into its place, in a colour that can be read there."""
+    for (row, column), value in np.ndenumerate(values):
+        if not np.isnan(value):
+            red, green, blue, _ = colormaps["cividis_r"](norm(min(value, _WORST)))
+            colour = "black" if 0.3 * red + 0.6 * green + 0.1 * blue > 0.5 else "white"
+            axes.text(column, row, _number(value), ha="center", va="center", fontsize=6.5, color=colour)
+
+
+def _number(value: float) -> str:
+    """In few characters."""
+    if value < 9.995:
+        return f"{value:.2f}"
+    return f"{value:.0f}" if value < 1e4 else f"$10^{{{np.log10(value):.0f}}}$" if np.isfinite(value) else r"$\infty$"

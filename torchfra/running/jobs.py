@@ -25,16 +25,6 @@ def add_jobs_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes that share the work (default: 1)")
 
 
-def check_jobs(jobs: int) -> None:
-    """Checks how many processes are asked for.
-
-    Raises:
-        ValueError: fewer than 1.
-    """
-    if jobs < 1:
-        raise ValueError(f"jobs: expected 1 or more, received {jobs}")
-
-
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Lets torch work in one thread, for operations so small that several would only wait for each other."""
