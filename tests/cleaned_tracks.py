@@ -31,7 +31,7 @@ def straight(steps=40, d=3, *, name="3c6444 DLH1AB", origin=(48.0, 11.0, 400.0),
     raw = position + 10 * rng.standard_normal((steps, d))
     raw[[k for k in rejected if k < steps], :2] += off
     source = source or Source(
-        name="flights.csv", columns={"time": "timestamp"}, time="iso", unit=0.3048, said=("feet",)
+        name="flights.csv", columns={"time": "timestamp"}, time="iso", unit=0.3048, notes=("feet",)
     )
     recording = Recording(name, start + time, raw, origin, {}, row=3 * np.arange(steps) + 1, source=source)
     return made(recording, time, position, np.broadcast_to(velocity, (steps, d)), rejected)

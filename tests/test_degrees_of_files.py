@@ -53,7 +53,7 @@ def test_letters_of_the_south_and_the_west_are_below_zero(track):
 def test_columns_of_sides_are_read_with_the_degrees(track, lat, lon):
     found = track(**{"lat": LATITUDE, lat: ["S"] * ROWS, "lon": LONGITUDE, lon: ["W"] * ROWS})
     assert found.origin[:2] == pytest.approx((-47.5, -8.25))
-    assert f"sides of lat and lon: {lat} and {lon}" in found.source.said
+    assert f"sides of lat and lon: {lat} and {lon}" in found.source.notes
 
 
 def test_columns_of_sides_say_nothing_new_of_degrees_with_signs(track):

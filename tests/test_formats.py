@@ -168,7 +168,7 @@ def test_columns_of_parquet_and_feather_are_read_too(tmp_path, name, zone):
 )
 def test_tracks_of_gpx_and_what_is_left_out_are_counted_in_words(write, points, said):
     (track,) = read(write("a.gpx", gpx().replace("<trk>", f"{points}<trk>")))
-    assert any(line.endswith(said) for line in track.source.said)
+    assert any(line.endswith(said) for line in track.source.notes)
 
 
 def test_a_file_without_its_reader_says_what_to_install(write, monkeypatch):
@@ -217,7 +217,7 @@ def test_aircraft_are_in_feet_and_their_held_positions_are_none(write):
     assert track.repairs == {"held positions dropped": 3}
     np.testing.assert_array_equal(track.row, [0, 2, 4])
     assert (track.source.word, track.source.unit, track.origin[2]) == ("aircraft", 0.3048, 304.8)
-    assert "altitude: altitude, in feet; --units takes others" in track.source.said
+    assert "altitude: altitude, in feet; --units takes others" in track.source.notes
     assert read(write("flight.csv", text), units="m")[0].origin[2] == 1000
 
 
@@ -228,24 +228,24 @@ def test_of_two_times_the_iso_text_is_taken_and_the_other_named(write):
     rows = [(44800 + t, iso(t), *place) for t, *place in ROWS]
     (track,) = read(write("a.csv", table("timestamp,utc,lat,lon,alt", rows)))
     assert track.time[0] == START
-    assert track.source.said[0] == "time: utc, ISO text; not timestamp (--time takes another)"
+    assert track.source.notes[0] == "time: utc, ISO text; not timestamp (--time takes another)"
     (track,) = read(write("a.csv", table("timestamp,utc,lat,lon,alt", rows)), time="timestamp")
     np.testing.assert_array_equal(track.time, 44800 + STEPS)
 
 
 def test_ignored_columns_and_units_are_said_in_a_line_each(write):
     (track,) = read(write("a.csv", "t,x_ft,y_ft,speed,note\n0,1,2,3,a\n1,2,3,4,b\n"))
-    assert track.source.said == ("time: t, seconds", "position: x_ft, y_ft, in feet", "ignored: speed, note")
+    assert track.source.notes == ("time: t, seconds", "position: x_ft, y_ft, in feet", "ignored: speed, note")
     np.testing.assert_allclose(track.position[0], [0.3048, 0.6096])
     assert track.source.columns == {"time": "t", "x": "x_ft", "y": "y_ft"}
     (track,) = read(write("a.csv", commas("t;x;y\n0;1.5;2\n1;2;3\n")))
-    assert track.source.said[:2] == ("separated by semicolons", "decimal commas")
+    assert track.source.notes[:2] == ("separated by semicolons", "decimal commas")
 
 
 def test_columns_that_number_the_rows_are_no_targets(write):
     text = table("id,time,lat,lon", [(i, iso(t), a, o) for i, (t, a, o, _) in enumerate(ROWS)])
     (track,) = read(write("a.csv", text))
-    assert "ignored: id" in track.source.said
+    assert "ignored: id" in track.source.notes
 
 
 # ---------------------------------------------------------------- what a caller says
@@ -299,7 +299,7 @@ def test_columns_of_accuracy_become_standard_deviations(write, column, factor):
     (track,) = read(write("a.csv", table(f"time,lat,lon,{column}", rows)))
     np.testing.assert_allclose(track.sigma, 2.0 * factor, rtol=1e-3)
     assert track.repairs == {"sigmas filled with their median": 1}
-    assert track.source.said[-1].startswith(f"sigma: {column}")
+    assert track.source.notes[-1].startswith(f"sigma: {column}")
 
 
 def test_every_axis_may_have_its_own(write):
@@ -312,7 +312,7 @@ def test_the_hdop_of_receivers_is_taken(write):
     for name in ("walk.gpx", "walk.nmea"):
         (track,) = read(write(name, FILES[name]))
         assert track.sigma.shape == (6,)
-        assert "ranges good to 5 m" in " ".join(track.source.said)
+        assert "ranges good to 5 m" in " ".join(track.source.notes)
 
 
 # ---------------------------------------------------------------- what people's devices write
@@ -325,7 +325,7 @@ def test_a_flight_with_its_position_in_one_cell_is_read(write):
     (track,) = read(write("ab1.csv", text))
     np.testing.assert_allclose(track.position[:, :2], EAST_NORTH_UP[:, :2], rtol=0, atol=0.05)
     assert (track.name, track.source.word, track.origin[2]) == ("AB1", "aircraft", 304.8)
-    assert "latitude, longitude: both in Position" in track.source.said
+    assert "latitude, longitude: both in Position" in track.source.notes
     with pytest.raises(ValueError, match=r"degrees within .* in data row 7, column latitude, received 'here'"):
         read(write("ab1.csv", text + f"{START + 60},{iso(60)},AB1,here,1,1,1\n"))
 
@@ -342,7 +342,7 @@ def test_whole_numbers_of_an_autopilot_are_parts_of_degrees_and_millimetres(writ
     rows = [(10**6 * (START + t), round(a * 1e7), round(o * 1e7), round(h * 1e3)) for t, a, o, h in ROWS]
     (track,) = read(write("log.csv", table("time_utc_usec,lat,lon,alt", rows)))
     np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=0.02)
-    assert track.source.said[1:3] == (
+    assert track.source.notes[1:3] == (
         "position: lat, lon, in 1e-7 degrees",
         "altitude: alt, in millimetres; --units takes others",
     )
@@ -352,7 +352,7 @@ def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):
     rows = [(100 * i, iso(i // 10, "%Y-%m-%d %H:%M:%S"), 47 + i / 1e6, 8) for i in range(40)]
     (track,) = read(write("drone.csv", table("time(millisecond),datetime(utc),latitude,longitude", rows)))
     np.testing.assert_allclose(track.time, np.arange(40) / 10)
-    assert track.source.said[0] == "time: time(millisecond), ms; not datetime(utc) (--time takes another)"
+    assert track.source.notes[0] == "time: time(millisecond), ms; not datetime(utc) (--time takes another)"
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])

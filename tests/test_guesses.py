@@ -34,7 +34,7 @@ def test_flight_levels_are_hundreds_of_feet_found_or_told(write, name, told):
     path = write(table(f"time,lat,lon,{name}"))
     (track,) = read(path, alt=name if told else None)
     assert track.origin[2] == pytest.approx(35000 * 0.3048)
-    assert f"altitude: {name}, in flight levels (hundreds of feet); --units takes others" in track.source.said
+    assert f"altitude: {name}, in flight levels (hundreds of feet); --units takes others" in track.source.notes
     assert read(path, units="m")[0].origin[2] == 350
 
 
@@ -63,7 +63,7 @@ def test_headers_in_other_languages_are_read_as_programs_there_write_them(write,
     assert track.source.columns["latitude"] == header.split(";")[1]
     assert track.position.shape == (5, 3)
     west = encoding == "cp1252" and not header.isascii()
-    assert ("text is no UTF-8: read as cp1252" in track.source.said) == west
+    assert ("text is no UTF-8: read as cp1252" in track.source.notes) == west
 
 
 def test_what_is_no_text_at_all_is_no_western_text_either(write):
@@ -78,7 +78,7 @@ def test_what_is_no_text_at_all_is_no_western_text_either(write):
 def test_a_date_goes_with_the_time_of_the_day_that_is_told(write):
     rows = [("2020-09-13", clock, a, o) for clock, (_, a, o, _) in zip(TIMES, ROWS, strict=True)]
     (track,) = read(write(table("date,clock,lat,lon", rows)), time="clock")
-    assert (track.time[0], track.source.said[0]) == (1_600_000_000 - 40, "time: date and clock, ISO text")
+    assert (track.time[0], track.source.notes[0]) == (1_600_000_000 - 40, "time: date and clock, ISO text")
     rows = [("03/04/2020", *row[1:]) for row in rows]
     with pytest.raises(ValueError, match="may have the day or the month first: use --time-format '%d/%m/%Y %H:%M:%S'"):
         read(write(table("date,clock,lat,lon", rows)), time="clock")
@@ -111,7 +111,7 @@ def test_columns_without_a_header_may_be_told_by_their_numbers(write, sign):
     (other,) = read(write(table("time,lat,lon,alt")))
     np.testing.assert_array_equal(track.position, other.position)
     np.testing.assert_array_equal(track.row, range(5))
-    assert "no header: columns by their numbers" in track.source.said
+    assert "no header: columns by their numbers" in track.source.notes
     with pytest.raises(ValueError, match="looks like --time 1 --lat 2 --lon 3"):
         read(write(text), time="1", lat="2", lon="9")
 
@@ -124,4 +124,4 @@ def test_a_header_of_numbers_is_one_where_its_columns_are_told(write):
 def test_ignored_columns_are_listed_whole_and_counted_where_they_are_too_many(write):
     names = [f"a_long_name_of_a_column_{i}" for i in range(20)]
     (track,) = read(write(table(",".join(["t,x,y", *names]), [(*row[:3], *range(20)) for row in ROWS])))
-    assert track.source.said[-1] == f"ignored: {', '.join(names[:7])}, and 13 more"
+    assert track.source.notes[-1] == f"ignored: {', '.join(names[:7])}, and 13 more"

@@ -56,7 +56,7 @@ def test_lines_before_the_header_and_units_beneath_it_are_left_out_and_said(writ
     (track,) = read(write([*RACE, *rows]))
     assert_in_place(track)
     assert track.row.tolist() == list(range(ROWS))
-    assert {"lines before the header left out: 5", "lines of units beneath the header: 2"} <= {*track.source.said}
+    assert {"lines before the header left out: 5", "lines of units beneath the header: 2"} <= {*track.source.notes}
 
 
 def test_units_beneath_the_header_count(write):

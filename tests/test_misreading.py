@@ -208,7 +208,7 @@ def test_damaged_sentences_are_left_out_and_said(write):
     lines[2] = lines[2].replace("*", "1*")
     (track,) = read(write("\n".join(lines), "a.nmea"))
     assert len(track.time) == 6
-    assert "1 damaged sentences left out" in track.source.said[0]
+    assert "1 damaged sentences left out" in track.source.notes[0]
 
 
 def test_sentences_without_a_date_are_seconds_of_the_day_and_go_on_after_midnight(write):
@@ -217,7 +217,7 @@ def test_sentences_without_a_date_are_seconds_of_the_day_and_go_on_after_midnigh
     ]
     (track,) = read(write("\n".join(line for fix in late for line in fix), "a.nmea"))
     np.testing.assert_array_equal(track.time, [86390, 86400, 86410])
-    assert "no date" in track.source.said[0]
+    assert "no date" in track.source.notes[0]
 
 
 def test_a_receiver_without_a_fix_gives_no_position(write):

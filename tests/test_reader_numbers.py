@@ -100,7 +100,7 @@ def test_times_since_1970_are_read_in_any_unit_and_it_is_said(write, header, uni
         (track,) = read(path)
         np.testing.assert_array_equal(track.time, [START, START + 10])
         assert track.source.time == form
-        assert "since 1970" in track.source.said[0]
+        assert "since 1970" in track.source.notes[0]
         assert [float(text) for text in track.source.written(track.time)] == [row[0] for row in rows]
 
 

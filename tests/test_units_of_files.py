@@ -124,7 +124,7 @@ def test_frames_are_read_and_written_by_how_many_a_second_has(tmp_path):
     (track,) = read(path(tmp_path, frame=100 + np.arange(ROWS), **straight()), time="frame", time_format="12.5fps")
     np.testing.assert_allclose(np.diff(track.time), 0.08)
     assert track.source.written(track.time[:2]) == ["100", "101"]
-    assert any("frames, 12.5 a second" in line for line in track.source.said)
+    assert any("frames, 12.5 a second" in line for line in track.source.notes)
 
 
 @pytest.mark.parametrize("rate", ["0fps", "fps", "-25fps", "nanfps"])
@@ -208,7 +208,7 @@ def test_what_grows_downwards_is_no_height(tmp_path, name):
     file = path(tmp_path, time=np.arange(ROWS), **straight(), **{name: np.arange(ROWS)})
     with pytest.raises(ValueError, match=f"z: expected heights, which grow upwards, received {name}: name its neg"):
         read(file, z=name)
-    assert f"ignored: {name}" in read(file)[0].source.said
+    assert f"ignored: {name}" in read(file)[0].source.notes
 
 
 @pytest.mark.parametrize("name", ["enhanced_altitude", "altitude"])
@@ -230,7 +230,7 @@ def test_semicircles_of_watches_are_degrees(tmp_path, gap):
         columns = {name: [*map(float, column[:-1]), "nan"] for name, column in columns.items()}
     (track,) = read(path(tmp_path, timestamp=1.7e9 + np.arange(ROWS), **columns, altitude=np.full(ROWS, 400)))
     assert np.linalg.norm(np.diff(track.position[:, :2], axis=0), axis=1) == pytest.approx(13.5, rel=0.01)
-    assert any("semicircles" in line for line in track.source.said)
+    assert any("semicircles" in line for line in track.source.notes)
 
 
 @pytest.mark.parametrize(

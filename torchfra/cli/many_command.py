@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> None:
     work = Work(data, options.out, rows, known | {"smooth": not options.no_smooth, "repair": not options.no_repair})
     work.begin()
     tell, _ = reporters(None, options.quiet or rank > 0)
-    for said in data.reader.layout.source.said:
+    for said in data.reader.layout.source.notes:
         tell(printable(said))
     _clean(work, range(rank, work.parts, size), options.jobs, tell, not options.quiet and rank == 0)
     every = work.facts()

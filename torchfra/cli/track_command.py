@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> None:
     files = plans.plan(recordings, options.out, options.format, options.plots)
     check_files(others | {f"out, {path.name}": path for path in files.paths()}, [options.file])
     tell, _ = reporters(options.compile, options.quiet)
-    for said in dict.fromkeys(said for recording in recordings for said in recording.source.said):
+    for said in dict.fromkeys(said for recording in recordings for said in recording.source.notes):
         tell(printable(said))
     failures = Failures()
     results = _cleaned(recordings, options, failures)

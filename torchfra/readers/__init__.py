@@ -20,7 +20,7 @@ days by their names) since any start.
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
 (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
 degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
-``Source.said`` states which columns were read as what.
+``Source.notes`` states which columns were read as what.
 
 Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in
 the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.

@@ -26,7 +26,7 @@ class Source:
     """Metres in one of its units of length: of x, y and z, or of altitudes beside latitudes."""
     word: str = "target"
     """What its targets are: ``"aircraft"``, ``"ship"``, ``"target"``."""
-    said: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
 
     def written(self, time: Array) -> list[str]:

@@ -26,7 +26,7 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
         "input_columns": source.columns,
         "input_time": source.time,
         "metres_per_unit": source.unit,
-        "said": list(source.said),
+        "input_notes": list(source.notes),
         "settings": dict(settings),
         "versions": versions(),
         "columns": about(list(names)),
