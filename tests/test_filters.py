@@ -69,7 +69,7 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         ({"prior": Gaussian(torch.zeros(6), torch.eye(6))}, r"prior.mean: expected \(\.\.\., 4\), received \(6,\)"),
         ({"prior": Gaussian(torch.zeros(4), torch.eye(5))}, "prior.scale_tril"),
         ({"prior": Gaussian(torch.zeros(3, 4), torch.eye(4))}, "broadcast"),
-        ({"u": torch.zeros(5, 4)}, r"u: expected \(\.\.\., 12, k\), received \(5, 4\)"),
+        ({"u": torch.zeros(5, 4)}, r"u: expected \(\.\.\., 8, k\), received \(5, 4\)"),
         ({"u": None}, "u: expected the positions of 2 stations"),
         ({"dt": -1.0}, "dt: expected seconds above 0"),
         ({"dt": torch.ones(5)}, "dt: expected a number"),

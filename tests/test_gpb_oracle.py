@@ -20,7 +20,7 @@ from torchfra.motion import (
 from torchfra.sensors import Bearings, Position, Ranges
 from torchfra.types import Gaussian
 
-STEPS = 12
+STEPS = 14
 VALUES = {
     "outlier_transition": ((0.9, 0.1), (0.6, 0.4)),
     "outlier_sizes": (9.0, 400.0, 1e6),

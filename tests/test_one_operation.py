@@ -91,7 +91,7 @@ def test_gradients_of_the_network_and_of_the_filter_are_the_same(make, data):
 
 def test_the_operations_are_what_torch_asks_of_operations(make, data):
     f = make("srckf", learn=("q",)).compile()
-    z, prior, u = data
+    z, prior, u = data[0][:2, :4], Gaussian(data[1].mean[:2], data[1].scale_tril), data[2][:4]
     graph, _ = graph_of(lambda z: f(z, prior, u=u).mean)
     graph(z)
     ((name, call),) = vars(f.engine.calls).items()
@@ -189,9 +189,9 @@ def test_a_track_that_fails_is_told_and_leaves_gradients_of_the_others_alone(mak
 def test_inside_a_transform_the_filter_is_traced_as_before(make, data):
     f = make("srckf").compile()
     z, prior, u = data
-    mapped = torch.func.vmap(lambda x: f(x, prior, u=u[:2]).mean)
+    mapped = torch.func.vmap(lambda x: f(x, prior, u=u[:1]).mean)
     graph, seen = graph_of(mapped)
-    torch.testing.assert_close(graph(z[:, :2]), mapped(z[:, :2]), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(graph(z[:, :1]), mapped(z[:, :1]), rtol=1e-9, atol=1e-9)
     assert "torchfra.whole_tracks.default" not in seen[0]
 
 

@@ -228,7 +228,7 @@ def test_many_tracks_are_ready_once_they_have_come_often(make, tracks, prepared,
     wild[200, 7] = torch.inf
     failure = fast(**given | {"z": wild}).failure
     assert len(prepared) == 8
-    assert failure.step.tolist() == [7 if k == 200 else -1 for k in range(401)]
+    assert failure.step.tolist() == [7 if k == 200 else -1 for k in range(601)]
     assert failure.cause[200] == Cause.MEASUREMENT
 
 

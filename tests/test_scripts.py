@@ -80,7 +80,7 @@ def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
 @pytest.mark.slow
 def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
-    assert reproduce.main(["alpha-beta", "--runs", "40", *out]) == 0
+    assert reproduce.main(["alpha-beta", "--runs", "12", *out]) == 0
     result = json.loads((tmp_path / "r.json").read_text())
     decisions = result["decisions"]
     assert decisions.keys() == result["filters"].keys() == {"f1", "f2", "f3", "paper", "alphabeta"}
@@ -148,7 +148,7 @@ def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_pat
 @pytest.mark.slow
 def test_reproduce_writes_the_errors_of_a_single_target_whose_noise_grows(tmp_path):
     out = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path), "--quiet"]
-    assert reproduce.main(["noise-change", "--runs", "40", *out]) == 0
+    assert reproduce.main(["noise-change", "--runs", "20", *out]) == 0
     result = json.loads((tmp_path / "r.json").read_text())["scans"]
     assert result["iaukf"]["filtered_range"] < 0.85 * result["ukf"]["filtered_range"]
     assert [p.name for p in tmp_path.glob("*.png")] == ["noise-change-errors.png"]
@@ -196,6 +196,7 @@ def test_time_stamps_of_a_track_too_short_to_judge_are_an_error(tmp_path, capsys
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
 def test_the_benchmark_times_eager_and_compiled_filters(tmp_path, capsys):
     arguments = ["--what", "tracks,step", "--filters", "srckf", "--batch", "1,8", "--passes", "2", "--json"]
     assert benchmark.main([*arguments, str(tmp_path / "b.json")]) == 0
