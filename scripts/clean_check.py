@@ -27,8 +27,8 @@ Seven kinds are harder, and asked for by name: late, ships of 5 to 19 m/s with t
 fixes of 24 min, 2 h and 4 h for 1, 5 and 10 s and noise of 100, 500 and 1000 m for 3, 15 and 30 m; slow, a walk, a
 bike, a car, a drone and a boat with white noise, alone and with errors correlated over 10, 20 or 40 s, half as large
 and as large; rare, fixes of 6 min, 30 min and 1 h for 1, 5 and 10 s of a walk, a car, a ship, an aircraft and an animal
-that rest for minutes to hours; bursts, the same targets with three
-fixes an hour, 4, 20 or 40 s apart for 1, 5 and 10 s.
+that rest for minutes to hours; bursts, the same targets with three fixes an hour, 4, 20 or 40 s apart for 1, 5 and
+10 s.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from torchfra.stream import Tracker
 
 F64 = {"dtype": torch.float64}
 PRIOR = Gaussian(torch.tensor([0.0, 100, 9, 0], **F64), torch.tensor([20.0, 20, 8, 8], **F64).diag())
-DT = np.array([1.0, 1, 2, 1, 1, 0.5, 1, 1, 1, 3, 1, 1])
+DT = np.array([1.0, 1, 2, 1, 1, 0.5, 1, 1, 1, 3, 1, 1, 1, 1])
 CHAINS = {"outlier_transition": ((0.9, 0.1), (0.3, 0.7))}, {"outlier_durations": (30.0, 6.0)}
 
 

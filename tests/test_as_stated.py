@@ -10,7 +10,7 @@ from torchfra.catalogue import make_scenario
 from torchfra.metrics import nees, rmse
 from torchfra.scenarios import as_stated, bound
 
-RUNS, FIRST = 130, 20
+RUNS, FIRST = 200, 20
 CHI_SQUARE = 5.991
 """95 % of chi-square with 2 degrees of freedom."""
 KALMAN = ("ekf", "ukf", "ghckf", "mr_ckf", "hghckf1", "iaukf", "fra", "gpb")
