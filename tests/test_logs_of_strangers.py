@@ -443,6 +443,12 @@ def test_dates_of_a_whole_year_are_in_one_order(write):
     assert np.diff(track.time) == pytest.approx(9 * 86_400)
 
 
+def test_one_fix_a_month_is_in_the_order_that_is_written(write):
+    rows = [f"05.{1 + i % 12:02}.{2020 + i // 12} 10:00,{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["Date,lat,lon", *rows]))
+    assert np.diff(track.time).min() >= 28 * 86_400
+
+
 def test_a_day_of_excel_among_dates_is_called_so(write):
     rows = [f"{local('%d.%m.%Y %H:%M', 0, i) if i < 20 else 45392.35 + i / 1440},{lat},{lon}"
             for i, (lat, lon) in enumerate(PLACES)]  # fmt: skip

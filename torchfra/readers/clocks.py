@@ -151,11 +151,13 @@ class Clock:
         dates = time[rows].astype("datetime64[s]").astype("datetime64[D]")
         months = dates.astype("datetime64[M]")
         day, month = (dates - months).astype(np.int64), months.astype(np.int64) % 12  # from 0 on
-        either = (day < 12) & (day != month)
+        either, sure = (day < 12) & (day != month), day >= 12
+        if not sure.any():
+            return
         exchanged = (months.astype("datetime64[Y]").astype("datetime64[M]") + day).astype("datetime64[D]") + month
         other = np.where(either, (exchanged - dates).astype(np.int64) * _DAY, 0.0) + time[rows]
         if np.abs(np.diff(other)).sum() < _NEARER * np.abs(np.diff(time[rows])).sum():
-            one, last = (written(time[rows[mask]][:1], self.form)[0] for mask in (either, ~either))
+            one, last = (written(time[rows[mask]][:1], self.form)[0] for mask in (either, sure))
             raise ValueError(
                 f"column {self.column}: expected days and months in one order, received {one} and {last}, which are "
                 "near each other in different orders, as spreadsheets leave them: write all such as 2024-05-06 10:31, "
@@ -246,7 +248,7 @@ def _check_rest(clock: Clock, head: Head) -> None:
         if len(rest) and (rest % 1 == 0).all() and 0 <= rest.min() < rest.max() < 1000:
             raise ValueError(
                 f"expected whole times in one column, received parts of a second in {name} beside {clock.column}: join "
-                "them, such as to 2024-05-06 10:31:00.25"
+                f"them, such as to 2024-05-06 10:31:00.25; or --time {clock.columns[-1]} takes whole seconds"
             )
 
 
