@@ -415,3 +415,167 @@ def test_a_satellite_may_be_as_fast_as_it_is(write):
     with pytest.raises(ValueError, match=r"7.61 km/s as the median .*; if it is right, --time-format 'iso' takes it"):
         read(path)
     assert len(read(path, time_format="iso")[0].time) == ROWS
+
+
+# ---------------------------------------------------------------- times
+
+
+def local(form, days=0, minutes=0):
+    moment = datetime(2024, 4, 10, 8, 15) + timedelta(days=days, minutes=minutes)
+    return moment.strftime(form)
+
+
+def test_dates_whose_day_and_month_a_spreadsheet_exchanged_are_refused(write):
+    forms = ["%m/%d/%Y %H:%M" if i < 22 else "%d/%m/%Y %H:%M" for i in range(ROWS)]  # up to the 12th, and behind it
+    rows = [f"{local(form, i / 8)},{lat},{lon}" for i, (form, (lat, lon)) in enumerate(zip(forms, PLACES, strict=True))]
+    path = write(["Date,lat,lon", *rows])
+    with pytest.raises(
+        ValueError, match="days and months in one order, received 04/10/2024 08:15 and 13/04/2024 02:15"
+    ):
+        read(path)
+    (track,) = read(path, time_format="%d/%m/%Y %H:%M")  # who says so has them as they are
+    assert len(track.time) == ROWS
+
+
+def test_dates_of_a_whole_year_are_in_one_order(write):
+    rows = [f"{local('%d/%m/%Y %H:%M', 9 * i)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["Date,lat,lon", *rows]))
+    assert np.diff(track.time) == pytest.approx(9 * 86_400)
+
+
+def test_one_fix_a_month_is_in_the_order_that_is_written(write):
+    rows = [f"05.{1 + i % 12:02}.{2020 + i // 12} 10:00,{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["Date,lat,lon", *rows]))
+    assert np.diff(track.time).min() >= 28 * 86_400
+
+
+def test_a_day_of_excel_among_dates_is_called_so(write):
+    rows = [f"{local('%d.%m.%Y %H:%M', 0, i) if i < 20 else 45392.35 + i / 1440},{lat},{lon}"
+            for i, (lat, lon) in enumerate(PLACES)]  # fmt: skip
+    with pytest.raises(ValueError, match=r"data row 21, column Date, received '45392.3.*looks like a day of Excel"):
+        read(write(["Date,lat,lon", *rows]))
+
+
+@pytest.mark.parametrize("name", ["1/100 s", "Hundredths", "ms", "Milliseconds"])
+def test_parts_of_a_second_in_a_column_of_their_own_are_no_targets(write, name):
+    rows = [f"2024-06-03,08:15:{i // 4:02},{25 * (i % 4)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    with pytest.raises(ValueError, match=f"parts of a second in {name} beside Date Time: join them"):
+        read(write([f"Date,Time,{name},lat,lon", *rows]))
+
+
+@pytest.mark.parametrize("names", [("year", "doy", "sod"), ("DOY", "SOD")])
+def test_days_of_the_year_count_beside_seconds_of_the_day(write, names):
+    days = [("2024 155 " if len(names) == 3 else "155 ").replace("155", str(155 + 2 * (i // 20))) for i in range(ROWS)]
+    rows = [f"{day}{29700 + i} {lat} {lon}" for i, (day, (lat, lon)) in enumerate(zip(days, PLACES, strict=True))]
+    (track,) = read(write([" ".join((*names, "lat", "lon")), *rows]))
+    steps = np.diff(track.time)
+    assert steps[19] == pytest.approx(2 * 86_400 + 1)
+    assert np.delete(steps, 19) == pytest.approx(1)
+    assert written(track.time[:1], track.source.time) == [f"{days[0]}29700"]
+    if len(names) == 3:
+        assert track.time[0] == START.timestamp()
+
+
+SINCE_2001 = START.timestamp() - 978_307_200
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["timeIntervalSinceReferenceDate,latitude,longitude,speed,course", "ZTIMESTAMP,ZLATITUDE,ZLONGITUDE,ZSPEED,Z_PK",
+     "timestamp,latitude,longitude,horizontalAccuracy,verticalAccuracy"],
+)  # fmt: skip
+def test_phones_may_count_from_2001(write, header):
+    rows = [f"{SINCE_2001 + i:.3f},{lat},{lon},3,4" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write([header, *rows]))
+    assert_in_place(track)
+    assert track.time[0] == START.timestamp()
+    assert "seconds since 2001" in track.source.notes[0]
+    assert written(track.time[:1], track.source.time) == [f"{SINCE_2001:.0f}"]
+
+
+def test_seconds_since_1970_of_a_phone_stay_so(write):
+    rows = [f"{START.timestamp() + i:.3f},{lat},{lon},3,4" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["timestamp,latitude,longitude,horizontalAccuracy,verticalAccuracy", *rows]))
+    assert track.time[0] == START.timestamp()
+
+
+def test_seconds_of_gps_have_leap_seconds_and_begin_in_1980(write):
+    since_1980 = START.timestamp() - 315_964_800 + 18
+    path = write(["gps_seconds,lat,lon", *(f"{since_1980 + i},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES))])
+    (track,) = read(path, time="gps_seconds")
+    assert track.time[0] == START.timestamp()
+    assert written(track.time[:1], track.source.time) == [f"{since_1980:.0f}"]
+
+
+def test_hours_and_minutes_are_read_beside_dates(write):
+    rows = [f"{local('%Y-%m-%d,%H:%M', 0, 60 * i)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["SI_DATE,SI_TIME,SI_LATI,SI_LONG", *rows]))  # of fishing boats
+    assert np.diff(track.time) == pytest.approx(3600)
+
+
+def test_minutes_and_seconds_of_one_day_may_be_hours_and_minutes(write):
+    rows = [f"2024-06-03,00:{i:02},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    with pytest.raises(ValueError, match="'00:00' may be hours and minutes, or minutes and seconds: --time-format"):
+        read(write(["Date,Time,lat,lon", *rows]))
+
+
+def test_a_zone_behind_the_name_of_times_is_no_part_of_the_name(write):
+    rows = [f"03.06.24;08:15:{i:02};{lat};{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["Datum;Uhrzeit (MESZ);Breite;Länge", *rows]))
+    assert track.time[0] == START.timestamp()
+    assert track.source.notes[1].endswith("taken as UTC")
+
+
+def test_two_names_of_zones_are_told(write):
+    rows = [f"06/13/2024,12:{i:02}:00 AM E{'D' if i < 20 else 'S'}T,{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    with pytest.raises(ValueError, match="expected one zone, received EDT and EST: write an offset"):
+        read(write(["Date,Time,lat,lon", *rows]))
+
+
+def test_the_second_of_the_minute_beside_a_whole_time_is_not_taken(write):
+    rows = [f"{i % 60},{1000 * (START.timestamp() + 7 * i):.0f},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["timestamp,timestampExternal,lat,lon", *rows]))
+    assert_in_place(track, 7)
+
+
+# ---------------------------------------------------------------- cells and columns
+
+
+def test_columns_without_names_do_not_shift_the_others(write):
+    (track,) = read(write(["t,x,y,,", *(f"{i},{2 * i},{3 * i},," for i in range(ROWS))]))
+    assert track.time.tolist() == list(range(ROWS))
+    assert (track.position == np.stack([2 * track.time, 3 * track.time], 1)).all()
+
+
+def test_a_first_row_of_words_for_nothing_is_no_row_of_units(write):
+    rows = [
+        "NULL,NULL,NULL",
+        *(f"{START + timedelta(seconds=i):%FT%TZ},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)),
+    ]
+    (track,) = read(write(["time,lat,lon", *rows]))
+    assert track.row.tolist() == list(range(1, ROWS + 1))
+
+
+def test_times_may_be_words_for_nothing(write):
+    rows = [
+        f"{local('%d.%m.%Y,%H:%M:%S', 0, i) if i % 5 else 'N/A,N/A'},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)
+    ]
+    (track,) = read(write(["Date,Time,lat,lon", *rows]))
+    assert track.repairs == {"rows without time dropped": 8}
+
+
+def test_minutes_of_degrees_may_have_decimal_commas(write):
+    degrees = [f"{int(lat)}° {(lat % 1) * 60:.4f}' N;{int(lon):03}° {(lon % 1) * 60:.4f}' E" for lat, lon in PLACES]
+    (track,) = read(write(["t;lat;lon", *(f"{i};{cells}".replace(".", ",") for i, cells in enumerate(degrees))]))
+    assert_in_place(track)
+
+
+def test_dated_rows_of_targets_one_after_the_other_are_no_single_one(write):
+    rows = [f"{target},2024-06-03 08:{i:02}:{10 * target:02},{47 + target + i / 1e4:.5f},{8 + target + i / 1e4:.5f}"
+            for target in range(3) for i in range(60)]  # fmt: skip
+    with pytest.raises(ValueError, match="looks like --time 2 --lat 3 --lon 4 --id 1"):
+        read(write(rows))
+    with pytest.raises(
+        ValueError, match=r"received 2024-06-03 08:00:10 behind 2024-06-03 08:59:00 in data row 61.*--id"
+    ):
+        read(write(rows), time="2", lat="3", lon="4")

@@ -15,10 +15,10 @@ NUMBERS = {
     "12": 12, "-1.5e3": -1500, "+.5": 0.5, "5.": 5, "1E-3": 1e-3, " 7 ": 7, "\t7": 7, "007": 7, "1e+2": 100, "-0": 0,
     "9" * 15 + "." + "9" * 3000: 1e15,
 }  # fmt: skip
-MISSING = ["", " ", "nan", "NaN", "NAN", "-nan"]
+MISSING = ["", " ", "nan", "NaN", "NAN", "-nan", "NA", "n/a", "#N/A", "<NA>", "NaT", "null", "None"]
 REFUSED = [
     "1_000", "0x10", "0b1", "1e", "e5", ".", "-", "+-1", "--1", "1,5", "1 2", "1d3", "1e5.0", "1/2", "12m", "(1)", "$1",
-    "inf", "-Infinity", "1e400", "1e16", "NA", "null", "None", "true", "nan(1)", "snan", "1\N{NO-BREAK SPACE}",
+    "inf", "-Infinity", "1e400", "1e16", "-", "no data", "true", "nan(1)", "snan", "1\N{NO-BREAK SPACE}",
     "١٢", "१२", "１２", "1２", "−1", "²", "Ⅻ", "一", "\N{MATHEMATICAL DOUBLE-STRUCK DIGIT ONE}", "1\x00", "1\x1f",
 ]  # fmt: skip
 

@@ -15,8 +15,9 @@ names others, by their numbers from 1 on where there is no header.
 This covers the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
 of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
-size, weeks of GPS with what of them has passed, seconds with their parts in another column, or seconds (minutes, hours,
-days by their names) since any start.
+size, weeks of GPS with what of them has passed, days of the year with seconds of the day, seconds since 2001 of phones
+that count so, seconds with their parts in another column, or seconds (minutes, hours, days by their names) since any
+start.
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
 (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
 degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
@@ -25,12 +26,13 @@ degrees, minutes and seconds; letters of the sides stand in front, behind or in 
 Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in
 the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
 
-A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty
-cells, null and NaN in any letters are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in two
-units or with the name of a zone, dates and clocks whose digits stand in one number (a ``time_format`` reads them),
-clocks of 12 hours without AM and PM, those that are put back at the end of summer time, columns or keys that come
-twice, XML with entities, tracks that no target of their kind can follow, and files that hold more than
-``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not fill the memory.
+A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty cells,
+N/A, null, None and NaN in any letters are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in
+two units or with the name of a zone, dates of which some have the day first and some the month, dates and clocks whose
+digits stand in one number (a ``time_format`` reads them), clocks of 12 hours without AM and PM, those that are put back
+at the end of summer time, columns or keys that come twice, XML with entities, tracks that no target of their kind can
+follow, and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do
+not fill the memory.
 
 ``read_ranges`` reads ranges from anchors instead of positions.
 """

@@ -12,18 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, joined, number
+from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, is_missing, joined, number
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.packed import packed
 from torchfra.readers.sheets import listed
-from torchfra.readers.spelling import PARTS, found, name_words, plain, unit
+from torchfra.readers.spelling import APPLE, OTHER_ZONES, PARTS, found, name_words, plain, unit
 from torchfra.readers.spelling import SINCE_1970 as DATED
 from torchfra.readers.times import (
     CLOCK,
     DAY_OF_1970,
     GPS,
+    OF_THE_YEAR,
     PER_SECOND,
     SINCE_1970,
+    SINCE_OTHERS,
     SPLIT,
     form_of,
     is_clock,
@@ -34,17 +36,29 @@ from torchfra.readers.times import (
 
 YEAR_1980 = 315_532_800.0
 """Seconds since 1970; nothing was recorded before."""
-_YEAR_2286 = 1e10
+_YEAR_2001, _YEAR_2286 = 978_307_200.0, 1e10
 _DAY = 86_400.0
 _COUNTER, _LATE = 2.0**32, 3.0
 """Units that 32 bits count, and how many usual steps the first time after that may be late."""
 _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
+_NEARER = 0.2
+"""How much shorter the ways of time are with days and months exchanged, where they are in two orders."""
 _FINER = 2
 """How many times as many moments a column of times has to have, to be taken although another has the date."""
 _SAID = {"us": "microseconds", "ns": "nanoseconds"}
 _DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab",
               "jd": "Julian days"}  # fmt: skip
+_SECONDS_SAID = {"apple": "seconds since 2001, as Apple counts", "gps_seconds": "seconds of GPS since 1980"}
+_OF_A_PHONE = {"horizontalaccuracy", "verticalaccuracy"}
+"""Plain names of columns in what Apple's phones say of where they are."""
+_OF_THE_DAY = {"sod", "secondsofday", "secondofday", "secofday", "secsofday"}
+_DAYS_OF_YEARS = {"doy", "dayofyear", "yday", "jday", "julianday", "yearday"}
+_YEARS = {"year", "yyyy", "yr"}
+_MINUTE = re.compile(r"[0-9]{1,2}:[0-9]{2}(?: ?[AaPp][Mm])?")
+"""Hours and minutes."""
+_OF_A_SECOND = re.compile(r"(?:hundred|thousand|ten)ths?|1/10+|centi-?sec|milli-?sec|millis|^ms$|^cs$", re.IGNORECASE)
+"""In the name of what of a second has passed."""
 _HALF_DAY = 43_200.0
 _OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
 """Names of what of the week of GPS has passed."""
@@ -66,12 +80,14 @@ class Clock:
     """How a column tells the time."""
 
     columns: tuple[str, ...]
-    """One column, or two: the date and the time of the day."""
+    """One column, or two: the date and the time of the day; three with the year of a day of the year."""
     kind: Kind
     form: str
     """How it is written: ``Source.time``."""
     since_1970: bool
     """Whether it tells the date too."""
+    stated: bool = False
+    """Whether the caller says how it is written."""
 
     @property
     def said(self) -> str:
@@ -82,9 +98,14 @@ class Clock:
             return f"week of GPS and {'ms' if self.form == 'gps_ms' else 'seconds'} of it"
         if self.form in DAY_OF_1970:
             return _DAYS_SAID[self.form]
+        if self.form in SINCE_OTHERS:
+            return _SECONDS_SAID[self.form]
+        if self.form in OF_THE_YEAR:
+            return f"{'year, ' if self.since_1970 else ''}day of the year and second of the day"
         if self.form in SPLIT:
             return f"seconds{' since 1970' if self.since_1970 else ''} and {_unit_said(self.form.split()[1])}"
-        return "ISO text" if self.kind.form == "iso" else "times of the day" if is_clock(self.form) else self.form
+        form = "ISO text" if self.kind.form == "iso" else "times of the day" if is_clock(self.form) else self.form
+        return form + (", taken as UTC" if {*name_words(self.columns[-1])[-1:]} & OTHER_ZONES else "")
 
     @property
     def is_local(self) -> bool:
@@ -117,6 +138,31 @@ class Clock:
                 "like times since a start: name another column by --time, or their unit by --time-format"
             )
         return time
+
+    def check_order(self, time: NDArray[np.float64]) -> None:
+        """Refuses times ``(rows,)`` of which some have the day first and others the month, as spreadsheets leave them.
+
+        Those of days after the 12th tell which is first. Where the others stand near them with day and month
+        exchanged alone, they are in the other order.
+        """
+        rows = np.flatnonzero(np.isfinite(time))
+        if self.stated or not re.search("%[dm][-/. ]%[dm]", self.form) or not len(rows):
+            return
+        dates = time[rows].astype("datetime64[s]").astype("datetime64[D]")
+        months = dates.astype("datetime64[M]")
+        day, month = (dates - months).astype(np.int64), months.astype(np.int64) % 12  # from 0 on
+        either, sure = (day < 12) & (day != month), day >= 12
+        if not sure.any():
+            return
+        exchanged = (months.astype("datetime64[Y]").astype("datetime64[M]") + day).astype("datetime64[D]") + month
+        other = np.where(either, (exchanged - dates).astype(np.int64) * _DAY, 0.0) + time[rows]
+        if np.abs(np.diff(other)).sum() < _NEARER * np.abs(np.diff(time[rows])).sum():
+            one, last = (written(time[rows[mask]][:1], self.form)[0] for mask in (either, sure))
+            raise ValueError(
+                f"column {self.column}: expected days and months in one order, received {one} and {last}, which are "
+                "near each other in different orders, as spreadsheets leave them: write all such as 2024-05-06 10:31, "
+                f"or take them as they are by --time-format '{self.form}'"
+            )
 
     def going_on(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits."""
@@ -170,6 +216,7 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: clock.doubt)
+    _check_rest(best, head)
     column = best.columns[0]
     no_seconds = column in found(head.names, "date") or not len(_values(head.cells(column)))
     if refusals and best.form == "seconds" and no_seconds:
@@ -193,17 +240,33 @@ def _check_parts(head: Head, options: ReadOptions) -> None:
         )
 
 
+def _check_rest(clock: Clock, head: Head) -> None:
+    """Refuses times in whole seconds beside a column with hundredths of one, say."""
+    times = [*filter(None, joined(head.cells, clock.columns))]
+    for name in head.names if clock.since_1970 and len({*times}) < len(times) else []:
+        rest = _values(head.cells(name)) if _OF_A_SECOND.search(name) and name not in clock.columns else np.empty(0)
+        if len(rest) and (rest % 1 == 0).all() and 0 <= rest.min() < rest.max() < 1000:
+            raise ValueError(
+                f"expected whole times in one column, received parts of a second in {name} beside {clock.column}: join "
+                f"them, such as to 2024-05-06 10:31:00.25; or --time {clock.columns[-1]} takes whole seconds"
+            )
+
+
 def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     """How a column tells the time."""
     column = head.cells(name)
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Clock((name,), INSTANT, "iso", True)
     some = [cell for cell in column if isinstance(cell, str | int | float | np.generic) and cell == cell]
-    some = [cell for cell in some if not isinstance(cell, str) or cell.strip()]
+    some = [cell for cell in some if not isinstance(cell, str) or not is_missing(cell)]
     if options.time_format is not None:
-        return _clock_of_form(name, options.time_format, head)
+        return replace(_clock_of_form(name, options.time_format, head), stated=True)
     if options.time is None and plain(name) in _OF_THE_WEEK and (weeks := found(head.names, "week")):
         return _gps_clock(weeks[0], name, "gps_ms" if unit(name) == "ms" else "gps")
+    if plain(name) in _OF_THE_DAY and (days := [day for day in head.names if plain(day) in _DAYS_OF_YEARS]):
+        columns = (*[year for year in head.names if plain(year) in _YEARS][:1], days[0], name)
+        form = OF_THE_YEAR[3 - len(columns)]
+        return Clock(columns, replace(_text_kind(form, "2024 60 3600"), joined=columns), form, len(columns) > 2)
     if plain(name) in FRAMES:
         raise ValueError(
             f"column {name}: expected times, received numbers of frames: say how many a second has, such as "
@@ -212,7 +275,20 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     if (split := _split_clock(name, head)) is not None:
         return split
     values = _values(some)
+    if _counts_since_another(values, name, head):
+        return _clock_of_form(name, "gps_seconds" if name_words(name)[0] == "gps" else "apple", head)
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
+        return clock
+    minutes = len(some) and all(isinstance(cell, str) and _MINUTE.fullmatch(cell.strip()) for cell in some)
+    for date in found(head.names, "date") if minutes else []:
+        together = [*filter(None, joined(head.cells, (date, name)))]
+        if date == name or (clock := _text_clock((date, name), together, _is_danish(head))) is None:
+            continue
+        if len({*map(str, head.cells(date))}) == 1 and not clock.form.endswith("%p"):
+            raise ValueError(
+                f"column {name}: {some[0]!r} may be hours and minutes, or minutes and seconds: --time-format "
+                f"'{clock.form}' reads the former; or write 10:31:00"
+            )
         return clock
     if len(some) and not len(values) and plain(name) in DATED:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
@@ -248,6 +324,8 @@ def _clock_of_form(name: str, form: str, head: Head) -> Clock:
     if form in DAY_OF_1970:
         said = _DAYS_SAID[form]
         return Clock((name,), Kind(said, limit=1e7, unit=_DAY, zero=DAY_OF_1970[form]), form, True)
+    if form in SINCE_OTHERS:
+        return Clock((name,), _text_kind(form, "800000000.0"), form, True)
     if form in GPS:
         if not (weeks := found(head.names, "week")):
             raise ValueError(
@@ -284,6 +362,14 @@ def _split_clock(name: str, head: Head) -> Clock | None:
             kind = replace(_text_kind(form, "1717402500 100000000"), joined=(name, other))
             return Clock((name, other), kind, form, since_1970)
     return None
+
+
+def _counts_since_another(values: NDArray[np.float64], name: str, head: Head) -> bool:
+    """Whether numbers are seconds since 2001 or 1980, by their name or by what stands beside them."""
+    apple = plain(name) in APPLE or {*map(plain, head.names)} >= _OF_A_PHONE
+    if not apple and not (name_words(name)[:1] == ["gps"] and {*name_words(name)[1:]} <= _SECONDS):
+        return False
+    return len(values) > 0 and bool(YEAR_1980 / 2 < np.median(values) < (_YEAR_2001 if apple else _YEAR_2286))
 
 
 def _numeric(name: str, values: NDArray[np.float64], options: ReadOptions) -> Clock:
@@ -379,4 +465,4 @@ def _values(cells: Sequence[Any] | NDArray[Any]) -> NDArray[np.float64]:
     for cell in cells:
         with suppress(TypeError, ValueError, OverflowError):
             values.append(number(cell) if isinstance(cell, str) else float(cell))
-    return np.array(values)
+    return np.array([value for value in values if value == value])

@@ -22,6 +22,8 @@ Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none"}
+"""Words for nothing, in small letters, as tables, data bases and spreadsheets write it."""
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
@@ -29,6 +31,8 @@ _GROUPED = re.compile(r"[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+|[+-]?[0-9]{1,3}(?:
 """A number whose thousands are parted, as spreadsheets write it: by commas, where a point shows what they are not."""
 _GROUPED_BEFORE_COMMA = re.compile(r"[+-]?[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+,[0-9]+")
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[., \u00a0\u202f][0-9]{3})+")
+_DAY_OF_EXCEL = re.compile(r"[345][0-9]{4}(?:[.,][0-9]+)?")
+"""From 1982 to 2064."""
 _PARTING = re.compile(r"[,.'\u2019 \u00a0\u202f]")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
@@ -93,7 +97,7 @@ INSTANT = Kind(
 
 
 def number(value: Any) -> float:
-    """A cell as a number; NaN if it is empty, null or NaN, whose letters may be small or not.
+    """A cell as a number; NaN if it is empty or a word for nothing, whose letters may be small or not.
 
     Raises:
         ValueError: it is no decimal number in ASCII digits, such as "-1.5e3": ``float`` takes more than that, such as
@@ -104,7 +108,7 @@ def number(value: Any) -> float:
         return math.nan
     if isinstance(value, str):
         value = value.strip(" \t\r\n")
-        if value.lower() in ("", "nan", "-nan"):
+        if is_missing(value):
             return math.nan
         if _GROUPED.fullmatch(value):
             value = re.sub("[,'\u2019]", "", value)
@@ -115,12 +119,17 @@ def number(value: Any) -> float:
     return float(value)
 
 
+def is_missing(cell: str) -> bool:
+    """Whether a text stands for nothing, such as "N/A"."""
+    return cell.strip(" \t\r\n").lower() in _MISSING
+
+
 def _instant(value: Any, kind: Kind) -> float:
     """Ms since 1970, as they are or from text, in the unit of the kind."""
     if kind.form == "iso":
         with suppress(ValueError):
             return number(value)
-    elif value is None or value != value or (isinstance(value, str) and not value.strip()):
+    elif value is None or value != value or (isinstance(value, str) and is_missing(value)):
         return math.nan
     if isinstance(value, bool) or not isinstance(value, str | int):
         raise ValueError
@@ -145,6 +154,8 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
         cell = cells[i].item() if isinstance(cells[i], np.generic) else cells[i]
         if isinstance(cell, str) and _THOUSANDS.fullmatch(cell.strip()):
             advice = ", whose sign may part thousands or decimals: write it without, or say --decimal"
+        if "%" in kind.form and isinstance(cell, str) and _DAY_OF_EXCEL.fullmatch(cell.strip()):
+            advice = ", which looks like a day of Excel: write all dates in one form, such as 2024-05-06 10:31:00"
         return ValueError(f"expected {kind.said} {where}, received {short(cell)}{advice}")
 
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu" and kind.form not in ("", "iso"):
@@ -273,5 +284,9 @@ def grouped(labels: Sequence[str]) -> dict[str, NDArray[np.intp]]:
 
 def joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
     """The cells of several columns, one after the other; "" where all are empty."""
+
+    def text(part: Any) -> str:
+        return "" if part is None or part != part or is_missing(str(part)) else str(part)
+
     lines = zip(*map(cells, columns), strict=True)
-    return [" ".join("" if part is None or part != part else str(part) for part in parts).strip() for parts in lines]
+    return [" ".join(map(text, parts)).strip() for parts in lines]

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from torchfra.readers.bounded import Rows
-from torchfra.readers.columns import Cells, Head, number
+from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
@@ -31,7 +31,7 @@ _LENGTH = re.compile(
     r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
 )
 """A unit of lengths besides metres, in a line before the header."""
-_WORDS = re.compile(r"(?!-?nan$)(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
+_WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
@@ -168,19 +168,23 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
     at = [names.index(place) for place in places if place in names]
     words = []
     for cells in several:
-        if len(cells) != len(names) or not at or not all(_WORDS.fullmatch(cells[i].strip("[]()")) for i in at):
+        if len(cells) != len(names) or not at or not all(_is_word(cells[i].strip("[]()")) for i in at):
             break
         other = next((i for i in at if OTHER_UNIT.fullmatch(cells[i].strip("[]()"))), None)
         if other is not None and not options.units:
             raise ValueError(
                 f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the header: "
-                "convert them, or say a unit by --units"
+                "convert them, or say --units m, and read metres in the results as these"
             )
         words.append(cells)
     start = sum(map(len, lines[1 : 1 + len(words)]))
     if words:
         rows.head = lines[0] + rows.head[len(lines[0]) + start :]
     return words
+
+
+def _is_word(cell: str) -> bool:
+    return _WORDS.fullmatch(cell) is not None and not is_missing(cell)
 
 
 def _with_units(names: list[str], units: list[str]) -> list[str]:
@@ -194,7 +198,7 @@ def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) 
     """Adds a header of column numbers to a text without header, if the caller names columns by numbers."""
     reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
     cells, asked = next(reader, []), {*options.columns().values()} if options else set()
-    if len(cells) < 2 or sum(map(_is_number, cells)) < 2 or is_header(cells) or asked & {*cells}:
+    if len(cells) < 2 or sum(map(_is_number, filter(None, cells))) < 2 or is_header(cells) or asked & {*cells}:
         return False
     names = [str(i + 1) for i in range(len(cells))]
     if not asked or not asked <= {*names}:
@@ -244,7 +248,7 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
     try:
         for cells in rows.parts(len(names), mended):
             _empty_headers(cells, names)
-            yield len(cells) // len(names), partial(_cells, cells, place)
+            yield len(cells) // len(names), partial(_cells, cells, place, len(names))
     except csv.Error as error:
         raise _no_csv(error) from error
 
@@ -275,9 +279,9 @@ def _header(row: list[str], headers: str) -> list[str]:
     return names
 
 
-def _cells(cells: list[str], place: dict[str, int], name: str) -> list[str]:
+def _cells(cells: list[str], place: dict[str, int], width: int, name: str) -> list[str]:
     """The cells of one column, out of the cells of all rows in one list."""
-    return cells[place[name] :: len(place)]
+    return cells[place[name] :: width]
 
 
 def _is_number(cell: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_NUMBER = r"[0-9]+(?:\.[0-9]*)?(?:e[+-][0-9]+)?"
+_NUMBER = r"[0-9]+(?:[.,][0-9]*)?(?:e[+-][0-9]+)?"
 _DEGREES = re.compile(
     rf"(?P<front>[NSEWnsew]?)\s*(?P<sign>[+-]?)(?P<degrees>{_NUMBER})\s*(?:°|\u00ba|deg)?"
     rf"(?:(?:(?<=[°\u00ba:])|(?<=deg)|\s|:)\s*(?P<minutes>{_NUMBER})\s*['\u2032\u2019]?"
@@ -28,7 +28,7 @@ def degrees_of(text: str, sides: str) -> float:
     found = _DEGREES.fullmatch(text.strip())
     if found is None or (found["front"] and found["back"]):
         raise ValueError(f"expected degrees, received {text!r}")
-    parts = [part or "0" for part in found.group("degrees", "minutes", "seconds")]
+    parts = [(part or "0").replace(",", ".") for part in found.group("degrees", "minutes", "seconds")]
     degrees, minutes, seconds = map(float, parts)
     whole = all("." not in part for part, finer in zip(parts, found.group("minutes", "seconds"), strict=False) if finer)
     side = (found["front"] or found["back"]).upper()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
-from torchfra.readers.columns import Array, Head, number
+from torchfra.readers.columns import Array, Head, is_missing, number
 from torchfra.readers.options import METRES
 from torchfra.readers.spelling import found, name_words, plain, unit
 from torchfra.readers.times import form_of
@@ -28,6 +28,8 @@ _SQUARE = re.compile(r"\s*(?:[0-9]{1,2}[C-HJ-NP-X])?\s*[A-HJ-Z]{2}\s*[0-9]{2,5}\
 _WEEK = 604_800
 _NEAR = 2e-3
 """Degrees between neighbouring fixes, of which metres, for robots, are more."""
+_SEVERAL = 5
+"""Least rows of a value, in the mean, of a first column that may say which target a row is of."""
 _FEW = 4
 """Columns of numbers up to which the first two may be x and y."""
 
@@ -40,7 +42,9 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
         known: columns that are understood; where there are any, only the time is guessed.
     """
     names = [name for name in head.names if name not in known]
-    cells = {name: [cell for cell in head.cells(name) if cell is not None and str(cell).strip()] for name in names}
+    cells = {
+        name: [cell for cell in head.cells(name) if cell is not None and not is_missing(str(cell))] for name in names
+    }
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
@@ -63,7 +67,12 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     if squares := [name for name in names if cells[name] and all(_SQUARE.fullmatch(str(cell)) for cell in cells[name])]:
         return f"; {squares[0]} holds references such as {cells[squares[0]][0]}: convert them to degrees, or metres"
     places = _places({name: column for name, column in values.items() if name != time}, cells)
-    return f"; looks like --time {time}{option} {places}{frames}" if time and places else ""
+    if not time or not places:
+        return ""
+    first = cells[names[0]]  # where files without a header have the target
+    few = 0 < _SEVERAL * len({*map(str, first)}) <= len(first) and names[0] not in (time, *places.split())
+    target = f" --id {names[0]} (if that names the target)" if few else ""
+    return f"; looks like --time {time}{option} {places}{target}{frames}"
 
 
 def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:

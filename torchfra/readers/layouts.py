@@ -133,7 +133,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     if comma:
         wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
     used = {*clock.columns, *columns.values(), *noise.columns, *sides.values()}
-    ignored = [column for column in head.names if column not in used and column not in unused]
+    ignored = [column for column in head.names if column and column not in used and column not in unused]
     others = f"; not {listed(unused)} (--time takes another)" if unused else ""
     lines = (
         *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
@@ -142,7 +142,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
-    public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns, strict=True))
+    public |= dict(zip(("year", "date", "time")[-len(clock.columns) :], clock.columns, strict=True))
     if noise.columns:
         public["sigma"] = next(iter(noise.columns))
     source = Source(name, public, clock.form, length, word, lines)

@@ -38,7 +38,8 @@ class ReadOptions:
     time_format: str | None = None
     """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"``,
     ``"jd"`` and ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS
-    has passed, beside a column of weeks; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of
+    has passed, beside a column of weeks; ``"gps_seconds"`` for all of its seconds since 1980, ``"apple"`` for seconds
+    since 2001; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of
     ``datetime.strptime``, such as ``"%d%m%y %H%M%S"`` for two columns of digits."""
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ from torchfra.readers.noises import axes_of_ellipses
 from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
 from torchfra.readers.spelling import MARKS
 from torchfra.readers.tables import Table
+from torchfra.readers.times import written
 
 _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
@@ -29,6 +30,8 @@ and how many of the finest steps lie between neighbours."""
 _RARELY, _MIXED = 0.04, 10
 """Share of rows whose time may go back, and how often rows change their order for each of these, where a count begins
 anew."""
+_APART = 3.0
+"""How many times as long the ways between rows in order of time are as in the file, where dated ones are of several."""
 _ZONE, _LEAST_EASTING = re.compile(r"\s*[0-9]{1,2}\s*[A-Za-z]?\s*"), 1e5
 """The name of a zone of a grid, and the least easting in one, m: zones of a house or of a field are others."""
 _YEAR, _HOUR = 366 * 86_400.0, 3600.0
@@ -128,6 +131,7 @@ class _Columns:
             return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
         self.time = layout.clock.whole(table.column(layout.clock.column))
+        layout.clock.check_order(self.time)
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
         unit = 1.0 if layout.degrees else layout.source.unit
@@ -207,16 +211,21 @@ class _Columns:
             )
 
     def _check_restart(self, time: Array, index: NDArray[np.intp], order: NDArray[np.intp]) -> None:
-        """Refuses counts of time that begin anew while rows go on: ordered, pieces of a track would be mixed."""
+        """Refuses times that begin anew while rows go on: ordered, pieces of one track, or several, would be mixed."""
         back = np.flatnonzero(np.diff(time) < 0)
         mixed = np.count_nonzero(np.diff(order) != 1)
-        if self.dated or not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
+        if not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
             return
-        if self._usual_way(index[order]) > self._usual_way(index):  # the rows are no pieces of one path
+        if self._usual_way(index[order]) > (_APART if self.dated else 1) * self._usual_way(
+            index
+        ):  # the rows are no pieces of one path
+            two = time[back[0] : back[0] + 2]
+            before, after = written(two, self.clock.form) if self.dated else [f"{value:g} s" for value in two]
+            cause = "rows of another target" if self.dated else "a logger that was started again"
             raise ValueError(
-                f"expected times that go on, received {time[back[0] + 1]:g} s behind {time[back[0]]:g} s in data row "
-                f"{index[back[0] + 1] + 1}, {self.clock.column}, as of a logger that was started again: name another "
-                "column by --time, or one that tells the pieces apart by --id"
+                f"expected times that go on, received {after} behind {before} in data row {index[back[0] + 1] + 1}, "
+                f"{self.clock.column}, as of {cause}: name another column by --time, or one that tells the pieces "
+                "apart by --id"
             )
 
     def _usual_way(self, index: NDArray[np.intp]) -> float:

@@ -21,6 +21,8 @@ RARER_UNITS = {
     "h": "hours", "hr": "hours", "hrs": "hours", "hour": "hours", "hours": "hours", "d": "days", "days": "days",
 }  # fmt: skip
 """Words that do so behind a length or a time only: "alt_min" is no time."""
+APPLE = ("timeintervalsincereferencedate", "timeintervalsincereference", "cfabsolutetime", "ztimestamp")
+"""Names of seconds since 2001, as Apple counts them."""
 NAMES = {
     "time": ("t", "time", "timestamp", "datetime", "dateandtime", "basedatetime", "utc", "timeutc", "datetimeutc",
              "utctime", "dateutc", "timestamputc", "receivedtime", "unixtime", "unix", "epoch", "unixtimestamp",
@@ -28,32 +30,32 @@ NAMES = {
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
              "timegmt", "isotime", "tst", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
-             "timeofday", "secondsofday", "tod", "sod",
+             "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", *APPLE,
              "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
     "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "datum",
-             "tag", "jour", "fecha", "dia"),
+             "tag", "jour", "fecha", "dia", "sidate"),
     "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert", "ost", "este"),
     "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert", "nord", "norte"),
     "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
-    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7"),
+    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7", "silati", "zlatitude"),
     "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge",
-                  "longitudee7"),
+                  "longitudee7", "silong", "zlongitude"),
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
-                 "heightaboveellipsoid", "enhancedaltitude"),
+                 "heightaboveellipsoid", "enhancedaltitude", "zaltitude"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "targetid", "objectid",
            "vesselid", "shipid", "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier",
            "tagid", "uavid", "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip",
            "tripid", "imo", "trajid", "trajectoryid", "trajectory", "playerid", "player", "animalid", "animal",
            "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid", "user", "entityid",
            "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid", "id",
-           "sid", "stormid", "name"),
+           "sid", "stormid", "veref", "name"),
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
-              "hacc", "eph", "hdop"),
+              "zhorizontalaccuracy", "hacc", "eph", "hdop"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup", "sdu"),
     "argos_class": ("argoslc", "lc", "locationclass"),
@@ -69,6 +71,12 @@ _IN_FRONT = {
     "enu", "pose", "point", "transform", "translation", "header",
 }  # fmt: skip
 _BEHIND = {"utm", "enu"}
+OTHER_ZONES = {
+    "local", "lt", "mez", "mesz", "cet", "cest", "eet", "eest", "bst", "est", "edt",
+    "cst", "cdt", "mst", "mdt", "pst", "pdt", "akst", "akdt", "jst", "ist", "msk", "aest", "aedt", "nzst", "nzdt",
+}  # fmt: skip
+"""Zones behind the name of a time, whose offset from UTC changes or is not known."""
+_ZONES_BEHIND = {"utc", "gmt", "zulu", *OTHER_ZONES}
 OTHER_UNIT = re.compile(
     r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|[\u00b5\u03bc]m|microns?|px|pixels?", re.IGNORECASE
 )
@@ -107,7 +115,10 @@ def plain(name: str) -> str:
         words.pop()
     if len(words) > 1 and words[-1] in _BEHIND and "".join(words[:-1]) in _KNOWN:
         words.pop()
-    return "".join(_bare(words))
+    bare = "".join(_bare(words))
+    if len(words) > 1 and words[-1] in _ZONES_BEHIND and bare not in _KNOWN and "".join(words[:-1]) in _TIMES:
+        return "".join(words[:-1])
+    return bare
 
 
 def _bare(words: list[str]) -> list[str]:
@@ -171,6 +182,7 @@ def name_words(name: str) -> list[str]:
 
 
 _KNOWN = {name for names in NAMES.values() for name in names}
+_TIMES = {*NAMES["time"], *NAMES["date"]}
 _COARSE, _LENGTHS = {"minutes", "hours", "days"}, {"km", "cm", "mm", "mi", "nmi", "yd"}
 _LONG = {
     name for role, names in NAMES.items() if role in ("x", "y", "z", "altitude") or "sigma" in role for name in names

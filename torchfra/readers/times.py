@@ -20,11 +20,15 @@ SPLIT = {"s ms": 1e3, "s us": 1e6, "s ns": 1e9}
 """Whole seconds, and parts of a second in a column of their own: how many of these a second has."""
 GPS = {"gps": 1.0, "gps_ms": 1e3}
 """Weeks of GPS and what of the week has passed, in seconds or ms: units in a second."""
-FORMS = (*PER_SECOND, *DAY_OF_1970, *GPS, "iso")
+SINCE_OTHERS = {"apple": 978_307_200.0, "gps_seconds": 315_964_800.0}
+"""When numbers of seconds begin that do not count since 1970, s: with 2001; in 1980, with leap seconds counted too."""
+OF_THE_YEAR = ("year day second", "day second")
+"""Years, days of the year and seconds of the day, each in a column of its own."""
+FORMS = (*PER_SECOND, *DAY_OF_1970, *GPS, *SINCE_OTHERS, "iso")
 """What a ``time_format`` may be besides a form of ``datetime.strptime``, or numbers of frames such as ``25fps``."""
 _FRAMES = re.compile(r"(?P<rate>[0-9]+(?:\.[0-9]+)?)fps")
 """Numbers of frames, so many of them a second."""
-_GPS_START, _WEEK = 315_964_800.0, 604_800.0
+_WEEK = 604_800.0
 _LEAPS = np.array([
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
     "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
@@ -112,12 +116,16 @@ def _is_plain(text: str) -> bool:
 
 def _form_with_zone(texts: list[str], first: re.Match[str], day_first: bool) -> tuple[str, str] | None:
     """The form of times with the name of a zone behind."""
-    zone = f"{first['gap']}{first['zone']}"
-    bare = [text.removesuffix(zone) for text in texts]
-    found = form_of(bare, day_first=day_first)
+    zone, zoned = f"{first['gap']}{first['zone']}", [_ZONED.fullmatch(text) for text in texts]
+    found = form_of([text if of is None else of["bare"] for text, of in zip(texts, zoned, strict=True)],
+                    day_first=day_first)  # fmt: skip
     if found is None:
         return None
-    form = f"{found[1]}{zone}"
+    form, zones = f"{found[1]}{zone}", [of["zone"] for of in zoned if of]
+    if len({*zones}) > 1:
+        raise ValueError(
+            f"expected one zone, received {' and '.join(dict.fromkeys(zones))}: write an offset such as -06:00 instead"
+        )
     if first["zone"] in ("UTC", "GMT", "Z"):
         return form, form
     raise ValueError(
@@ -170,8 +178,13 @@ def seconds_of(text: str, form: str) -> float:
         return _since_1970(datetime.fromisoformat(_plain_iso(text)))
     if form in GPS:
         week, passed = map(float, text.split())
-        gps = _GPS_START + _WEEK * week + passed / GPS[form]
-        return gps - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), gps, side="right"))
+        return _from_gps(_WEEK * week + passed / GPS[form])
+    if form in SINCE_OTHERS:
+        return _from_gps(float(text)) if form == "gps_seconds" else SINCE_OTHERS[form] + float(text)
+    if form in OF_THE_YEAR:
+        *year, day, second = map(float, text.split())
+        start = _since_1970(datetime(int(year[0]), 1, 1)) if year else 0.0
+        return start + 86_400 * (day - 1) + second
     if form in SPLIT:
         whole, part = map(float, text.split())
         return whole + part / SPLIT[form]
@@ -186,6 +199,12 @@ def seconds_of(text: str, form: str) -> float:
     if is_clock(form):
         return (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     return _since_1970(moment - _ahead(form))
+
+
+def _from_gps(passed: float) -> float:
+    """Seconds since 1970 of those of GPS."""
+    gps = SINCE_OTHERS["gps_seconds"] + passed
+    return gps - float(np.searchsorted(_LEAPS + np.arange(1, len(_LEAPS) + 1), gps, side="right"))
 
 
 def _unpacked(text: str, form: str) -> tuple[str, float]:
@@ -254,8 +273,19 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         return _numbers(time * count, 6 if np.abs(time).max(initial=0.0) > 1e6 else 9, count)
     if form in DAY_OF_1970:
         return _numbers(time / 86_400 + DAY_OF_1970[form], 6, 1 / 86_400)
+    since: NDArray[np.float64] = time - SINCE_OTHERS.get(form, SINCE_OTHERS["gps_seconds"])
+    if form != "apple":
+        since += np.searchsorted(_LEAPS, time, side="right")
+    if form in SINCE_OTHERS:
+        return _numbers(since, 6, 1.0)
+    if form in OF_THE_YEAR:
+        days, seconds = np.divmod(np.rint(time * 1e6) / 1e6, 86_400)
+        years = days.astype("datetime64[D]").astype("datetime64[Y]")
+        before = years.astype("datetime64[D]").astype(float) if form == OF_THE_YEAR[0] else np.zeros(len(days))
+        parts = zip(years.astype(str), days - before + 1, _numbers(seconds, 6, 1.0), strict=True)
+        texts = [f"{year} {day:.0f} {second}" for year, day, second in parts]
+        return texts if form == OF_THE_YEAR[0] else [text.partition(" ")[2] for text in texts]
     if form in GPS:
-        since = time + np.searchsorted(_LEAPS, time, side="right") - _GPS_START
         of_week = _numbers(since % _WEEK * GPS[form], 6, GPS[form])
         return [f"{week:.0f} {passed}" for week, passed in zip(since // _WEEK, of_week, strict=True)]
     if form in SPLIT:
