@@ -297,6 +297,11 @@ def test_a_jump_is_the_likeliest_step_from_which_on_the_other_filter_is_believed
     assert all(of.any() for of in found)
 
 
+def test_a_step_alone_is_no_jump_though_rounding_makes_one_filter_likelier():
+    gain, no = torch.tensor([[-1e-15]], dtype=torch.float64), torch.zeros(1, 1, dtype=torch.bool)
+    assert not any(x.any() for x in _jumps(gain, no, no, torch.tensor([-8.0])))
+
+
 def test_the_filters_believed_are_the_likeliest_choice_of_every_stretch():
     rng, rare = np.random.default_rng(0), np.array([-1.0, -3.0, -9.0, -4.0] * 20)
     gain, lost = 3.0 * rng.standard_normal((50, 80)), rng.random((50, 80)) < 0.3

@@ -222,7 +222,8 @@ def _numbers(inside: Tensor) -> Tensor:
 
 def _largest(x: Tensor, number: Tensor) -> Tensor:
     """The largest value ``(T, B)`` of all steps of the same number."""
-    return torch.empty_like(x).scatter_reduce(0, number, x, "amax", include_self=False).gather(0, number)
+    most = x.new_empty(len(x) + 1, *x.shape[1:])  # numbers of one step are 0 or 1
+    return most.scatter_reduce(0, number, x, "amax", include_self=False).gather(0, number)
 
 
 def _joined(contrary: Tensor, seen: Tensor) -> Tensor:
