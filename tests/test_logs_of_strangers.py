@@ -443,6 +443,13 @@ def test_dates_of_a_whole_year_are_in_one_order(write):
     assert np.diff(track.time) == pytest.approx(9 * 86_400)
 
 
+@pytest.mark.parametrize(("first", "then"), [("13/02/2024", "02/12/2024"), ("2024-12-02", "2024-02-13")])
+def test_two_days_of_a_year_are_as_written_where_times_go_on_or_the_year_is_in_front(write, first, then):
+    rows = [f"{first if i < 30 else then} 10:{i:02},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["Date,lat,lon", *rows]))
+    assert len(track.time) == ROWS
+
+
 def test_one_fix_a_month_is_in_the_order_that_is_written(write):
     rows = [f"05.{1 + i % 12:02}.{2020 + i // 12} 10:00,{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
     (track,) = read(write(["Date,lat,lon", *rows]))

@@ -143,10 +143,13 @@ class Clock:
         """Refuses times ``(rows,)`` of which some have the day first and others the month, as spreadsheets leave them.
 
         Those of days after the 12th tell which is first. Where the others stand near them with day and month
-        exchanged alone, they are in the other order.
+        exchanged alone, and times as they are go to and fro, they are in the other order. Behind a year there is one.
         """
         rows = np.flatnonzero(np.isfinite(time))
-        if self.stated or not re.search("%[dm][-/. ]%[dm]", self.form) or not len(rows):
+        if self.stated or not re.search("(?<!%[Yy][-/. ])%[dm][-/. ]%[dm]", self.form):
+            return
+        steps = np.diff(time[rows])
+        if (steps >= 0).all() or (steps <= 0).all():
             return
         dates = time[rows].astype("datetime64[s]").astype("datetime64[D]")
         months = dates.astype("datetime64[M]")
@@ -156,7 +159,7 @@ class Clock:
             return
         exchanged = (months.astype("datetime64[Y]").astype("datetime64[M]") + day).astype("datetime64[D]") + month
         other = np.where(either, (exchanged - dates).astype(np.int64) * _DAY, 0.0) + time[rows]
-        if np.abs(np.diff(other)).sum() < _NEARER * np.abs(np.diff(time[rows])).sum():
+        if np.abs(np.diff(other)).sum() < _NEARER * np.abs(steps).sum():
             one, last = (written(time[rows[mask]][:1], self.form)[0] for mask in (either, sure))
             raise ValueError(
                 f"column {self.column}: expected days and months in one order, received {one} and {last}, which are "
