@@ -56,7 +56,7 @@ def test_the_current_statistical_model_has_its_known_values():
     torch.testing.assert_close(shift, tensor(0.0650327856, 0.0967483607, 0.095162582), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("product", [1e-6, 0.1, 16.0])
+@pytest.mark.parametrize("product", [1e-6, 1e-3, 0.1, 1.0, 4.0, 16.0])
 def test_the_noise_is_exact_however_short_or_long_the_memory(product):
     alpha = product / 2
     root = Singer(1.0, alpha, dims=1).process_noise(T)

@@ -115,7 +115,8 @@ FILTERS = {
 }
 
 
-@pytest.mark.parametrize(("name", "smooth"), [(name, i % 2 > 0) for i, name in enumerate(FILTERS)])
+@pytest.mark.parametrize("smooth", [False, True], ids=["filtered", "smoothed"])
+@pytest.mark.parametrize("name", FILTERS)
 def test_no_filter_of_several_hypotheses_depends_on_where_the_circle_is_cut(name, smooth):
     offsets = (0.5 - HALF, HALF + 0.01, 2 * HALF - 1.0)
     z, priors = zip(*map(headings, offsets), strict=True)
