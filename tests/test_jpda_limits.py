@@ -15,7 +15,7 @@ from torchfra.types import Gaussian
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("inner", [presets.ekf, presets.hghckf2, presets.iaukf])
+@pytest.mark.parametrize("inner", [presets.ekf, presets.ghckf, presets.rsrckf, presets.hghckf2, presets.iaukf])
 def test_without_false_measurements_and_always_detected_it_is_the_filter_itself(inner):
     s = scenarios.noise_change()
     t = s.simulate(3, 0)
