@@ -242,3 +242,9 @@ def test_a_batch_in_which_some_tracks_fork_is_a_loop_over_tracks(name):
         alone = make(q)(z[track], Gaussian(mean[track], root))
         torch.testing.assert_close(together.mean[track], alone.mean, rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(together.covariance[track], alone.covariance, rtol=1e-9, atol=1e-9)
+
+
+def test_where_no_track_forks_nothing_is_computed_for_them():
+    f = presets.imm_fra(TURNS, Position(2.0)).inner
+    none = torch.zeros(3, 2, dtype=torch.bool)
+    assert f.where_abnormal(none, lambda: pytest.fail("computed"), (), default := torch.zeros(3, 2)) is default

@@ -315,15 +315,18 @@ class FRA(Soft, Filter[FRAState]):
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``, else ``default``.
 
-        Traced code computes it for all tracks; so does a filter whose hyperparameters have a batch, or whose models are
-        functions of their own, which a choice of tracks alone would not fit.
+        Traced code computes it for all tracks; so does, unless ``mask`` is empty, a filter whose hyperparameters have a
+        batch, or whose models are functions of their own, which a choice of tracks alone would not fit.
         """
         if self.soft:
             return function(*arguments)
         parts: list[Any] = [self.gate, self.preference, self.plain, self.robust, self.fading, self.sensor]
         parts += [] if self.motion.linear else [self.motion]  # a linear one has given its matrices for each track
         own = not self.motion.linear and bool(self.motion.stacked)
-        if own or is_traced(mask) or any(part is not None and brings_batch(part) for part in parts):
+        traced = is_traced(mask)
+        if not traced and not mask.any():
+            return default
+        if own or traced or any(part is not None and brings_batch(part) for part in parts):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
 
