@@ -28,7 +28,7 @@ _TOGETHER = 16
 """Steps that are smoothed together: few enough for a cache to hold their hypotheses."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
-_ENOUGH = 10
+_ENOUGH = 8
 """Fixes before and after a jump: fewer are a burst of outliers that a track begins or ends with."""
 _RARE = 300.0
 """Seconds without a fix in which a target that is elsewhere has gone there: tracks with such gaps have no jumps."""
