@@ -586,3 +586,23 @@ def test_dated_rows_of_targets_one_after_the_other_are_no_single_one(write):
         ValueError, match=r"received 2024-06-03 08:00:10 behind 2024-06-03 08:59:00 in data row 61.*--id"
     ):
         read(write(rows), time="2", lat="3", lon="4")
+
+
+@pytest.mark.parametrize("form", [None, "%d.%m.%Y %H:%M:%S,%f", "%d.%m.%Y %H:%M:%S"])
+def test_parts_of_a_second_may_come_after_a_comma(write, form):
+    rows = [f"{moment:%d.%m.%Y %H:%M:%S},{moment.microsecond // 1000:03};{i};{2 * i}"
+            for i, moment in enumerate(moments(0.25))]  # fmt: skip
+    (track,) = read(write(["Zeit;x;y", *rows]), time_format=form)
+    assert np.diff(track.time) == pytest.approx(0.25)
+
+
+def test_numbers_of_tracks_are_targets(write):
+    rows = [f"{i},{i % 2},{i + 9000 * (i % 2)},{i}" for i in range(ROWS)]
+    assert [track.name for track in read(write(["t,TRACK_NO,x,y", *rows]))] == ["0", "1"]
+
+
+def test_a_text_of_mapsource_is_to_be_saved_as_gpx(write):
+    head = ["Grid\tLat/Lon hddd°mm.mmm'", "Datum\tWGS 84", "", "Header\tPosition\tTime\tAltitude"]
+    rows = [f"Trackpoint\tN47 27.{i:03} E9 17.996\t8/17/2013 8:02:{i} AM\t1296 m" for i in range(10, ROWS)]
+    with pytest.raises(ValueError, match="a text of MapSource or BaseCamp, which save tracks as GPX"):
+        read(write([*head, *rows]))

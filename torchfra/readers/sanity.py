@@ -146,5 +146,7 @@ def _guess(recording: Recording, layout: Layout) -> str:
         if unit in SINCE_1970:
             return f"column {column} looks like {unit}: use --time-format {unit}, or name another column by --time"
     if likely:
-        return f"column {column} may be in {' or '.join(likely)}: say by --time-format, or name another by --time"
+        several = f"; if rows are of several targets, --id {layout.unread[0]}" if layout.unread else ""
+        said = f"column {column} may be in {' or '.join(likely)}: say by --time-format, or name another by --time"
+        return said + several
     return f"column {column} may be no time: name another by --time, or its unit by --time-format"

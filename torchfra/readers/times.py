@@ -52,11 +52,11 @@ _ISO = re.compile(
 )
 _OTHER = re.compile(
     r"(?P<a>[0-9]{1,4})(?P<sign>[-/.])(?P<b>[0-9]{1,2})(?P=sign)(?P<c>[0-9]{4}|[0-9]{1,2})(?P<between>[T ])"
-    r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?"
+    r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:[.,][0-9]{1,6})?(?P<half> ?[AaPp][Mm])?"
 )
 _NAMED = re.compile(
     r"[0-9]{1,2}(?P<sign>[-/ ]?)(?P<month>[A-Za-z]{3,9})(?P=sign)(?P<year>[0-9]{4}|[0-9]{2})(?P<between>[T ])"
-    r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:\.[0-9]{1,6})?"
+    r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:[.,][0-9]{1,6})?"
 )
 """A date with the English name of its month."""
 _MONTHS = ("January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
@@ -67,7 +67,9 @@ _USUAL = re.compile(
     rf"(?:(?:[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}[T ][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}(?:\.[0-9]{{1,6}})?{_UTC})?\n)*"
 )
 """Lines of ISO text in UTC, or empty."""
-_CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:\.[0-9]{1,6})?(?P<half> ?[AaPp][Mm])?")
+_CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:[.,][0-9]{1,6})?(?P<half> ?[AaPp][Mm])?")
+_COMMA, _PART = re.compile("(?<=:[0-9]{2}),(?=[0-9])"), re.compile("(?<=%S)[.,]%f")
+"""Before parts of a second, of a time and of its form."""
 _ZONED = re.compile(r"(?P<bare>.*[0-9](?: ?[AaPp][Mm])?)(?P<gap> ?)(?P<zone>[A-Z]{1,5}|[A-Z][a-z]+/[A-Za-z_/]+)")
 """A time with the name of a zone behind."""
 
@@ -191,8 +193,8 @@ def seconds_of(text: str, form: str) -> float:
     if _PACKED.fullmatch(form):
         text, part = _unpacked(text, form)
         return seconds_of(text, " ".join(re.sub("(?<=.)%", "-%", word) for word in form.split())) + part
-    bare = form.replace(".%f", "")
-    pointed = re.search(r":[0-9]{2}\.[0-9]", text) is not None
+    bare, text = _PART.sub("", form), _COMMA.sub(".", text)
+    pointed = "%f" not in bare and re.search(r":[0-9]{2}\.[0-9]", text) is not None
     if _MONTH_OF_FORM.search(bare):  # as numbers: names in ``strptime`` are those of the locale
         text, bare = _MONTH.sub(_number_of_month, text), _MONTH_OF_FORM.sub("%m", bare)
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
@@ -293,7 +295,7 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         return [f"{seconds:.0f} {passed * SPLIT[form] / 1e6:.0f}" for seconds, passed in halves]
     micro = np.rint(time * 1e6).astype(np.int64)
     digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
-    form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" else form.replace(".%f", "")
+    form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" else _PART.sub("", form)
     (head, second, tail), ahead = form.partition("%S"), _ahead(form)
     texts = []
     for value in micro.tolist():
