@@ -179,7 +179,7 @@ class Fixes(NamedTuple):
 
     @property
     def after_pause(self) -> Tensor:
-        """``(T, B)`` whether a fix comes after a pause: rests, and all that a target may do, are shorter."""
+        """``(T, B)`` whether a fix comes after a pause: much longer than most gaps, and than any manoeuvre lasts."""
         periods, seconds = _PAUSE
         return ~self.missing & (self.elapsed > (periods * self.period).clamp_min(seconds))
 

@@ -189,11 +189,11 @@ def _lost(
 
 
 def _jumps(gain: Tensor, lost: Tensor, may: Tensor, rare: Tensor) -> tuple[Tensor, Tensor]:
-    """Where a target jumps or turns back at once, as far as the filter that comes from beyond has not recovered.
+    """Where a target jumps or turns back at once, with the steps at which the filter from the other side is still lost.
 
-    All fixes by the first are as likely as all by the second.  If instead the first is believed before a step and the
-    second from it on, they are likelier by what ``gain`` sums to from there, negative.  A jump is where this is largest
-    of all steps around it where it is positive, and more than a jump is rare.
+    All fixes are as likely by the first filter as by the second.  If the first is believed before a step and the second
+    from that step on, they are likelier by minus the sum of ``gain`` from there on.  A jump is where this is the
+    largest of all steps around it where it is positive, and larger than a jump is rare.
 
     Args:
         gain: ``(T, B)``, the log of how much likelier each fix is by the first than by the second.
