@@ -62,8 +62,5 @@ def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tens
     Source: Bar-Shalom, Li & Kirubarajan (2001), eq. (5.4.2-1).
     """
     states = slice(None) if states is None else states
-    return (
-        whiten(marginal_root(estimate.scale_tril, states), estimate.mean[..., states] - truth[..., states])
-        .square()
-        .sum(-1)
-    )
+    error = estimate.mean[..., states] - truth[..., states]
+    return whiten(marginal_root(estimate.scale_tril, states), error).square().sum(-1)
