@@ -48,8 +48,8 @@ def test_bands_hold_the_truth_where_errors_last(cleaned):
 
 
 SEEN, ASSUMED = (
-    "Time-correlated errors: of ",
-    "Time-correlated errors: not distinguishable from motion ",
+    "Time-correlated errors seen: ",
+    "Time-correlated errors possible: not distinguishable from motion ",
 )
 
 
@@ -68,7 +68,7 @@ def test_errors_that_last_are_said_with_their_size_and_time(cleaned):
 
 def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma(cleaned):
     results = [cleaned[name][0][0] for name in ("15 s", "few and white")]
-    assert "Time-correlated errors: 1 of 2" in notes(results)
+    assert "Time-correlated errors seen: 1 of 2" in notes(results)
     assert not any(line.startswith("Sigma is unsure") for line in overview(results))
 
 

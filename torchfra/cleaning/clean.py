@@ -89,10 +89,10 @@ def clean(
 
     Returns:
         For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,
-        ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others, in the units of the input; rows that hold no fix,
-        or one at the time of another, have NaN there.  A ``GeoDataFrame`` stays one and gets ``clean_geometry`` too,
-        points in its own coordinate reference system.  For arrays a ``Cleaned``, and for a path or recordings a list of
-        them, one for each target.
+        ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others: positions in the units of the input, all else in
+        m and s.  Rows that hold no fix, or one at the time of another, have NaN there.  A ``GeoDataFrame`` stays one
+        and gets ``clean_geometry`` too, points in its own coordinate reference system.  For arrays a ``Cleaned``, and
+        for a path or recordings a list of them, one for each target.
 
     Raises:
         ValueError: the data cannot be understood, or a value is out of its range.

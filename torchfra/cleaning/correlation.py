@@ -215,9 +215,9 @@ def _said(errors: Lasting) -> tuple[str]:
         duration(float(np.exp(share @ np.log(errors.seconds)))),
     )
     if likely > _SEEN_AS:
-        return (f"Time-correlated errors: of {std} over about {seconds}; standard deviations contain them",)
+        return (f"Time-correlated errors seen: {std} over about {seconds}; standard deviations contain them",)
     return (
-        "Time-correlated errors: not distinguishable from motion here; standard deviations assume "
+        "Time-correlated errors possible: not distinguishable from motion here; standard deviations assume "
         f"{std} over about {seconds} with a probability of {100 * likely:.0f} %",
     )
 
