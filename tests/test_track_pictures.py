@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from torchfra import plotting
 from torchfra.cleaning import Segment
 from torchfra.cleaning.outputs.colours import APART, BLUE, GREY, ORANGE, RED, REGIMES
-from torchfra.cleaning.outputs.view import MOST_STD, placed, view
+from torchfra.cleaning.outputs.view import MOST_STD, Band, placed, view
 from torchfra.plotting.style import line_styles
 
 
@@ -188,6 +188,21 @@ def test_every_line_has_a_look_of_its_own_and_the_first_a_colour_of_their_own():
     looks = line_styles([f"filter {i}" for i in range(20)]).values()
     assert len({(look["color"], look["linestyle"]) for look in looks}) == 20
     assert len({look["color"] for look in list(looks)[: len(APART)]}) == len(APART) == 7
+
+
+def test_the_axis_of_altitudes_has_room_for_what_is_recorded_but_for_outliers():
+    rng = np.random.default_rng(0)
+    recorded = 100.0 + 10.0 * rng.standard_normal(400)
+    recorded[7] = 1e5
+    low, high = Band(np.full(400, 100.0), np.full(400, 0.5), recorded).limits()
+    assert ((recorded < low) | (recorded > high)).mean() < 0.02
+    assert high < 200
+
+
+def test_a_title_with_a_long_name_keeps_what_it_says_of_the_track():
+    title = view(replace(straight(40), recording=replace(straight(40).recording, name="long" * 40))).title
+    assert len(title) < 110
+    assert "40 fixes" in title
 
 
 def test_a_spike_of_the_path_does_not_set_the_scale_of_the_map_or_of_the_speed():

@@ -13,7 +13,7 @@ from torchfra.cleaning.outputs.times import dates
 from torchfra.cleaning.segments import spans
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
-from torchfra.tables import duration, metres
+from torchfra.tables import duration, metres, printable
 
 SURE = 2.0
 """Standard deviations to each side that a band is wide."""
@@ -23,6 +23,11 @@ _ROOM = 0.5
 """How far kept fixes may widen the map of the path, as a share of it."""
 _MEDIAN, _SPIKE = 5, 3.0
 """Steps of running medians; and how many times as wide as these values may spread before their spikes do not count."""
+_MOST_OFF = 4.5
+"""Times the median distance of what is recorded from an estimate for which an axis has room: three standard deviations
+of a Gaussian."""
+_NAME = 40
+"""Characters of a target's name in a title."""
 _REGIMES = 5
 """That are shown by themselves, with the calm one."""
 _LEAST_SHARE = 0.01
@@ -42,12 +47,15 @@ class Band(NamedTuple):
     """NaN between fixes; None where it is not recorded."""
 
     def limits(self) -> tuple[float, float]:
-        """Of an axis: the quantity without spikes, and its band where that is as wide as usual."""
+        """Of an axis: the quantity without spikes, its band where that is as wide as usual, and most fixes."""
         mean, std = self.mean[np.isfinite(self.mean)], self.std[np.isfinite(self.std)]
         if not len(mean):
             return 0.0, 1.0
         (low,), (high,) = without_spikes(mean[:, None])
         margin = max(0.08 * (high - low), 1.5 * SURE * float(np.median(std)) if len(std) else 0.0, 1e-3)
+        off = np.abs((self.mean if self.recorded is None else self.recorded) - self.mean)
+        if (seen := np.isfinite(off)).any():
+            margin = max(margin, _MOST_OFF * float(np.median(off[seen])))
         return float(low - margin), float(high + margin)
 
 
@@ -155,9 +163,10 @@ def placed(of: View, letters: int) -> list[tuple[float, int, str]]:
 
 
 def _title(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> str:
+    name = printable(cleaned.recording.name, _NAME)
     fixes = f"{(cleaned.row >= 0).sum():,} fixes in {duration(float(cleaned.time[-1]))}"
     how = f"{cleaned.found.filter}, {'smoothed' if cleaned.found.smooth else 'as on line'}"
-    return f"{cleaned.recording.name}: {fixes}, {rejected.sum():,} rejected; {how}; bands of {SURE:g} std"
+    return f"{name}: {fixes}, {rejected.sum():,} rejected; {how}; bands of {SURE:g} std"
 
 
 def _clock(cleaned: Cleaned) -> tuple[str, float]:
