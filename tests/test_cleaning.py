@@ -699,6 +699,57 @@ def test_a_track_is_cleaned_as_alone_beside_one_whose_fixes_are_rare(period, sig
     assert beside.found.sigma == pytest.approx(alone.found.sigma, rel=1e-6)
 
 
+def drifting(seed, period, count=200):
+    """A drifter's recording and where it was, by 0.3 m/s straight on."""
+    rng, time = np.random.default_rng(seed), period * np.arange(count)
+    truth = np.stack([0.3 * time, 0.1 * time], 1)
+    return Recording("drifter", time, truth + 20.0 * rng.standard_normal(truth.shape), None, {}), truth
+
+
+def test_a_drifter_among_those_that_may_rest_is_cleaned_as_alone_beside_one_with_rarer_fixes():
+    (one, _), (rarer, _) = drifting(1, 300.0), drifting(2, 600.0)
+    (alone,), (beside, _) = clean_tracks([one]), clean_tracks([one, rarer])
+    assert beside.found.sigma == pytest.approx(alone.found.sigma, rel=1e-6)
+    np.testing.assert_allclose(beside.position, alone.position, rtol=0, atol=1e-3)
+
+
+@track
+def drifters_every_few_minutes():
+    return [drifting(7, period) for period in (120.0, 180.0, 300.0)]
+
+
+def test_a_drifter_that_goes_straight_on_is_known_better_than_its_fixes(results):
+    for truth, cleaned in results["drifters_every_few_minutes"]:
+        assert cleaned.found.sigma == pytest.approx(20.0, rel=0.15)
+        assert error(cleaned, truth, slice(None)) < 0.5 * 20.0 * np.sqrt(2)
+
+
+def circling(seed, speed, turn, period, wind=3.0, count=300):
+    """Glides and thermals with ``turn`` seconds a circle, measured to 3 m: the recording and the truth."""
+    rng, course, path = np.random.default_rng(seed), 0.0, [np.zeros(2)]
+    while len(path) < 10 * period * count:
+        rate = rng.choice([-1, 0, 1]) * 2 * np.pi / (turn * rng.uniform(0.8, 1.2))
+        for _ in range(int(10 * rng.uniform(60, 300))):
+            course += 0.1 * rate
+            path.append(path[-1] + 0.1 * (speed * np.array([np.cos(course), np.sin(course)]) + wind))
+    truth = np.array(path)[: int(10 * period * count) : int(10 * period)]
+    z = truth + 3.0 * rng.standard_normal(truth.shape)
+    return Recording("circling", period * np.arange(len(truth)), z, None, {}), truth
+
+
+@track
+def who_circles_with_a_few_fixes_a_turn():
+    return [
+        circling(seed, *how) for seed in (1, 2) for how in ((10.0, 15.0, 5.0), (12.0, 18.0, 8.0), (27.0, 24.0, 10.0))
+    ]
+
+
+def test_circles_of_a_few_fixes_are_no_noise(results):
+    for truth, cleaned in results["who_circles_with_a_few_fixes_a_turn"]:
+        assert cleaned.found.sigma < 1.5 * 3.0
+        assert error(cleaned, truth, slice(None)) < 1.2 * 3.0 * np.sqrt(2)
+
+
 @track
 def quadcopters_that_stop_and_go():
     rng, speed, course, place, path = np.random.default_rng(3), 5.0, 0.0, np.zeros(2), []

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT
 from torchfra.cleaning.parts import Part, summed
-from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.sigma import finer_sigma, hardly_surer, lowest_sigma
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
@@ -21,8 +20,8 @@ _FEW = 2.0
 _WORTH = 300.0, 30.0
 """How many fixes the default rates of outliers count for: where the other one, before or beside it, is none; and where
 it is an outlier."""
-_SURELY, _SURELY_RARE = 0.8, 0.95
-"""Probability of an outlier that the path goes past where sigma is open; and where fixes are rare."""
+_SURELY = 0.95
+"""Probability of an outlier that the path goes past where sigma is open."""
 _DECIDED = 50.0
 """Log of the odds of what is decided."""
 
@@ -138,8 +137,7 @@ def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
     if not len(rows):
         return known
     some = part.at(rows)
-    surely = torch.where(some.fixes.period > LONGEST, _SURELY_RARE, _SURELY)
-    fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > surely, _DECIDED, -_DECIDED))
+    fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
     position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], known.belief[:2], strict=True))
     return known._replace(belief=known.belief._replace(position=position, velocity=velocity))

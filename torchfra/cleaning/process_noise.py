@@ -27,6 +27,8 @@ _WALKS, _WALKS_RARE, _APART = 5, 8, 2.5
 ways by which they move a target."""
 _WALK_FIXES, _WALK_FIXES_RARE = 10.0, 3.0
 """How many fixes each of them lasts; and where fixes are rare, for a target that rests for hours moves now and then."""
+_DRIFT_FIXES = 10.0
+"""How many fixes the least process noise lasts beside them, for a drifter goes straight on where a swimmer may stop."""
 _RARER = 3.0
 """Log of how much rarer the largest process noise is than the least, before a track has said."""
 _RAREST, _NEVER = -25.0, -60.0
@@ -102,18 +104,21 @@ def _log_shares(rarer: Tensor, ended: Tensor) -> Tensor:
 def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor, walking: Tensor) -> Levels:
     """With levels of a random walk by shares of the ``farthest (B,)`` way, m, of targets that stop in ``stops`` s.
 
-    Those that are not ``walking`` have levels that move nothing.
+    Those that are not ``walking``, or are not rare in a batch in which others are, have more levels than they need.
+    These are as their smallest one: another, however seldom it begins, would change what a track says if it lasted.
     """
     rare = period > LONGEST
     number = torch.arange(_WALKS_RARE if rare.any() else _WALKS).flip(0).unsqueeze(1)
     there = walking & (rare | (number < _WALKS))
-    size = there * farthest / _APART**number
+    size = walking * farthest / _APART ** torch.where(rare, number, number.clamp_max(_WALKS - 1))
     walks = torch.where(walking, period / (period + 4 * stops), math.exp(_NEVER))
     each = torch.where(there | ~walking, walks / torch.where(walking, there.sum(0), len(number)), math.exp(_NEVER))
     fixes = torch.where(rare, _WALK_FIXES_RARE, _WALK_FIXES)
+    usual = levels.duration[:1]
+    drift, walk = (usual.maximum(walking * count * period) for count in (_DRIFT_FIXES, fixes))
     return Levels(
         torch.cat([levels.q, levels.q[:1].expand_as(size)]),
         torch.cat([levels.log_share + torch.log1p(-walks), each.log()]),
-        torch.cat([levels.duration, levels.duration[:1].maximum(fixes * period).expand_as(size)]),
+        torch.cat([drift, levels.duration[1:], walk.expand_as(size)]),
         torch.cat([levels.walk, size.square() / period]),
     )

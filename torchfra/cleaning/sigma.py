@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
@@ -42,12 +43,15 @@ _HOME = 43200.0
 """Seconds between fixes from which on targets may be back where they were: then motion is as white as noise."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is found."""
+_OVER_CIRCLES, _STRETCHES = 1.3, 20
+"""How many times as large sigma may be as what circles leave, and stretches of fixes that tell of these."""
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
     tried = _largest_sigma(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    return likeliest_sigma(fixes, levels, owner, tried, model.of_any_offset)
+    likely = likeliest_sigma(fixes, levels, owner, tried, model.of_any_offset)
+    return likely.minimum(_most_by_circles(fixes, owner))
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -57,7 +61,7 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     alone, usual = (
         likeliest_sigma(part.fixes, part.levels, owner, tried, of) for of in (part.model.of_any_offset, part.model)
     )
-    return alone.maximum(usual)
+    return alone.maximum(usual).minimum(_most_by_circles(part.fixes, owner))
 
 
 def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel) -> Tensor:
@@ -174,14 +178,40 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
 
     It is in units of the usual standard deviation that the file states, if it states one.
     """
-    stated = torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
-    third = _third_differences(fixes.z / stated, fixes.gap).square().mean(1).sqrt()
-    most = fixes.gap.new_ones(len(owner))
-    for i in owner.unique():
-        own = third[:, owner == i]
-        if bool((~own.isnan()).any()):
-            most[owner == i] = 2 * own.nanmedian()
+    third = _third_differences(_in_usual(fixes), fixes.gap).square().mean(1).sqrt()
+    most = 2 * _median(third, owner).nan_to_num(0.5)
     return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
+
+
+def _most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
+    """The largest sigma ``(B,)`` of tracks that circle; infinite where too few fixes come evenly, or rarely.
+
+    A target that circles with a few fixes a turn looks like noise about a straight way to levels of process noise,
+    which know no turns.
+    """
+    most = torch.full_like(fixes.gap[0], math.inf)
+    if fixes.z.shape[1] != 2 or len(fixes.z) < IN_A_ROW:
+        return most
+    rows = _rows_for_sigma(fixes, owner)
+    part = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
+    off = off_circles(_in_usual(part), part.gap).where(part.period <= LONGEST, math.nan)
+    enough = summed((~off.isnan()).sum(0), owner[rows]) >= _STRETCHES
+    for i, median in zip(owner[rows][enough], _median(off, owner[rows])[enough], strict=True):
+        most[owner == i] = _OVER_CIRCLES * median
+    return most
+
+
+def _in_usual(fixes: Fixes) -> Tensor:
+    """Fixes ``(T, d, B)`` in units of the usual standard deviation that the file states, if it states one."""
+    return fixes.z / torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
+
+
+def _median(values: Tensor, owner: Tensor) -> Tensor:
+    """The median ``(B,)`` of values ``(T, B)`` over all rows of the same ``owner (B,)``; NaN where there are none."""
+    medians = torch.full_like(values[0], math.nan) if len(values) else values.new_full(owner.shape, math.nan)
+    for i in owner.unique():
+        medians[owner == i] = values[:, owner == i].nanmedian()
+    return medians
 
 
 def _third_differences(z: Tensor, gap: Tensor) -> Tensor:
