@@ -240,7 +240,7 @@ class Step:
         give_all(book, list(inputs), list(inputs.values()))
         give_all(book, _paths(record, "record"), kept)
         if [x.shape for x in after] != [x.shape for x in zero]:
-            raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
+            raise ValueError(f"state: expected a step that keeps its form {self.state}, received {state}")
         return Trace(book, before, inputs, after, record, kept)
 
     def forwards(self, remembers: bool = False) -> Scan:

@@ -125,7 +125,7 @@ class FRA(Soft, Filter[FRAState]):
         sensor: what is measured.
         robust: weights of the robust branch (``torchfra.robust``); None for Huber's.
         fading: fading factors of the adaptive branch (``torchfra.adaptive``); None for the paper's, bounded.
-        rule: from a number of states to the rule that carries a Gaussian through a function.
+        rule: from a dimension to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
         plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).

@@ -129,7 +129,7 @@ def imm_fra(
         memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``.
         provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``.
         final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
-        rule: makes the points for a number of states.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     inner = partial(

@@ -11,9 +11,9 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
-from torchfra.filters.markov import mean_durations, over_seconds, rates
+from torchfra.filters.markov import generator, mean_durations, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
-from torchfra.gaussian.model import Carried
+from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
@@ -47,10 +47,9 @@ class Regimes(nn.Module):
     process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
     each of ``J`` jumps the covariance of the predicted position is.  A regime continues with its self-transition
     probability, or for its mean duration; then the next one is drawn from the restart distribution.  The chain starts
-    from its stationary distribution.  Values are by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
-    manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
-    ``(..., R - C)``: levels of process noise that keep beliefs of their own, for one, are a bank of one motion at
-    several ``q``.
+    from its stationary distribution.  These values are given by kind, ``(..., L + 1 + M + J)``: each level, any other
+    motion, each manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime
+    instead, ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
 
     The levels of a motion share a belief, but for the lowest ``separate_levels``, which keep beliefs of their own:
     while a target moves as calmly as such a level states, the covariance of its belief shrinks accordingly.  So there
@@ -102,7 +101,7 @@ class Regimes(nn.Module):
         levels, manoeuvres, jumps, stay, begin = (as_numbers(x, name).double() for name, x in arguments.items())
         for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
-                raise ValueError(f"{name}: expected several, received {value.item():g}")
+                raise ValueError(f"{name}: expected a sequence of numbers, received {value.item():g}")
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
         if separate_levels not in range(max(self.level_count, 1)):
@@ -218,7 +217,9 @@ class Regimes(nn.Module):
             present = torch.tensor([float(k != self.level_count) for k in range(restart.shape[-1])]).to(restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
-        ended = (over_seconds(rates(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(0.0)
+        ended = (transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(
+            0.0
+        )
         each = [ended[..., kind] / sharing for kind, sharing in zip(self.kind_of, self.sharing, strict=True)]
         return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])
 
@@ -269,16 +270,16 @@ class Regimes(nn.Module):
 
     # ------------------------------------------------------------ predictions
 
-    def agile_prediction(self, carried: Carried) -> Gaussian:
+    def agile_prediction(self, propagated: Propagated) -> Gaussian:
         """The prediction ``(1, 1, 2, ..., n)`` by the agile level, the last level of the first motion.
 
         Args:
-            carried: ``(1, S, 2, ...)``, each belief by its motion.
+            propagated: ``(1, S, 2, ...)``, each belief by its motion.
         """
-        noise = self.noise_levels(carried.mean)[..., -1].sqrt()[..., None, None] * carried.process_noise[:, :1]
-        return Gaussian(carried.mean[:, :1], tria(hstack(carried.spread[:, :1], noise)))
+        noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
+        return Gaussian(propagated.mean[:, :1], tria(hstack(propagated.spread[:, :1], noise)))
 
-    def predictions(self, carried: Carried, nis: Tensor, position: slice) -> Gaussian:
+    def predictions(self, propagated: Propagated, nis: Tensor, position: slice) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -286,23 +287,23 @@ class Regimes(nn.Module):
         without bound.
 
         Args:
-            carried: ``(1, S, 2, ...)``, each belief by its motion.
+            propagated: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
             position: components of a state that are its position.
         """
-        root = tria(hstack(self.per_regime(carried.spread), self._noise(carried, nis)))
-        widths = self._widths(carried.mean, nis, position)
-        return Gaussian(self.per_regime(carried.mean), widths * root)  # with scaled rows a lower root stays one
+        root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)))
+        widths = self._widths(propagated.mean, nis, position)
+        return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
-    def predicted_parts(self, carried: Carried, nis: Tensor, position: slice) -> Carried:
+    def predicted_parts(self, propagated: Propagated, nis: Tensor, position: slice) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made, of the same arguments."""
-        widths = self._widths(carried.mean, nis, position)
-        spread, noise = self.per_regime(carried.spread), self._noise(carried, nis)
-        return Carried(self.per_regime(carried.mean), widths * spread, widths * noise, None)
+        widths = self._widths(propagated.mean, nis, position)
+        spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
+        return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
 
-    def _noise(self, carried: Carried, nis: Tensor) -> Tensor:
-        """Roots ``(1, R, 2, ..., n, q)`` of the process noise of every regime."""
-        return self._noise_factors(carried.mean, nis) * self.per_regime(carried.process_noise)
+    def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
+        """Roots ``(1, R, 2, ..., n, r)`` of the process noise of every regime."""
+        return self._noise_factors(propagated.mean, nis) * self.per_regime(propagated.process_noise)
 
     def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
         """Factors ``(1, R, 2, ..., n or 1, 1)`` on the root of the process noise of each regime's motion."""

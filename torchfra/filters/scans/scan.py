@@ -48,7 +48,7 @@ class JPDAInfo(NamedTuple):
     noise: Tensor | None = None
     """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
     weights: Tensor | None = None
-    """``(..., N, T, J, m)`` weights of a robust inner filter, which divide the noise of each measurement."""
+    """``(..., N, T, J, m)`` weights of a robust inner filter, which divide the noise covariance of each measurement."""
     repaired: Tensor | None = None
     """``(..., N, T)`` number of covariances that were not positive definite and were repaired; for rules with negative
     weights."""
