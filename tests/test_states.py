@@ -87,9 +87,9 @@ def test_a_motion_of_a_user_gets_the_names_that_its_layout_tells():
         ({"kinds": ("bias",)}, "kinds: expected one for each of 4"),
         (
             {"kinds": ("position", "position", "velocity", "angle")},
-            "angles: expected the numbers of the components of kind 'angle'",
+            "angles: expected the indices of the components of kind 'angle'",
         ),
-        ({"angles": (4,)}, r"angles: expected numbers of components, 0 to 3, received \(4,\)"),
+        ({"angles": (4,)}, r"angles: expected indices of components, 0 to 3, received \(4,\)"),
     ],
 )
 def test_names_and_kinds_that_do_not_fit_are_refused(options, said):

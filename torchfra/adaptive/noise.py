@@ -106,7 +106,7 @@ class SageHusa(NominalNoise):
     """
 
     block_of: Tensor
-    """``(m,)`` number of each element's block."""
+    """``(m,)`` index of each element's block."""
 
     def __init__(
         self,

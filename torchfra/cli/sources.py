@@ -32,8 +32,8 @@ def add_source_options(add: Any) -> None:
     own = "or your own function that makes one: module:function, or file.py:function"
     add("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}, {own}")
     add("--ranges", metavar="PATH", type=Path, nargs="+", help="instead of files, recorded ranges")
-    add("--outliers", metavar="MODE", help="what is larger in outliers, covariance (default) or std; or bursts (files "
-        "and bearings-*), offset (bearings-*), none; for ranges-outliers short (default), nlos, both, none")  # fmt: skip
+    add("--outliers", metavar="MODE", help="what is larger in outliers, covariance (default) or std; or bursts (files, "
+        "bearings-*), offset (bearings-*), none; for ranges-outliers short (default), nlos, both, none")  # fmt: skip
     add("--sensor", help="for files: bearings (default), radar or position")
     add("--q", type=float, help=f"{q}0.25, for ranges 0.3)")
     add("--dt", type=float, metavar="S", help="for files and ranges: seconds per step (default: 5, for ranges 0.1)")

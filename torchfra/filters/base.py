@@ -396,7 +396,7 @@ class Filter(nn.Module, Generic[S]):
                 memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
             sensors: several sensors, of which each step has one: ``z (..., T, m)`` has the elements of the largest, and
                 NaN behind those of a smaller one; so do ``std``, ``noise`` and the elements in ``info``.
-            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` is 0 between two at the same
+            which: ``(T,)`` index of each step's sensor, beside ``sensors``; ``dt`` is 0 between two at the same
                 instant.  The ``u`` of a step is that of its sensor, such as where a ``RangeBearing`` is.
             past: whether the estimate holds what ``smooth(estimate=)`` needs, such as the belief of each model.
 

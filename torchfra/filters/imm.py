@@ -21,7 +21,7 @@ from torchfra.filters.interaction import (
     uniform_interaction,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
-from torchfra.filters.markov import generator, mean_durations, transition_over
+from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
@@ -342,7 +342,7 @@ def _as_durations(count: int, value: Value) -> Hyper:
         raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
     if value.dim() and value.shape[-1] != count:
         raise ValueError(f"durations: expected a number or ({count},), received {tuple(value.shape)}")
-    return mean_durations(value, min(value.dim(), 1), "durations")
+    return sojourn_times(value, min(value.dim(), 1), "durations")
 
 
 def _as_stay(count: int, value: Value) -> Hyper:

@@ -25,7 +25,7 @@ class LikelyModels(nn.Module):
     probability.  Every track has its own set.
 
     Args:
-        neighbours: for each model of a bank the numbers of its neighbours, which it activates as a principal model; at
+        neighbours: for each model of a bank the indices of its neighbours, which it activates as a principal model; at
             most as many as can be active beside it.  Every model must be reached from every other.
         first: the models that are active first.
         unlikely: probability below which a model is unlikely.
@@ -116,9 +116,8 @@ class LikelyModels(nn.Module):
         tier = torch.where(principal > 0, 4.0, torch.where(activated > 0, 3.0, runs + likely))
         score = 2 * tier + weight
         mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
-        before = (
-            torch.ones_like(self.activates).tril(-1).to(weight)
-        )  # of equal scores the first in the bank comes first
+        # Of equal scores the first in the bank comes first.
+        before = torch.ones_like(self.activates).tril(-1).to(weight)
         rank = ((other > mine).to(weight) + (other == mine).to(weight) * before).sum(-1)
         chosen = (rank < active.shape[-2]).to(weight)
         stays_active = (active @ chosen.unsqueeze(-1)).squeeze(-1)
@@ -173,7 +172,7 @@ def _activations(neighbours: Sequence[Sequence[int]], count: int, active: int) -
         expected = f"at most {active - 1} for each, which can run beside it"
         raise ValueError(f"neighbours: expected {expected}, received {neighbours}")
     if not all(0 <= activated < count for row in neighbours for activated in row):
-        raise ValueError(f"neighbours: expected numbers from 0 to {count - 1}, received {neighbours}")
+        raise ValueError(f"neighbours: expected indices from 0 to {count - 1}, received {neighbours}")
     activates = torch.zeros(count, count, dtype=torch.float64)
     for model, activated in enumerate(neighbours):
         activates[model, list(activated)] = 1

@@ -13,7 +13,7 @@ DOUBLINGS = 20
 """Number of times that a step is halved.  Steps are cut at two million of the shortest mean sojourn time."""
 
 
-def mean_durations(value: Value, event_dim: int, name: str) -> Hyper:
+def sojourn_times(value: Value, event_dim: int, name: str) -> Hyper:
     """Mean sojourn times of states, s, as a hyperparameter.
 
     Raises:

@@ -140,14 +140,14 @@ class Motion(nn.Module):
         self.velocity = slice(dims, 2 * dims) if velocity is None else velocity
         self.angles = self.angles if angles is None else tuple(angles)
         if not set(self.angles) <= set(range(self.size)):
-            expected = f"numbers of components, 0 to {self.size - 1}"
+            expected = f"indices of components, 0 to {self.size - 1}"
             raise ValueError(f"angles: expected {expected}, received {self.angles}")
         names, usual_kinds = _usual(self.size, dims, orders, self.position, self.velocity, self.angles)
         self.components, self.kinds = tuple(components or names), tuple(kinds or usual_kinds)
         _check_components(self.size, self.components, self.kinds)
         self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
         if "angle" in self.stated and not self.angles:
-            raise ValueError("angles: expected the numbers of the components of kind 'angle', received none")
+            raise ValueError("angles: expected the indices of the components of kind 'angle', received none")
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 

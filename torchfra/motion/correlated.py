@@ -167,7 +167,7 @@ class GaussMarkov(Motion):
         dims: number of components of kind "bias", independent of each other.
 
     Raises:
-        ValueError: ``std`` negative_limit 0, ``time`` not above 0, ``dims`` negative_limit 1.
+        ValueError: ``std`` below 0, ``time`` not above 0, ``dims`` below 1.
 
     Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 3.6.
     """

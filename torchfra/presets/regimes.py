@@ -113,13 +113,13 @@ def gpb(
             whatever its ``dt``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
-        durations: instead of ``self_transition``, mean seconds until a regime ends, in the same order: ``filters.GPB``.
+        durations: instead of ``self_transition``, mean sojourn times of the regimes, s, in the same order.
         climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
             level, with its probabilities, and defaults ``presets.regimes.IN_SPACE``.  None is True for a motion in
             space (``Motion.vertical``) if no argument from ``noise_levels`` to ``durations`` is given.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
             block, from one measurement to the next; ``presets.regimes.OUTLIER_TRANSITION`` if None.
-        outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
+        outlier_durations: instead of it, mean sojourn times, s, without outliers and in a fault of the device.
         outlier_sizes: factors on the covariance of the measurement noise of outliers.
         outlier_shares: share of the outliers that have each size.
         outlier_offsets: mean of the noise of outliers of each size, in units of the nominal noise, as of ranges without

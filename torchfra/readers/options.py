@@ -32,7 +32,7 @@ class ReadOptions:
     units: str | None = None
     """``"m"``, ``"ft"``, ``"km"``, ... of ``METRES``: of x, y, z, or of altitudes beside latitudes."""
     delimiter: str | None = None
-    """One sign between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
+    """One character between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
     decimal: str | None = None
     """``"."`` or ``","``."""
     time_format: str | None = None

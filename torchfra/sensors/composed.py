@@ -127,10 +127,10 @@ class Biased(Sensor):
 
     Args:
         sensor: the sensor without biases.
-        bias: number of the component that is added to every element, or one for each element, None for no bias.
+        bias: index of the component that is added to every element, or one for each element, None for no bias.
 
     Raises:
-        ValueError: no sensor, no whole numbers of 0 or more, or not one for each element.
+        ValueError: no sensor, indices below 0, or not one for each element.
     """
 
     bias_kinds: tuple[str, ...] = ("bias", "clock", "angle", "rate")

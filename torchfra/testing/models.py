@@ -85,7 +85,7 @@ def check_model(
     Args:
         motion: how targets move; of a ``Bank`` all its motions.
         sensor: what is measured.
-        state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
+        state: ``(n,)`` a state near which both should work; by default one that fits ``motion.kinds``.
         dt: seconds of a step; as short as yours are where a motion bends strongly.
         u: ``(k,)`` inputs that the models need at a step.
         compiled: whether to try the compiled filter too, which takes some seconds to compile.

@@ -91,7 +91,7 @@ class AlphaBetaInfo(NamedTuple):
     """Per step and track, for each axis, or once if all axes decide together: ``(..., T, g)``."""
 
     level: Tensor
-    """Number of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
+    """Index of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
     vote: Tensor
     """bool: the flags voted for a manoeuvre."""
     manoeuvre: Tensor

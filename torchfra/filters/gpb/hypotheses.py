@@ -94,7 +94,7 @@ class Hypotheses(NamedTuple):
 
 
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
-    """The entries of ``x`` along an axis that have these numbers.
+    """The entries of ``x`` along an axis that have these indices.
 
     Successive numbers are a slice and equal ones an expansion, which copy less than ``index_select``.
     """

@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
 from torchfra.filters.gpb.slopes import elements_of
-from torchfra.filters.markov import mean_durations
+from torchfra.filters.markov import sojourn_times
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
 from torchfra.hyper import Hyper, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
@@ -27,10 +27,10 @@ class Outliers(nn.Module):
     """Whether measurements are outliers: a Markov chain for each block of elements.
 
     Args:
-        blocks: numbers of the elements of each block: those of a device fail together.
+        blocks: indices of the elements of each block: those of a device fail together.
         outlier_transition: ``(..., 2, 2)``, ``[i, j] = P(now j | was i)`` of no outlier and outlier, from one
             measurement to the next, whatever the time between them; rows sum to one.
-        outlier_durations: ``(..., 2)`` instead of it: mean seconds without outliers, and of a fault of the device.
+        outlier_durations: ``(..., 2)`` instead of it: mean sojourn times, s, without outliers and in a fault.
         outlier_sizes: ``(..., C)`` factors on the covariance of the measurement noise of outliers.
         outlier_shares: ``(..., C)`` share of the outliers that have each size; they sum to one.
         outlier_offsets: ``(..., C)`` mean of the noise of outliers of each size, in units of the nominal noise, as of
@@ -92,7 +92,7 @@ class Outliers(nn.Module):
         if name == "outlier_transition":
             self.outlier_transition = Hyper(modes, constraints.simplex, event_dim=2, name=name)
         else:
-            self.outlier_durations = mean_durations(modes, 1, name)
+            self.outlier_durations = sojourn_times(modes, 1, name)
         self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
         self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
         self.outlier_offsets = None

@@ -11,7 +11,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
-from torchfra.filters.markov import generator, mean_durations, transition_over
+from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Values, once, one_given
@@ -46,7 +46,7 @@ class Regimes(nn.Module):
     noise, each other motion of a bank is one regime, as are ``C`` climbs (below).  In each of ``M`` manoeuvres the
     process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
     each of ``J`` jumps the covariance of the predicted position is.  A regime continues with its self-transition
-    probability, or for its mean duration; then the next one is drawn from the restart distribution.  The chain starts
+    probability, or a mean sojourn time; then the next one is drawn from the restart distribution.  The chain starts
     from its stationary distribution.  These values are given by kind, ``(..., L + 1 + M + J)``: each level, any other
     motion, each manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime
     instead, ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
@@ -68,7 +68,7 @@ class Regimes(nn.Module):
         jump_factors: ``(..., J)`` factors on the covariance of the predicted position per unit of the normalised
             innovation squared per element; the product is 1 at least.  Correlations of the position stay.
         self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``.
-        durations: instead of these, mean seconds by kind or regime until one ends: a Markov chain in continuous time.
+        durations: instead of these, mean sojourn times, s, by kind or regime: a Markov chain in continuous time.
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
             theirs evenly, and a level with its climb.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
@@ -118,18 +118,18 @@ class Regimes(nn.Module):
         self.vertical, self.climb_count = tuple(vertical), separate_levels if vertical else 0
         scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + scaled)
-        """The number of each regime's motion."""
+        """The index of each regime's motion."""
         self.beliefs = motions + separate_levels + self.climb_count
         """The number of beliefs, ``S``."""
         separate, climbs = range(motions, motions + separate_levels), range(motions + separate_levels, self.beliefs)
         self.belief_of = (
             *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * scaled
         )  # fmt: skip
-        """The number of each regime's belief."""
+        """The index of each regime's belief."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
-        """The numbers of the first belief's regimes."""
+        """The indices of the first belief's regimes."""
         self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
-        """The number of the only regime of each other belief."""
+        """The index of the only regime of each other belief."""
         others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - scaled)
         last = (kinds if self.by_kind else count) - scaled
         self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + scaled))
@@ -143,7 +143,7 @@ class Regimes(nn.Module):
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.self_transition = self.durations = None
         if sojourn == "durations":
-            self.durations = mean_durations(stay, 1, sojourn)
+            self.durations = sojourn_times(stay, 1, sojourn)
         else:
             self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name=sojourn)
         self.restart = Hyper(begin, constraints.simplex, event_dim=1, name="restart")
@@ -160,7 +160,7 @@ class Regimes(nn.Module):
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
 
-        It is the stationary distribution of the chain: restart probability times mean duration, normalised.  If a
+        It is the stationary distribution of the chain: restart probability times mean sojourn time, normalised.  If a
         regime that may begin is absorbing, the chain is in an absorbing regime from the first step on.
         """
         restart = self.restart_distribution(like)

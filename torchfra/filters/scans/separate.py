@@ -28,7 +28,7 @@ class Pairs(NamedTuple):
     info: Any
     """Info ``(K, ..., N)`` of the filter."""
     number: Tensor
-    """``(..., N, K)`` number of each measurement in the scan."""
+    """``(..., N, K)`` index of each measurement in the scan."""
     log_density: Tensor
     """``(..., N, J)`` of each measurement of the scan if it is the target's; minus infinity outside the gate."""
 
