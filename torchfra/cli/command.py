@@ -148,7 +148,7 @@ def check_folder(option: str, path: Path | None) -> None:
 
 
 class IncompleteError(Exception):
-    """The work is done, but for parts that failed: a message for each."""
+    """The work is done, except for parts that failed: a message for each."""
 
 
 class Failures:

@@ -70,7 +70,7 @@ def tangents(book: Expressions, numbers: Iterable[int], seeds: Mapping[int, int]
 
 
 _CONSTANT = {"lt", "le", "eq", "and", "or", "not", "round", "floor", "ceil", "trunc"}
-"""Operations whose results do not change, but for jumps."""
+"""Operations whose results do not change, except for jumps."""
 
 
 class _Writer:

@@ -1,4 +1,4 @@
-"""The base of all filters: three functions that a filter gives, and everything that follows from them."""
+"""The base of all filters: the two or three functions that a filter gives, and what follows from them."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def imm_srckf(
 imm_ckf = register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)(imm_srckf)
 """``imm_srckf`` under the name of the filter with which Du & Zhang (2020) compare theirs.
 
-Covariances and their roots have the same estimates but for rounding, so they cannot explain the difference in accuracy
+Covariances and their roots have the same estimates up to rounding, so they cannot explain the difference in accuracy
 that the paper reports.  This filter computes with roots too.
 """
 

@@ -51,7 +51,7 @@ class Regimes(nn.Module):
     motion, each manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime
     instead, ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
 
-    The levels of a motion share a belief, but for the lowest ``separate_levels``, which keep beliefs of their own:
+    The levels of a motion share a belief, except for the lowest ``separate_levels``, which keep beliefs of their own:
     while a target moves as calmly as such a level states, the covariance of its belief shrinks accordingly.  So there
     are ``S = K + separate_levels + C`` beliefs: of each motion, of these levels, then of climbs.
 
