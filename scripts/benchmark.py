@@ -71,18 +71,18 @@ def checked(p: argparse.ArgumentParser, arguments: list[str] | None) -> argparse
     if options.device == "cuda" and (options.peers or not set(options.what.split(",")) <= {"tracks", "positions"}):
         p.error("--device cuda: expected --what tracks or positions, without --peers")
     if options.figure is not None and "scaling" not in options.what.split(","):
-        p.error(f"--figure: goes with --what scaling, not with {options.what}")
+        p.error(f"--figure: expected beside --what scaling, received beside {options.what}")
     return options
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = make_parser(__doc__)
-    p.add_argument("--what", default="tracks", help=f"out of {', '.join(KINDS)} (default: tracks)")
+    p.add_argument("--what", default="tracks", help=f"some of {', '.join(KINDS)} (default: tracks)")
     p.add_argument(
         "--batch", help="tracks at once (default: 1,1000,10000; 64 for training and layer, 100000 for positions)"
     )
-    p.add_argument("--filters", default=FILTERS, help=f"out of {', '.join(track_filters())}")
+    p.add_argument("--filters", default=FILTERS, help=f"some of {', '.join(track_filters())}")
     p.add_argument("--modes", default="compiled,eager", help="compiled, eager or both (default)")
     p.add_argument("--device", default="cpu", help="cpu (default) or cuda, for tracks and positions")
     p.add_argument("--scenario", default="bearings-outliers", choices=BEARINGS)

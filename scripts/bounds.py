@@ -58,7 +58,7 @@ def bounds(options: argparse.Namespace) -> None:
     """All cells, and the table when the last one is done.
 
     Raises:
-        ValueError: a name that no cell has, no filter that goes with any, or fewer than 1 job.
+        ValueError: a name that no cell has, no filter that fits any, or fewer than 1 job.
     """
     command.check_least(options, jobs=1)
     command.check_files({"json": options.json})

@@ -98,7 +98,7 @@ def parser() -> argparse.ArgumentParser:
                    "that size, of torchfra's (default: none)")  # fmt: skip
     p.add_argument("--harbour", type=Path, nargs="+", metavar="FILE", help="recordings of a harbour; of the other "
                    "options only --points and --json count")  # fmt: skip
-    p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="out of %(default)s")
+    p.add_argument("--trackers", default=",".join((*OURS, *PEERS)), help="some of %(default)s")
     add_json_option(p)
     return p
 

@@ -154,7 +154,7 @@ def compared_filters(listed: str, argument: str = "filters") -> list[str]:
     """
     names = [name for name in listed.split(",") if name]
     if not names or not all(name in FILTERS and not FILTERS[name].scans for name in names):
-        raise ValueError(f"{argument}: expected names out of {', '.join(track_filters())}, received {listed!r}")
+        raise ValueError(f"{argument}: expected some of {', '.join(track_filters())}, received {listed!r}")
     return names
 
 

@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--filters",
         metavar="A,B",
-        help=f"out of {', '.join(track_filters())}, of adsb-turns also imm3 and imm5, of alpha-beta f1, f2, f3 and "
+        help=f"some of {', '.join(track_filters())}, of adsb-turns also imm3 and imm5, of alpha-beta f1, f2, f3 and "
         "paper; of clutter-* ukf_jpda_paper and iaukf_jpda_paper, and with safeguards against lost tracks "
         "ukf_jpda_safe and iaukf_jpda_safe (default: the paper's)",
     )

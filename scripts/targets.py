@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Prints the tables; returns the exit status: see ``torchfra.cli.command.exit_status``."""
     p = make_parser(__doc__)
     add_runs_options(p, 200, 7)
-    p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"out of {', '.join(WHAT)} (default: all)")
+    p.add_argument("--what", default=",".join(WHAT), metavar="A,B", help=f"some of {', '.join(WHAT)} (default: all)")
     p.add_argument("--scans", type=int, default=360, metavar="T", help="of the recorded flights (default: 360)")
     p.add_argument("--picture", type=Path, metavar="FILE", help="draw the recorded flights, else the folded ones")
     p.add_argument("--compile", action="store_true", help="run filters compiled to machine code")

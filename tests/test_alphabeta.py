@@ -125,7 +125,7 @@ def with_outliers(seed, steps=80, outliers=6):
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"converged": 3}]
+    "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"warmup": 3}]
 )
 def test_it_decides_as_the_paper_describes(options):
     several = [with_outliers(seed) for seed in range(2)]  # of which the first jumps for good
@@ -307,7 +307,7 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, gains.levels(3)), "gains: expected two for constant velocity"),
         (lambda: AlphaBetaBank(LINE, SENSOR, outlier=1.0), "outlier: expected"),
         (lambda: AlphaBetaBank(LINE, SENSOR, level_shares=[0.5, 0.2]), "level_shares"),
-        (lambda: AlphaBetaBank(LINE, SENSOR, votes=3), "votes, patience, converged"),
+        (lambda: AlphaBetaBank(LINE, SENSOR, votes=3), "votes: expected an even number of 2 or more, received 3"),
         (lambda: AlphaBetaBank(LINE, SENSOR, detect="polar"), "detect"),
         (lambda: AlphaBetaBank(LINE, SENSOR, onset="late"), "onset"),
         (lambda: AlphaBetaBank(LINE, SENSOR, max_gap=0.0), "max_gap"),

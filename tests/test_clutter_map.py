@@ -161,7 +161,7 @@ def test_beside_a_map_scores_are_of_sensors_from_which_the_map_learns():
         (lambda: manager(clutter_map=3.0), "clutter_map: expected a ClutterMap of torchfra.targets, received float"),
         (lambda: FieldOfView(10.0, nearest=20.0), "expected 0 <= nearest < farthest, received 20.0, 10.0"),
         (lambda: FieldOfView(10.0, place=[0.0, float("nan")]), r"place: expected \(dims,\) finite metres"),
-        (lambda: manager(views={"radar": FieldOfView(9.0)}), "views: expected sensors out of None, received 'radar'"),
+        (lambda: manager(views={"radar": FieldOfView(9.0)}), "views: expected some of None, received 'radar'"),
         (lambda: manager(views={None: 9.0}), "views: expected a FieldOfView of None, received float"),
         (lambda: manager(views={None: FieldOfView(9.0, place=[0.0] * 3)}), "expected a place of 2 dimensions of None"),
         (lambda: manager(sensors={"r": 3.0}), r"sensors\['r'\]: expected a JPDA around a filter of one target"),

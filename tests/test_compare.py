@@ -244,7 +244,7 @@ def walks():
     (["--scenario", "clutter-straight", "--filters", "mine.py:mine"], "expected one of scans for clutter-straight"),
     (["--scenario", "missing.py:own"], "expected a module, or a file that ends in .py, received missing.py"),
     (["--import", "no.such.module", "--scenario", "reentry"], "received no.such.module (ModuleNotFoundError"),
-    (["--scenario", "mine.py:own", "--sensor", "radar"], "sensor: goes with files, not with --scenario"),
+    (["--scenario", "mine.py:own", "--sensor", "radar"], "sensor: expected beside files, received beside --scenario"),
     (["--scenario", "mine.py:"], "expected module:function or file.py:function, received 'mine.py:'"),
     (["--scenario", "reentry", "--table", "t.html"], "table: expected a file that ends in .txt, .csv, .tex, .md"),
 ])  # fmt: skip

@@ -393,7 +393,10 @@ def test_angles_of_a_sensor_are_flags_and_not_numbers_of_elements(angles):
         (lambda: RangeBearing(1.0, position=[1.0]), r"position: expected finite numbers \(2,\), received \(1,\)"),
         (lambda: RangeBearing(1.0)(torch.ones(4), torch.ones(1)), r"u: expected where the sensor stands, .*2\)"),
         (lambda: Bearings(1.0, stations=[0.0, 0.0]), r"stations: expected \(m, 2\), received \(2,\)"),
-        (lambda: presets.srckf(MOTION, Biased(Position(1.0), 4)), r"at most 4 states \[x, y, vx, vy\], this reads 5"),
+        (
+            lambda: presets.srckf(MOTION, Biased(Position(1.0), 4)),
+            r"at most 4 states \[x, y, vx, vy\], received one that reads 5",
+        ),
         (lambda: RangeRates(count=2, std=1.0)(torch.ones(4)), r"u: expected the positions and velocities of 2 anchors"),
     ],
 )

@@ -255,7 +255,7 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     ({"data": torch.zeros(3, 4, 2).double()}, "data: expected 4 tracks or more"),
     ({"loss": "best"}, "loss: expected one of"),
     ({"loss": "mse"}, "loss: expected 'likelihood' or 'smoothed' for data without a truth"),
-    ({"learn": ("gate",)}, "learn: expected 'all' or names out of"),
+    ({"learn": ("gate",)}, "learn: expected 'all' or some of"),
     ({"learn": None}, "learn: expected names of hyperparameters"),
     ({"held_out": 1.0}, "held_out: expected a share"),
     ({"restarts": 0}, "restarts: expected a whole number of at least 1"),

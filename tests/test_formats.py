@@ -265,7 +265,7 @@ def test_any_column_can_be_named(write):
     ({"time": "when"}, "expected a column when, received time, lat, lon, alt"),
     ({"units": "inch"}, "units: expected m, ft, km, .* received 'inch'"),
     ({"decimal": ";"}, "decimal: expected . or ,, received ';'"),
-    ({"delimiter": "ab"}, "delimiter: expected one sign or tab, space, comma, semicolon, received 'ab'"),
+    ({"delimiter": "ab"}, "delimiter: expected one character or tab, space, comma, semicolon, received 'ab'"),
     ({"time_format": "weeks"}, "time_format: expected one of seconds, ms, us, ns, .* iso, or such as"),
     ({"x": "lat"}, "x, y: expected both or neither"),
     ({"x": "lat", "y": "lon", "lat": "lat", "lon": "lon"}, "expected columns of metres or of degrees, received both"),
@@ -378,4 +378,4 @@ def test_the_commands_take_the_same_by_options(write, capsys):
         "hoch", "rechts"
     )
     assert main(["compare", "--scenario", "growth", "--time", "t"]) == 2
-    assert "time: goes with files, not with --scenario" in capsys.readouterr().err
+    assert "time: expected beside files, received beside --scenario" in capsys.readouterr().err

@@ -44,9 +44,9 @@ def numbered(argument):
     ({"outlier_offsets": (0.0, 4.0, float("inf"))}, "outlier_offsets: expected finite numbers"),
     ({"same_offset": 1.5}, r"same_offset: expected a value in \[0, 1\]"),
     ({"noise_levels": (-1.0, 10.0)}, "noise_levels: expected"),
-    ({"noise_levels": 3.0}, "noise_levels: expected several, received 3"),
+    ({"noise_levels": 3.0}, "noise_levels: expected a sequence of numbers, received 3"),
     ({"noise_levels": ()}, "self_transition: expected"),
-    ({"jump_factors": 300.0}, "jump_factors: expected several, received 300"),
+    ({"jump_factors": 300.0}, "jump_factors: expected a sequence of numbers, received 300"),
     ({"jump_factors": (-1.0,)}, "jump_factors: expected a value above 0"),
     ({"self_transition": (0.5, 0.5, 0.5, 1.5)}, r"self_transition: expected a value in \[0, 1\]"),
     ({"self_transition": (0.5, 0.5, 0.5)}, r"self_transition: expected \(..., 4\), received \(3,\)"),
@@ -59,7 +59,7 @@ def numbered(argument):
     ({"lag": 2}, "lag: expected 0 or 1 steps, received 2"),
     ({"rule": fifth_degree}, "rule: expected one without negative weights"),
     ({"rule": "ckf"}, "rule: expected torchfra.gaussian.third_degree or the like"),
-    ({"learn": ("gamma",)}, r"learn: expected 'all' or names out of .*received 'gamma'"),
+    ({"learn": ("gamma",)}, r"learn: expected 'all' or some of .*received 'gamma'"),
 ], ids=numbered)  # fmt: skip
 def test_values_that_do_not_fit_are_named(options, said):
     with pytest.raises(ValueError, match=said):

@@ -41,7 +41,7 @@ def expected_with(case, motions, r, **more):
 def test_one_motion_with_levels_manoeuvres_and_jumps(inform, offset):
     case, motion = with_bursts(position()), ConstantAcceleration(0.05)
     options, r = regimes(*VALUES, manoeuvres=(3.0,))
-    f = presets.gpb(motion, case.sensor, outliers_inform=inform, same_offset=offset, **options)
+    f = presets.gpb(motion, case.sensor, outliers_update=inform, same_offset=offset, **options)
     same(f(tensor(case.z), PRIOR), expected_with(case, [motion], r, inform=inform, same_offset=offset))
 
 
@@ -53,7 +53,7 @@ def test_a_bank_and_elements_that_are_outliers_each_by_itself(inform):
     case.sensor = Position(tensor([5.0, 4.0]))
     case.sensor.blocks = ((0,), (1,))
     options, r = regimes(*VALUES, motions=3, manoeuvres=(3.0,))
-    f = presets.gpb(motions, case.sensor, outliers_inform=inform, same_offset=0.4, **options)
+    f = presets.gpb(motions, case.sensor, outliers_update=inform, same_offset=0.4, **options)
     same(f(tensor(case.z), PRIOR), expected_with(case, motions, r, inform=inform, same_offset=0.4))
 
 
@@ -91,7 +91,7 @@ def burst(steps=20):
 @pytest.mark.parametrize("offset", [None, 0.5])
 def test_a_burst_of_one_offset_is_a_jump_there_and_back_unless_outliers_may_have_the_same(offset):
     z, prior = burst()
-    often = {"outlier_transition": ((0.98, 0.02), (0.4, 0.6)), "outliers_inform": False}
+    often = {"outlier_transition": ((0.98, 0.02), (0.4, 0.6)), "outliers_update": False}
     estimate = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=offset, **often).smooth(z, prior)
     wrong = torch.zeros(len(z), dtype=torch.bool)
     wrong[8:13] = offset is not None
@@ -115,7 +115,7 @@ def test_the_gradient_of_the_probability_is_that_of_small_differences():
 
 def test_compiled_it_says_the_same():
     z, prior = burst()
-    f = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=0.4, outliers_inform=False, **FEWER)
+    f = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=0.4, outliers_update=False, **FEWER)
     eager, g = f.smooth(z, prior), f.compile()
     compiled = g.smooth(z, prior)
     assert_close(compiled.mean, eager.mean, rtol=1e-9, atol=1e-9)

@@ -187,7 +187,7 @@ def test_the_script_prints_and_writes_the_error_of_each_network(tmp_path, capsys
 
 @pytest.mark.parametrize(("options", "said"), [
     (["--steps", "0"], "steps: expected 1 or more, received 0"),
-    (["--teachers", "me"], "teachers: expected names out of truth, likelihood, hidden, received me"),
+    (["--teachers", "me"], "teachers: expected some of truth, likelihood, hidden, received me"),
 ])  # fmt: skip
 def test_the_script_refuses_what_cannot_be_right(options, said, capsys):
     try:

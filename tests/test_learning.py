@@ -41,7 +41,7 @@ def test_a_name_is_the_last_part_of_a_path_or_the_whole_of_it(make):
     f = make("fra")
     assert set(named(f, ("q", "robust.threshold"))) == {"motion.q", "robust.threshold"}
     assert set(named(f, "gate")) == {"gate"}
-    with pytest.raises(ValueError, match="expected 'all' or names out of"):
+    with pytest.raises(ValueError, match="expected 'all' or some of"):
         named(f, ("robust.q",))
 
 

@@ -118,7 +118,7 @@ CAMERA = presets.jpda(
 @pytest.mark.parametrize(
     ("linkage", "said"),
     [
-        ({"radar": 5.0}, "linkage: expected sensors out of None, camera, received 'radar'"),
+        ({"radar": 5.0}, "linkage: expected some of None, camera, received 'radar'"),
         (5.0, "linkage: expected a dict of metres by the name of a sensor, received 5.0"),
         ({None: 0.0}, "linkage: expected finite metres above 0 of None, received 0.0"),
         ({None: True}, "linkage: expected finite metres above 0 of None, received True"),

@@ -71,7 +71,7 @@ def test_an_acceleration_that_never_forgets_is_constant():
 
 
 def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towards_the_limit():
-    motion = CurrentStatistical(0.3, 2.0, below=4.0)
+    motion = CurrentStatistical(0.3, 2.0, negative_limit=4.0)
     mean = tensor([1, 2, 3, 4, 1.0, -1.0], [1, 2, 3, 4, 2.5, -5.0], [0, 0, 0, 0, 0, 0])
     shift, noise = motion.adaptation(T)(mean, None, motion.process_noise(T))
     moved = mean @ motion.transition(T).mT + shift
@@ -86,7 +86,7 @@ def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towa
 
 @pytest.mark.slow
 def test_the_level_is_the_estimate_and_gradients_reach_every_value():
-    motion = learnable(CurrentStatistical(0.3, 2.0, below=3.0), "all")
+    motion = learnable(CurrentStatistical(0.3, 2.0, negative_limit=3.0), "all")
     f = presets.srckf(motion, Position(1.0))
     prior = Gaussian(tensor(0, 0, 10, 0, 0.5, -0.5), torch.eye(6, dtype=torch.float64))
     z = torch.randn(4, 6, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))

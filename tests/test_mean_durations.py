@@ -11,7 +11,7 @@ import torch
 from oracles import gpb as oracle
 
 from torchfra import presets
-from torchfra.filters.markov import over_seconds, rates
+from torchfra.filters.markov import generator, transition_over
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn
 from torchfra.presets.regimes import MANOEUVRES
 from torchfra.sensors import Position
@@ -23,7 +23,7 @@ def tensor(*x):
 
 
 LAST, FOLLOWS = tensor(3.0, 50.0, 0.01), torch.stack([tensor(0.0, 0.3, 0.7), tensor(1, 0, 0), tensor(0.5, 0.5, 0)])
-G = rates(LAST, FOLLOWS)
+G = generator(LAST, FOLLOWS)
 BANK = [ConstantVelocity(0.1, orders=3, spectral=True), CoordinatedTurn(0.1, 1.0, orders=3),
         ConstantVelocity(4.0, orders=3, spectral=True)]  # fmt: skip
 SENSOR = Position(3.0)
@@ -53,24 +53,26 @@ def in_parts(z, dt, parts):
 
 @pytest.mark.parametrize("seconds", [0.0, 1e-6, 0.1, 10.0, 3000.0])
 def test_probabilities_are_the_exponential_of_the_rates(seconds):
-    found = over_seconds(G, tensor(seconds)[0])
+    found = transition_over(G, tensor(seconds)[0])
     torch.testing.assert_close(found, torch.linalg.matrix_exp(G * seconds), rtol=1e-10, atol=1e-14)
 
 
 def test_two_steps_are_one_of_their_sum_and_no_time_changes_nothing():
     a, b = tensor(0.7)[0], tensor(11.0)[0]
-    torch.testing.assert_close(over_seconds(G, a) @ over_seconds(G, b), over_seconds(G, a + b), rtol=1e-11, atol=1e-14)
-    assert torch.equal(over_seconds(G, torch.zeros_like(a)), torch.eye(3, dtype=torch.float64))
+    torch.testing.assert_close(
+        transition_over(G, a) @ transition_over(G, b), transition_over(G, a + b), rtol=1e-11, atol=1e-14
+    )
+    assert torch.equal(transition_over(G, torch.zeros_like(a)), torch.eye(3, dtype=torch.float64))
 
 
 def test_single_precision_keeps_small_probabilities():
-    found = over_seconds(G.float(), torch.tensor(1e-5))
+    found = transition_over(G.float(), torch.tensor(1e-5))
     torch.testing.assert_close(found.double(), torch.linalg.matrix_exp(G * 1e-5), rtol=1e-5, atol=0)
 
 
 def test_gradients_are_those_of_finite_differences():
     inputs = LAST.clone().requires_grad_(), tensor(0.3, 2.0).requires_grad_()
-    assert torch.autograd.gradcheck(lambda last, dt: over_seconds(rates(last, FOLLOWS), dt), inputs)
+    assert torch.autograd.gradcheck(lambda last, dt: transition_over(generator(last, FOLLOWS), dt), inputs)
 
 
 # ---------------------------------------------------------------- interacting models

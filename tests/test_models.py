@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from torchfra import metrics, presets
 from torchfra.angles import near, wrap
-from torchfra.gaussian import tangent, third_degree, unscented
+from torchfra.gaussian import first_order, third_degree, unscented
 from torchfra.hyper import Hyper, learnable
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
 from torchfra.presets import fra
@@ -70,9 +70,9 @@ def test_mean_and_covariance_are_the_textbook_sums(scaling):
         np.testing.assert_allclose(spread @ spread.mT, covariance, rtol=1e-8, atol=1e-8)
 
 
-def test_the_tangent_is_the_jacobian_times_the_root():
+def test_the_first_order_rule_is_the_jacobian_times_the_root():
     root, mean = torch.randn(3, 3).double().tril(), tensor(0.3, -0.2, 1.0)
-    value, spread, _ = tangent(3)(lambda x: x.sin() * x[..., :1], Gaussian(mean, root), torch.sub)
+    value, spread, _ = first_order(3)(lambda x: x.sin() * x[..., :1], Gaussian(mean, root), torch.sub)
     torch.testing.assert_close(value, mean.sin() * mean[0])
     torch.testing.assert_close(spread, torch.func.jacrev(lambda x: x.sin() * x[:1])(mean) @ root)
 

@@ -225,8 +225,8 @@ def test_losses_count_from_20_metres():
         ({"anchors": "far"}, r"anchors: expected one of \('together', 'around'\), received 'far'"),
         ({"share": 1.0}, "share: expected a share from 0 to below 1, received 1.0"),
         ({"missing": -0.1}, "missing: expected a share from 0 to below 1, received -0.1"),
-        ({"size": 0.0}, "size, length: expected metres above 0 and 1 or more steps, received 0.0, 3"),
-        ({"length": 0}, "size, length: expected metres above 0 and 1 or more steps, received 8.0, 0"),
+        ({"size": 0.0}, "size, length: expected a size above 0 m and a length of 1 step or more, received 0.0, 3"),
+        ({"length": 0}, "size, length: expected a size above 0 m and a length of 1 step or more, received 8.0, 0"),
     ],
 )
 def test_what_does_not_fit_the_simulated_walks_is_named(options, said):
@@ -293,7 +293,11 @@ def test_the_height_of_the_path_is_its_median_unless_given():
     [
         ([], {}, "recordings: expected one or more, received none"),
         ([recording(reference=None)], {}, "recordings: expected a reference path for each, received none for a"),
-        ([recording(anchors=ANCHORS[:, :2])], {"height": 1.0}, "height: goes with anchors in space, received 1.0"),
+        (
+            [recording(anchors=ANCHORS[:, :2])],
+            {"height": 1.0},
+            "height: expected anchors in space beside it, received 1.0",
+        ),
         ([recording()], {"dt": 0.0}, "dt: expected seconds above 0, received 0.0"),
         ([recording()], {"dt": 60.0}, "recordings: expected 2 steps or more of 60 s, received 1 for a"),
         ([recording()], {"std": 0.0}, "std: expected a value above 0"),

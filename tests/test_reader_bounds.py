@@ -185,4 +185,4 @@ def test_the_commands_have_the_bound_as_an_option(tmp_path, capsys):
         main(["track", str(path), "--max-bytes", "6500", "--out", str(tmp_path / "out"), "--no-plots", "--quiet"]) == 0
     )
     assert main(["compare", "--scenario", "growth", "--max-bytes", "1"]) == 2
-    assert "max_bytes: goes with files or --ranges" in capsys.readouterr().err
+    assert "max_bytes: expected beside files or --ranges" in capsys.readouterr().err

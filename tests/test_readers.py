@@ -368,7 +368,7 @@ def test_an_origin_that_is_nowhere_is_refused(write: Write, origin: Any) -> None
 
 
 def test_an_origin_for_x_and_y_is_refused(write: Write) -> None:
-    with pytest.raises(ValueError, match="origin: expected degrees to go with it, received the columns t, x, y"):
+    with pytest.raises(ValueError, match="origin: expected degrees beside it, received the columns t, x, y"):
         read(write("p.csv", "t,x,y\n0,1,2\n1,2,3\n"), origin=CENTRE)
 
 

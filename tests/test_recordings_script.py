@@ -465,7 +465,7 @@ def test_a_recording_that_is_given_twice_is_refused(tmp_path, capsys):
 def test_a_filter_that_is_unknown_is_refused_with_those_that_are_known(tmp_path, capsys):
     with pytest.raises(SystemExit):
         recordings.main(["nclt", str(day(tmp_path)), "--filters", "kalman"])
-    assert "--filters: expected names out of" in capsys.readouterr().err
+    assert "--filters: expected some of" in capsys.readouterr().err
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
@@ -556,4 +556,4 @@ def test_the_table_of_a_harbour_has_the_sets_of_sensors_and_a_picture(tmp_path, 
     assert (tmp_path / "out.png").stat().st_size > 10_000
     with pytest.raises(SystemExit):
         recordings.main(["autoferry", str(path), "--filters", "gpb"])
-    assert "expected names out of radar, radar_lidar, received gpb" in capsys.readouterr().err
+    assert "expected some of radar, radar_lidar, received gpb" in capsys.readouterr().err

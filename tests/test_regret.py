@@ -275,14 +275,14 @@ def test_cells_are_chosen_by_names_and_patterns():
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["--cells", "3-std"], "cells: expected names, or patterns, out of 1-paper-none, "),
-    (["--filters", "kalman"], "filters: expected names out of "),
-    (["--filters", ""], "filters: expected names out of "),
-    (["--filters", "jpda"], "filters: expected names out of "),
+    (["--cells", "3-std"], "cells: expected names or patterns among 1-paper-none, "),
+    (["--filters", "kalman"], "filters: expected some of "),
+    (["--filters", ""], "filters: expected some of "),
+    (["--filters", "jpda"], "filters: expected some of "),
     (["--filters", "alphabeta", *FEW], "filters: expected some that go with 2-std, received alphabeta"),
     (["--filters", "fra", "--others", "fra", *FEW], "others: expected some that go with 2-std beside those compared"),
     (["--filters", "fra", "missing.pt", *FEW], "file not found: missing.pt"),
-    (["--filters", "fra", "kalman=missing.pt", *FEW], "expected names out of "),
+    (["--filters", "fra", "kalman=missing.pt", *FEW], "expected some of "),
     (["--filters", "fra", "--ranges", "missing", *FEW], "missing: expected CSV or JSON files there or below"),
     (["--filters", "fra", *FEW, "--runs", "0"], "runs"),
 ])  # fmt: skip

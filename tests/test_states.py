@@ -47,7 +47,7 @@ EVERY = [
     (Augmented(ConstantVelocity(1.0, 1), BIASES, Clock(1.0, 1.0)), "x|vx|bias 0|bias 1|clock|drift",
      "position velocity bias*2 clock*2"),
     (Augmented(RandomWalk(1.0, 1), BIASES, BIASES), "x|bias 0|bias 1|bias 0 (2)|bias 1 (2)", "position bias*4"),
-    (Spherical(ConstantVelocity(1.0, 3)), "omega|elevation rate|opening|azimuth|elevation|inverse range",
+    (Spherical(ConstantVelocity(1.0, 3)), "omega|elevation rate|range rate / range|azimuth|elevation|inverse range",
      "rate*2 other angle*2 other"),
     (aircraft(), "x y vx vy ax ay", "position*2 velocity*2 acceleration*2"),
     (Embedded(ConstantVelocity(1.0), torch.eye(4, 6), torch.eye(6, 4), 3), "x y vx vy ax ay",
@@ -87,9 +87,9 @@ def test_a_motion_of_a_user_gets_the_names_that_its_layout_tells():
         ({"kinds": ("bias",)}, "kinds: expected one for each of 4"),
         (
             {"kinds": ("position", "position", "velocity", "angle")},
-            "angles: expected the numbers of the components of kind 'angle'",
+            "angles: expected the indices of the components of kind 'angle'",
         ),
-        ({"angles": (4,)}, r"angles: expected numbers of components, 0 to 3, received \(4,\)"),
+        ({"angles": (4,)}, r"angles: expected indices of components, 0 to 3, received \(4,\)"),
     ],
 )
 def test_names_and_kinds_that_do_not_fit_are_refused(options, said):
@@ -109,7 +109,7 @@ def test_motions_that_do_not_go_together_are_named_with_their_states():
         Bank([turn, bicycle])
     with pytest.raises(ValueError, match=r"UnknownTurn of .*; Augmented of \[x, y, vx, vy, bias\]"):
         Bank([turn, Augmented(ConstantVelocity(1.0), RandomWalk(0.1, 1, kind="bias"))])
-    with pytest.raises(ValueError, match=r"sensor: .* at most 1 states \[x\], this reads 2"):
+    with pytest.raises(ValueError, match=r"sensor: .* at most 1 states \[x\], received one that reads 2"):
         presets.srckf(RandomWalk(1.0, 1), Position(1.0))
     for options, said in (
         ({"q": -1.0}, "q: expected a value of 0 or more"),

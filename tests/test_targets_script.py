@@ -53,7 +53,7 @@ def test_the_script_prints_and_writes(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["--what", "few"], "--what: expected names out of"), (["--scans", "1"], "--scans: expected 2 or more"),
+    (["--what", "few"], "--what: expected some of"), (["--scans", "1"], "--scans: expected 2 or more"),
 ])  # fmt: skip
 def test_arguments_that_do_not_fit_are_named(arguments, message, capsys):
     with pytest.raises(SystemExit):

@@ -328,7 +328,7 @@ def test_numbers_of_any_kind_are_numbers(lag):
 
 
 BAD = [
-    ({"filter": "gpb"}, "filter: expected one of tracks, as presets.gpb makes, received str"),
+    ({"filter": "gpb"}, "filter: expected one of single tracks, such as presets.gpb, received str"),
     ({"prior": None}, "prior: expected a Gaussian"),
     ({"time": math.nan}, "time: expected finite seconds, received nan"),
     ({"sensors": {}}, "sensors: expected one or more by name"),

@@ -186,7 +186,7 @@ def test_a_compiled_filter_leaves_the_same_targets():
     (lambda: Visibility(0.0, 1.0), "seen: expected seconds above 0, received 0.0"),
     (lambda: Visibility(1.0, math.inf), "hidden: expected finite seconds above 0, received inf"),
     (lambda: lone(visibility=Visibility(1.0, 1.0)), "visibility: expected a dict by the name of a sensor, received"),
-    (lambda: lone(visibility={"radar": CHAINS[None]}), "visibility: expected sensors out of None, received 'radar'"),
+    (lambda: lone(visibility={"radar": CHAINS[None]}), "visibility: expected some of None, received 'radar'"),
     (lambda: lone(visibility={None: 0.5}), "visibility: expected a Visibility of None, received float"),
     (lambda: lone().step(lone(visibility=CHAINS_OF_ONE).init(), torch.zeros(1, 2)),
      "state: expected none of a manager with visibility, received one"),

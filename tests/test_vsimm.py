@@ -152,7 +152,7 @@ def test_what_does_not_fit_is_named():
         presets.vsimm_srckf(bank(), SENSOR)
     with pytest.raises(ValueError, match="neighbours: expected one list for each of 5"):
         make(neighbours=[[1], [0]], first=(0, 1))
-    with pytest.raises(ValueError, match="neighbours: expected numbers from 0 to 4"):
+    with pytest.raises(ValueError, match="neighbours: expected indices from 0 to 4"):
         make(neighbours=[[1, 7], [2], [3], [4], [0]])
     with pytest.raises(ValueError, match="neighbours: expected at most 2 for each"):
         make(neighbours=[[1, 2, 3], [2], [3], [4], [0]])

@@ -49,6 +49,12 @@ REPLACED = {
     "one word sets": "the argument sets",
     "what is known need not": "known values",
     r"goes_on|most_memory|picture_form\b|of_plain_too": "stays_active, peak_memory, picture_format",
+    "number of states": "state dimension",
+    "names out of|sensors out of|columns out of": "some of",
+    "goes with [a-z]": "expected beside, or fits",
+    "divides? the measurement noise": "divide the noise covariance",
+    "mean durations?|mean seconds": "mean sojourn time",
+    "no measurement shows": "unobservable",
 }
 """Regular expressions of words in lower case, and the terms that stand for them."""
 

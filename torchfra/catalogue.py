@@ -75,7 +75,7 @@ def check_names(names: Sequence[str], scenario: Scenario) -> None:
     unknown = [name for name in names if name not in FILTERS or FILTERS[name].scans != scans]
     if unknown or not names:
         received = f"{', '.join(unknown) or 'none'}{meant(unknown[0], known) if unknown else ''}"
-        raise ValueError(f"filters: expected names out of {', '.join(known)}, received {received}")
+        raise ValueError(f"filters: expected some of {', '.join(known)}, received {received}")
 
 
 def make_filter(name: str, motion: Motion, sensor: Sensor, bank: Bank | None = None, **options: Any) -> Filter:

@@ -264,7 +264,7 @@ def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
         matching = {path: hyper for path, hyper in every.items() if name in (path, path.rpartition(".")[2])}
         if not matching:
             known = sorted({path.rpartition(".")[2] for path in every})
-            raise ValueError(f"learn: expected 'all' or names out of {known}, received {name!r}")
+            raise ValueError(f"learn: expected 'all' or some of {known}, received {name!r}")
         selected |= matching
     return selected
 

@@ -1,8 +1,8 @@
 """The tuples that all packages share, the letters of shapes, and the vocabulary.
 
 Shapes: ``...`` any batch, ``T`` time, ``n`` state, ``m`` measurement, ``k`` inputs of the models at a step, ``d`` the
-leading state components that a sensor reads, ``p`` points of a rule, ``q`` columns of the process noise, ``K``
-motions of a bank, ``N`` targets, ``J`` measurements of a scan, ``R`` regimes, ``B`` blocks of a sensor's elements.
+leading state components that a sensor reads, ``p`` points of a rule, ``r`` columns of a root, ``H`` hypotheses,
+``K`` motions of a bank, ``N`` targets, ``J`` measurements of a scan, ``R`` regimes, ``B`` blocks of a sensor.
 Batch first, time before the vector, no trailing-one columns; SI units and radians.  A NaN in a measurement is missing
 data.
 
@@ -15,15 +15,16 @@ Words:
 - nominal: the measurement noise that the sensor states; estimated: that of a filter's noise estimate.
 - whitened: in units of the measurement noise, whose covariance is then the identity.
 - innovation: measured minus predicted; NIS: its normalised square; NEES: that of the estimation error.
-- weight: divides the measurement noise of an element, from 1 (nominal noise) down to 0 (left out).
-- fading factor: multiplies the predicted covariance.
+- weight: divides the noise covariance of an element, from 1 (nominal noise) down to 0 (left out).
+- fading factor: multiplies the propagated covariance ``F P F^T``.
 - threshold: standard deviations from which on Huber's weights fall; gate: NIS above which a step is abnormal, or
   the region around its prediction in which a target's measurement may lie.
 - outlier mode: whether a measurement is an inlier, of nominal noise, or an outlier, of larger noise.
 - regime: how a target moves in a step: a motion of a bank, a level of process noise, a manoeuvre or a jump.
 - filtered: given the measurements up to a step; smoothed: given later ones too; lagged: given those of a fixed lag.
 - repaired: a covariance that was not positive definite and was made so; counted, never silent.
-- lost: a track whose error has passed a limit; failed: one that holds NaN or infinity.
+- diverged: a track whose error has passed a limit; failed: one that holds NaN or infinity; lost: one that has missed
+  too many scans in a row.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Gaussian(NamedTuple):
 
 @event_ranks(spread=2, process_noise=2, repaired=0)
 class Prediction(NamedTuple):
-    """A belief carried over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``.
+    """A belief propagated over one step, and its parts: ``P = spread spread^T + process_noise process_noise^T``.
 
     For rules with negative weights a further part is subtracted in ``belief``.
     """
@@ -77,7 +78,7 @@ class Prediction(NamedTuple):
     spread: Tensor
     """``(..., n, r)`` root of the propagated covariance, F P F^T."""
     process_noise: Tensor
-    """``(..., n, q)`` root of the process noise."""
+    """``(..., n, r)`` root of the process noise."""
     repaired: Tensor | None = None
     """``(...)`` bool, for a rule with negative weights: the covariance was not positive definite and was repaired."""
 

@@ -43,13 +43,17 @@ class Widening(Filter[State]):
 
     def retreat(self, step, after):
         """One step back: Rauch-Tung-Striebel through the prediction as it was made."""
-        smoothed = self.reverse(step.past.belief, self.widened(step.past.belief, step.frame, step.next.info), after)
+        smoothed = self.smooth_belief(
+            step.past.belief, self.widened(step.past.belief, step.frame, step.next.info), after
+        )
         return smoothed.belief, smoothed
 
     def widened(self, belief, frame, level):
-        """A belief carried over a step."""
-        carried = self.carry(belief, frame)
-        return carried._replace(process_noise=level.clamp(1, 1000).sqrt()[..., None, None] * carried.process_noise)
+        """A belief propagated over a step."""
+        propagated = self.propagate(belief, frame)
+        return propagated._replace(
+            process_noise=level.clamp(1, 1000).sqrt()[..., None, None] * propagated.process_noise
+        )
 
 
 def main(arguments=None):

@@ -64,7 +64,7 @@ def chosen_cells(cells: dict[str, Cell], patterns: Sequence[str]) -> dict[str, C
     """
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in cells):
-            raise ValueError(f"cells: expected names, or patterns, out of {', '.join(cells)}, received {pattern!r}")
+            raise ValueError(f"cells: expected names or patterns among {', '.join(cells)}, received {pattern!r}")
     return {name: cell for name, cell in cells.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
 
 

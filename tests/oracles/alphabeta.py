@@ -23,7 +23,7 @@ def alphabeta_bank(
     dwell: int = 3,
     n: int = 2,
     patience: int = 5,
-    converged: int = 5,
+    warmup: int = 5,
     flag_on_reject: str = "raw",
     confirm: bool = False,
     speed: float = 1.0,
@@ -53,7 +53,7 @@ def alphabeta_bank(
             continue
         xp = x + T * v
         r = z[k] - xp
-        conv = count >= converged
+        conv = count >= warmup
         raw = abs(r) > (hyst if state else 1.0) * man
         vote = False
         if conv and len(hist) >= n:

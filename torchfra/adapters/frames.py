@@ -74,7 +74,7 @@ def measurements(
     """
     for name in (*names, time, *([] if by is None else [by])):
         if name not in frame:
-            raise ValueError(f"names: expected columns out of {', '.join(map(str, frame.columns))}, received {name}")
+            raise ValueError(f"names: expected some of {', '.join(map(str, frame.columns))}, received {name}")
     groups = [frame] if by is None else [group for _, group in frame.groupby(by, sort=False)]
     tracks = [_track(group.sort_values(time, kind="stable"), names, time) for group in groups]
     if by is None:

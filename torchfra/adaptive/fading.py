@@ -172,7 +172,7 @@ class Fading(NoFading):
             prediction: without a fading factor.
             whitened: the measurement compared with that prediction.
             memory: of innovations, that of this step included.
-            weights: ``(..., m)`` robust weights that divide the measurement noise; ones for the nominal noise.
+            weights: ``(..., m)`` robust weights that divide the noise covariance; ones for the nominal noise.
         """
         d = whitened.reads
         root = prediction.belief.scale_tril[..., :d, :d]

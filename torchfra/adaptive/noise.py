@@ -106,7 +106,7 @@ class SageHusa(NominalNoise):
     """
 
     block_of: Tensor
-    """``(m,)`` number of each element's block."""
+    """``(m,)`` index of each element's block."""
 
     def __init__(
         self,
@@ -127,7 +127,7 @@ class SageHusa(NominalNoise):
         )
         if not (0 < as_number(lowest) <= 1 <= as_number(highest) and is_integer(warmup, 0)):
             raise ValueError(
-                "lowest, highest, warmup: expected shares up to 1, from 1 on, and 0 or more, received "
+                "lowest, highest, warmup: expected 0 < lowest <= 1 <= highest, and warmup of 0 or more, received "
                 f"{lowest!r}, {highest!r}, {warmup!r}"
             )
         confidence = as_numbers(confidence, "confidence").double()

@@ -353,7 +353,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
         outlier_transition=model.transition(sigma).permute(2, 1, 0),
         outlier_sizes=(max(model.least_size, float((model.reach / sigma).square().max())),),
         outlier_shares=(1.0,),
-        outliers_inform=False,
+        outliers_update=False,
         same_offset=float(model.same_offset) or None,
     )
     regimes = Regimes(

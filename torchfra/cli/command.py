@@ -74,7 +74,7 @@ def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: 
     unknown = [name for name in value.split(",") if name not in known]
     if unknown:
         received = f"{', '.join(unknown)}{meant(unknown[0], known)}"
-        parser.error(f"--{option}: expected names out of {', '.join(known)}, received {received}")
+        parser.error(f"--{option}: expected some of {', '.join(known)}, received {received}")
 
 
 def numbers_in(option: str, value: str) -> list[float]:
@@ -148,7 +148,7 @@ def check_folder(option: str, path: Path | None) -> None:
 
 
 class IncompleteError(Exception):
-    """The work is done, but for parts that failed: a message for each."""
+    """The work is done, except for parts that failed: a message for each."""
 
 
 class Failures:

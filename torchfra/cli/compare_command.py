@@ -61,7 +61,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
     add_source_options(add)
     names = f"{', '.join(track_filters())}, for clutter-* {', '.join(scan_filters())}"
-    add("--filters", metavar="A,B", help=f"out of {names} (default: all), or module:function, file.py:function")
+    add("--filters", metavar="A,B", help=f"some of {names} (default: all), or module:function, file.py:function")
     own = "run this module or file first: filters and scenarios that it registers then have names here"
     add("--import", dest="modules", metavar="MODULE", action="append", default=[], help=own)
     learned = "also the filter NAME (default: fra) with values that training wrote, as 'learned'"
@@ -155,13 +155,13 @@ def _shown(
     if options.flight is not None and not 0 <= options.flight < runs:
         raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
     if options.flight is not None and scenario.motion.dims < 2:
-        raise ValueError(f"flight: goes with positions in two dimensions or more, not with {scenario.name}")
+        raise ValueError(f"flight: expected positions in two dimensions or more, received {scenario.name}")
     if options.show is None:
         return None
     names = [name for name in dict.fromkeys(options.show.split(",")) if name]
     if not 1 <= len(names) <= MOST_SHOWN or not all(name in filters for name in names):
         known = ", ".join(filters)
-        raise ValueError(f"show: expected 1 to {MOST_SHOWN} names out of {known}, received {options.show}")
+        raise ValueError(f"show: expected 1 to {MOST_SHOWN} of {known}, received {options.show}")
     return names
 
 

@@ -84,7 +84,7 @@ def load_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
             with the scenario.
     """
     if not names:
-        raise ValueError(f"filters: expected names out of {', '.join(FILTERS)}, received none")
+        raise ValueError(f"filters: expected some of {', '.join(FILTERS)}, received none")
     return {name: _filter(name, scenario) for name in names}
 
 

@@ -25,9 +25,9 @@ _ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as
 
 DATA is a file or a folder with files below it, whose rows are in any order: a target may have rows in all of them.
 Targets are divided into parts by a hash of their ids, each part is read from all files, and its cleaned tracks go to
-OUT/part-00000.parquet and so on: OUT is a data set itself, and its column row counts through the files of DATA in the
-order of their names. Memory does not grow with the data. A part exists completely or not at all, and an existing one is
-done: after Ctrl-C, kill -9 or a power cut the same command continues where it was."""
+OUT/part-00000.parquet and so on: OUT is a data set itself, whose column row numbers the rows of DATA through all files,
+in the order of their names. Memory does not grow with the data. A part exists completely or not at all, and an existing
+one is done: after Ctrl-C, kill -9 or a power cut the same command continues where it was."""
 
 _EXAMPLES = """examples:
   torchfra many flights --out clean --jobs 8           # eight processes
@@ -52,7 +52,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add("data", metavar="DATA", type=Path)
     add("--out", type=Path, required=True, metavar="FOLDER", help="a new folder, or one that this command has begun")
     usual = f"a {PARTS}th of all, from {FEWEST:,} to {MOST:,}"
-    add("--rows", type=int, metavar="N", help=f"rows of a part, about (default: {usual})")
+    add("--rows", type=int, metavar="N", help=f"approximate number of rows of a part (default: {usual})")
     add_jobs_option(command)
     add_cleaning_options(command.add_argument_group("cleaning").add_argument)
     add_reading_options(command.add_argument_group("reading").add_argument)

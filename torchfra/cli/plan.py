@@ -50,7 +50,7 @@ def ending_of(out: Path, form: str | None) -> tuple[bool, str]:
     """
     ending = "" if out.is_dir() else out.suffix.lower()
     if ending and form is not None:
-        raise ValueError(f"format: goes with a folder as --out, received the file {out}")
+        raise ValueError(f"format: expected a folder as --out, received the file {out}")
     one = ending != ""
     check_format(ending if one else f".{form or 'csv'}")
     return one, ending if one else f".{form or 'csv'}"

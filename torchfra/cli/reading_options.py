@@ -20,8 +20,8 @@ _ABOUT = {
     "id": ("COLUMN", "column with the target of a row"),
     "sigma_column": ("COLUMN", "column of the std of each fix per axis"),
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
-    "delimiter": ("SIGN", "sign between cells; or tab, space"),
-    "decimal": ("SIGN", "sign before decimals: . or ,"),
+    "delimiter": ("CHAR", "character between cells; or tab, space"),
+    "decimal": ("CHAR", "decimal separator: . or ,"),
     "time_format": ("FORM", f"times as {', '.join(FORMS)}, or such as 25fps or %%d.%%m.%%Y %%H:%%M:%%S"),
 }  # fmt: skip
 """Placeholder and help of each option."""
@@ -53,7 +53,6 @@ def add_cleaning_options(add: Callable[..., object]) -> None:
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
         "(default: found from the data)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
-    add("--no-smooth", action="store_true", help="use only the fixes before and at each step, as a filter on line")
-    add("--no-repair", action="store_true", help="leave the fixes where they are, although their time stamps seem "
-        "to be off")  # fmt: skip
+    add("--no-smooth", action="store_true", help="use only the fixes before and at each step: filter, do not smooth")
+    add("--no-repair", action="store_true", help="keep time stamps that seem to be off")
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")

@@ -32,8 +32,8 @@ def add_source_options(add: Any) -> None:
     own = "or your own function that makes one: module:function, or file.py:function"
     add("--scenario", metavar="NAME", help=f"instead of files, one of {', '.join(SCENARIOS)}, {own}")
     add("--ranges", metavar="PATH", type=Path, nargs="+", help="instead of files, recorded ranges")
-    add("--outliers", metavar="MODE", help="covariance (default), std, bursts (files and bearings-*), "
-        "offset (bearings-*) or none; for ranges-outliers short (default), nlos, both or none")  # fmt: skip
+    add("--outliers", metavar="MODE", help="what is larger in outliers, covariance (default) or std; or bursts (files, "
+        "bearings-*), offset (bearings-*), none; for ranges-outliers short (default), nlos, both, none")  # fmt: skip
     add("--sensor", help="for files: bearings (default), radar or position")
     add("--q", type=float, help=f"{q}0.25, for ranges 0.3)")
     add("--dt", type=float, metavar="S", help="for files and ranges: seconds per step (default: 5, for ranges 0.1)")
@@ -62,8 +62,8 @@ def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
     (source,) = chosen
     values = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
     for name in sorted(values.keys() - set(_TAKEN[source])):
-        goes_with = " or ".join(other for other, names in _TAKEN.items() if name in names)
-        raise ValueError(f"{name}: goes with {goes_with}, not with {source}")
+        sources = " or ".join(other for other, names in _TAKEN.items() if name in names)
+        raise ValueError(f"{name}: expected beside {sources}, received beside {source}")
     if source == "--scenario":
         make = load_scenario if is_place(options.scenario) else make_scenario
         scenario = make(options.scenario, **values)
@@ -88,7 +88,7 @@ def _recorded_ranges(
         raise ValueError("ranges: expected either folders or the files of one recording, received both")
     found = [folder for path in folders for folder in readers.range_folders(path)]
     if reference is not None and len(found) > 1:
-        raise ValueError(f"reference: goes with one recording, received {len(found)}")
+        raise ValueError(f"reference: expected one recording beside it, received {len(found)}")
     sources: list[Path | list[Path]] = [*found] or [paths]
     recordings = [readers.read_ranges(one, anchors=anchors, reference=reference, **bound) for one in sources]
     if runs is not None and runs > len(recordings):

@@ -25,8 +25,8 @@ FILES = """FILE holds one or several recorded tracks: CSV with a header (any del
 OpenSky among it), JSON, GPX, KML, TCX, VBOX, IGC, PLT, GeoJSON, NMEA 0183, Parquet or Feather, gzipped or not. Columns
 are found by their names; the output states which were taken, and the options for reading name others."""
 
-_ABOUT = f"""Clean a recorded track: where the target was and how sure that is, which fixes are wrong, and which
-manoeuvres it flew. Writes a table (and NAME.meta.json beside it, with all that belongs to no row) and a picture.
+_ABOUT = f"""Clean a recorded track: positions with their standard deviations, wrong fixes, and manoeuvres.
+Writes a table (and NAME.meta.json beside it, with all that belongs to no row) and a picture.
 
 {FILES}"""
 
@@ -36,7 +36,7 @@ _EXAMPLES = f"""examples:
   torchfra track flights.csv --format gpx            # out/NAME.gpx for each target
   torchfra track walk.csv --sigma 5 --bank person    # known values need not be found
   torchfra track log.csv --time when --lat breite --lon laenge --delimiter ";" --decimal ,
-  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # the estimates of a filter on line
+  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # the estimates of a filter
   torchfra track flight.csv --dt 1 --html flight.html           # also every second, and an interactive page
 
 A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned

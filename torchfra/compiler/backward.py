@@ -57,7 +57,7 @@ def cut(past: Any, rank: int, truncate: int) -> Any:
 
 
 def windows(
-    f: Any, past: Any, carried: Any, measurements: Measurements, rank: int, lag: int
+    f: Any, past: Any, source: Any, measurements: Measurements, rank: int, lag: int
 ) -> Iterator[tuple[Any, Any, Measurements]]:
     """A track of ``lag + 1`` steps for each step that has so many later ones, along one more dimension of the batch.
 
@@ -83,7 +83,7 @@ def windows(
         u = None if u is None else unfolded(u, u.dim() - 2)
         ends = (
             None if x is None else tree.map_tensors(ending, f.last_past(x), f.provisional_past(x))
-            for x in (past, carried)
+            for x in (past, source)
         )
         yield next(ends), next(ends), measurements._replace(dt=dt, u=u)
 
@@ -98,22 +98,22 @@ def of_windows(smoothed: Sequence[Any], rank: int, lag: int) -> Any:
     return tree.map_tensors(steps, *smoothed)
 
 
-def backward_inputs(f: Any, past: Any, carried: Any, measurements: Measurements, rank: int) -> BackwardInputs:
+def backward_inputs(f: Any, past: Any, source: Any, measurements: Measurements, rank: int) -> BackwardInputs:
     """All that the kernel of this filter reads.
 
     Args:
         f: the filter.
         past: ``(..., T, ...)``: see ``Filter.past``.
-        carried: as ``past``: see ``BackwardStep``; None where it is ``past``.
+        source: as ``past``: see ``BackwardStep``; None where it is ``past``.
         measurements: of the forward pass.
         rank: dimensions of the batch.
     """
     past = f.last_past(past)
-    carried = None if carried is None else f.last_past(carried)
+    source = None if source is None else f.last_past(source)
     following = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_of_next(past))
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = torch.as_tensor(measurements.dt if varying else measurements.common_dt).to(like)
-    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, following, carried)))}
+    data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, following, source)))}
     events = {name: x.dim() - rank - 1 for name, x in data.items()} | {"last": 0, "dt": 0}
     batch, steps = data["past0"].shape[:rank], data["past0"].shape[rank]
     at = torch.arange(steps, device=like.device)
@@ -122,7 +122,7 @@ def backward_inputs(f: Any, past: Any, carried: Any, measurements: Measurements,
         data["u"], events["u"] = u.roll(-1, -2), 1
     state, _ = f.last(tree.map_tensors(lambda x: x.select(rank, -1), past))
     return BackwardInputs(
-        state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, following, carried)
+        state, data, {k: varying or k != "dt" for k in data}, events, batch, steps, (past, following, source)
     )
 
 
@@ -139,11 +139,11 @@ def _lower(x: Any) -> Any:
 def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
-    past, following, carried = _lower(tree.unflatten(like, leaves))
+    past, following, source = _lower(tree.unflatten(like, leaves))
     dt, u, motion = data["dt"], data.get("u"), f.frame_motion
     models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise(dt), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
-    stepped = f.retreat(BackwardStep(past, following, frame, past if carried is None else carried), after)
+    stepped = f.retreat(BackwardStep(past, following, frame, past if source is None else source), after)
     begun_or_stepped: tuple[Any, Any] = tree.where(data["last"] > 0, f.last(past), stepped)
     return begun_or_stepped

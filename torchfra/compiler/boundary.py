@@ -115,7 +115,9 @@ class Boundary:
             now, then = _halves(entry_ids(as_entries(self.book, x)))
             place = next((k for k, half in enumerate(halves) if now and now in half), None)
             if place is None or (now == halves[place][0]) != (then == halves[place][1]):
-                raise NotImplementedError("compile: finish does more than to append decisions that come one step late")
+                raise NotImplementedError(
+                    "compile: expected a finish that only appends decisions one step late, received another"
+                )
             if now == halves[place][1]:
                 self.late[first + place] = then, x.dtype == torch.bool
             self.places.append(place)

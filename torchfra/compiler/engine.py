@@ -161,10 +161,10 @@ class Compiled:
         if not self.takes(measurements.z):
             return self.otherwise.backward(f, past, measurements, rank, frames, checkpoint, lag, truncate)
         measurements = f.for_each_target(measurements) if f.scans else measurements
-        carried = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
+        source = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
-            return self._back(f, backward_inputs(f, past, carried, measurements, rank))
-        every = windows(f, past, carried, measurements, rank, lag)
+            return self._back(f, backward_inputs(f, past, source, measurements, rank))
+        every = windows(f, past, source, measurements, rank, lag)
         parts = [self._back(f, backward_inputs(f, *part, rank + 1)._replace(windows=True)) for part in every]
         return of_windows(parts, rank, lag)
 

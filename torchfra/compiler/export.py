@@ -230,7 +230,7 @@ struct State {
   // STATE
 };
 
-// What is measured at a step, NaN where it is missing, and what goes with it.
+// What is measured at a step, NaN where it is missing, and its noise and inputs.
 struct Input {
   // INPUT
 };

@@ -177,7 +177,7 @@ class WholeTracks:
         self.fit = guard(tensors)
 
     def __call__(self, begin: Callable[[Gaussian], Any], tensors: Sequence[Tensor]) -> Estimate:
-        """What ``forward`` returns, but for the causes of failures: the failure is None where there may be any."""
+        """What ``forward`` returns, except for the causes of failures: the failure is None where there may be any."""
         written, sound = self._kernel(tensors)
         made: Estimate = self._made(written)
         return made if sound else made._replace(failure=None)

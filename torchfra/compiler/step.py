@@ -61,7 +61,7 @@ Run = Callable[[Callable[[Sequence[int]], Tensor], Sequence[Tensor]], Sequence[T
 def staying(run: Run, zero: list[Tensor], dtype: torch.dtype) -> list[Tensor]:
     """Of the entries of a state that are 0 at first those that are 0 after every step: all of them, hardly any other.
 
-    Whatever an expression makes 0 is 0 in numbers too, but for what is not finite: then all that are 0 at first are
+    Whatever an expression makes 0 is 0 in numbers too, except for what is not finite: then all that are 0 at first are
     returned.  A trace, which knows for certain, takes tens of times as long.
 
     Args:
@@ -240,7 +240,7 @@ class Step:
         give_all(book, list(inputs), list(inputs.values()))
         give_all(book, _paths(record, "record"), kept)
         if [x.shape for x in after] != [x.shape for x in zero]:
-            raise ValueError(f"state: expected a step to keep its form {self.state}, received {state}")
+            raise ValueError(f"state: expected a step that keeps its form {self.state}, received {state}")
         return Trace(book, before, inputs, after, record, kept)
 
     def forwards(self, remembers: bool = False) -> Scan:
@@ -314,7 +314,7 @@ class Step:
 
 
 def carried(book: Expressions, zero: Sequence[Tensor], dtype: torch.dtype) -> tuple[Entries, ...]:
-    """What goes from step to step: unknown, but for the entries that are always 0."""
+    """What goes from step to step: unknown, except for the entries that are always 0."""
     new = [Entries.inputs(book, z.shape, dtype).ids for z in zero]
     return tuple(Entries(book, torch.where(z, ZERO, ids), dtype) for z, ids in zip(zero, new, strict=True))
 

@@ -70,7 +70,7 @@ def tangents(book: Expressions, numbers: Iterable[int], seeds: Mapping[int, int]
 
 
 _CONSTANT = {"lt", "le", "eq", "and", "or", "not", "round", "floor", "ceil", "trunc"}
-"""Operations whose results do not change, but for jumps."""
+"""Operations whose results do not change, except for jumps."""
 
 
 class _Writer:
@@ -98,7 +98,7 @@ def _rate(w: _Writer, op: str, y: int, args: tuple[int, ...], rates: list[int]) 
         return w.select(zero, ZERO, w.div(total, w.select(zero, 1.0, y)))
     slopes = _SLOPES.get(op)
     if slopes is None:
-        raise NotImplementedError(f"compile: {op} has no derivative forwards: take the gradient instead")
+        raise NotImplementedError(f"compile: {op} has no forward-mode derivative: take the gradient instead")
     return w.book.sum(w.mul(d, slope(w, y, *args)) for d, slope in zip(rates, slopes, strict=True) if d != ZERO)
 
 

@@ -17,7 +17,7 @@ _PARALLEL = 1e-6
 
 
 def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
-    """The position that each measurement implies, ``(B, T, J, d)``, m; ``J`` is 1 but for scans.
+    """The position that each measurement implies, ``(B, T, J, d)``, m; ``J`` is 1 except for scans.
 
     Two bearings imply the place where they cross, a range and a bearing the polar fix: the position whose measurement
     is closest to the actual one, in standard deviations.  It is found by Gauss-Newton steps from the truth, each

@@ -52,7 +52,7 @@ def evaluate(
         seed: of the random numbers; every filter sees the same runs.
         limit: a run diverges when its position error, root mean square over time, is above this, m; None for
             ``scenario.limit``, and where that is None for ``divergence_limit``.
-        chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` but for one number
+        chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` except one number
             per run, filter and metric.
         compile: whether to run compiled (``Filter.compile``); needs the extra ``compiler``.
         progress: whether to show a bar.

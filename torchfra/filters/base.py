@@ -1,4 +1,4 @@
-"""The base of all filters: three functions that a filter gives, and everything that follows from them."""
+"""The base of all filters: the two or three functions that a filter gives, and what follows from them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from torchfra.gaussian.inputs import (
     broadcast_with_values,
     make_frames,
 )
-from torchfra.gaussian.model import Carried, compare, predict, propagate
+from torchfra.gaussian.model import Propagated, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import smooth_step
 from torchfra.gaussian.update import density, innovation
@@ -90,10 +90,10 @@ class Filter(nn.Module, Generic[S]):
     Nothing of a track stays in a filter; it runs where ``z`` is, in its dtype.
 
     Args:
-        motion: how targets move; a linear motion is carried exactly, without sigma points.  None for a filter around
+        motion: how targets move; a linear motion is propagated exactly, without sigma points.  None for a filter around
             another one, whose models it uses.
         sensor: what is measured; None for a filter around another one.
-        rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
+        rule: from a dimension to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
 
     Raises:
         ValueError: the sensor reads more components than the motion's state has, or the rule is not callable.
@@ -155,8 +155,8 @@ class Filter(nn.Module, Generic[S]):
         The default is Rauch, Tung & Striebel (1965), with the prediction of the forward pass.  ``after`` is the state
         of the backward pass after the step; with a fixed lag it has one more dimension in front of the batch.
         """
-        carried = self.carry(step.past.belief, step.frame, step.next.factor)
-        smoothed = self.reverse(step.past.belief, carried, after)
+        propagated = self.propagate(step.past.belief, step.frame, step.next.factor)
+        smoothed = self.smooth_belief(step.past.belief, propagated, after)
         return smoothed.belief, smoothed
 
     # ------------------------------------------------------------ further functions that it may override
@@ -192,12 +192,12 @@ class Filter(nn.Module, Generic[S]):
         return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])
 
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """Hypotheses ``(K, ..., n)`` of the state after a step without a measurement, and logs of their weights."""
+        """Hypotheses ``(H, ..., n)`` of the state after a step without a measurement, and logs of their weights."""
         _, record = self.advance(state, frame)
         return one_hypothesis(self.finish(state, record.belief, None)[0])
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
+        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
         whitened = self.compare(beliefs, frame)
         return Gaussian(whitened.residual, innovation(whitened)[0])
 
@@ -258,16 +258,18 @@ class Filter(nn.Module, Generic[S]):
         """Compares the measurement with a predicted belief."""
         return compare(self.sensor, self.sensor_rule, belief, frame)
 
-    def reverse(self, belief: Gaussian, carried: Carried, after: Gaussian) -> Smoothed:
-        """The smoothed ``belief``, from the smoothed belief ``after`` the step that has ``carried`` it."""
-        (mean, root), repaired = smooth_step(belief, carried, after, self.motion.difference)
+    def smooth_belief(self, belief: Gaussian, propagated: Propagated, after: Gaussian) -> Smoothed:
+        """The smoothed ``belief``, from the smoothed belief ``after`` the step that has ``propagated`` it."""
+        (mean, root), repaired = smooth_step(belief, propagated, after, self.motion.difference)
         repaired = None if repaired is None else repaired.expand(mean.shape[:-1])
         return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
 
-    def carry(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Carried:
-        """A belief carried over a step, with the fading factor ``(...)`` of the forward pass, if any."""
-        carried = propagate(self.motion, self.motion_rule, belief, frame)
-        return carried if factor is None else carried._replace(spread=self.fading.stretch(carried.spread, factor))
+    def propagate(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Propagated:
+        """A belief propagated over a step, with the fading factor ``(...)`` of the forward pass, if any."""
+        propagated = propagate(self.motion, self.motion_rule, belief, frame)
+        return (
+            propagated if factor is None else propagated._replace(spread=self.fading.stretch(propagated.spread, factor))
+        )
 
     @property
     def frame_motion(self) -> Motion:
@@ -394,8 +396,8 @@ class Filter(nn.Module, Generic[S]):
                 memory for more time.  None keeps everything, after ``compile`` no more than 64 MiB.
             sensors: several sensors, of which each step has one: ``z (..., T, m)`` has the elements of the largest, and
                 NaN behind those of a smaller one; so do ``std``, ``noise`` and the elements in ``info``.
-            which: ``(T,)`` number of each step's sensor, beside ``sensors``; ``dt`` is 0 between two at the same
-                instant.  The ``u`` of a step is for its sensor: the position of a ``RangeBearing`` that has none.
+            which: ``(T,)`` index of each step's sensor, beside ``sensors``; ``dt`` is 0 between two at the same
+                instant.  The ``u`` of a step is that of its sensor, such as where a ``RangeBearing`` is.
             past: whether the estimate holds what ``smooth(estimate=)`` needs, such as the belief of each model.
 
         Returns:
@@ -535,13 +537,13 @@ class Filter(nn.Module, Generic[S]):
         """Makes all later calls run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
 
         It needs the package llvmlite (``pip install 'torchfra[compiler]'``), on a GPU torch's own NVRTC, and up to some
-        seconds for a form of call that no earlier process has compiled.  Without llvmlite it warns once, and the filter
+        seconds for the first call with these kinds of arguments.  Without llvmlite it warns once, and the filter
         runs interpreted on the CPU.  Gradients are of first order.  To ``torch.compile`` a call for whole tracks is one
         operation (from torch 2.11 on, with one sensor, not of scans); its other calls, and those inside of transforms
         of ``torch.func``, run interpreted.  ``torchfra/compiler/README.md`` has the details.
 
         Args:
-            wait: whether the first call of a form waits for its kernels.  If not, it runs interpreted while a thread
+            wait: whether the first call of a kind waits for its kernels.  If not, it runs interpreted while a thread
                 compiles; later calls run compiled once the thread is done, and raise its error if it failed.  Calls
                 with gradients always wait.
             args: with any other argument this is ``nn.Module.compile``, and so ``torch.compile``, instead:

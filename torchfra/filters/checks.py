@@ -34,7 +34,7 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
         raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
     if sensor.reads > motion.size:
         expected = f"one that reads at most {motion.size} states [{', '.join(motion.components)}]"
-        raise ValueError(f"sensor: expected {expected}, this reads {sensor.reads}")
+        raise ValueError(f"sensor: expected {expected}, received one that reads {sensor.reads}")
     if sensor.dims is not None and sensor.dims > motion.dims:
         raise ValueError(f"sensor: expected one of at most {motion.dims} dimensions of space, received {sensor.dims}")
     for i, kinds in sensor.expects:
@@ -52,7 +52,7 @@ def check_parts(**parts: tuple[Any, type]) -> None:
     """
     for name, (part, kind) in parts.items():
         if not isinstance(part, kind):
-            expected = f"{kind.__name__} of torchfra.{'robust' if name == 'robust' else 'adaptive'}, or a kind of it"
+            expected = f"{kind.__name__} of torchfra.{'robust' if name == 'robust' else 'adaptive'}, or a subclass"
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
@@ -91,7 +91,7 @@ def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
     track, mean = measurements.as_track(scans=f.scans), state.belief.mean
     batch, expected = f._batch(track, state.belief, "state.belief"), mean.shape[: mean.dim() - 1 - f.scans]
     if batch != expected:
-        raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, this is of {tuple(expected)}")
+        raise ValueError(f"state: expected one from a prior of batch {tuple(batch)}, received one of {tuple(expected)}")
     return track._replace(z=track.z.to(mean))
 
 

@@ -1,4 +1,4 @@
-"""A constant bias of the sensor that no measurement shows: it is not estimated, but covariances contain it."""
+"""An unobservable constant bias of the sensor (consider parameter): it is not estimated, but covariances contain it."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from torchfra.types import Gaussian
 P = TypeVar("P", bound=Callable[..., Any])
 
 
-class WithErrorsState(NamedTuple):
+class WithCorrelatedErrorsState(NamedTuple):
     """State after a step."""
 
     belief: Gaussian
@@ -37,7 +37,7 @@ class WithErrorsState(NamedTuple):
     """State of the inner filter, with the errors."""
 
 
-class WithErrorsPast(NamedTuple):
+class WithCorrelatedErrorsPast(NamedTuple):
     """The parts of a step of the inner filter that the backward pass needs, with the errors."""
 
     belief: Gaussian
@@ -45,7 +45,7 @@ class WithErrorsPast(NamedTuple):
     past: Any
 
 
-class WithErrors(Filter[WithErrorsState]):
+class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
     """A filter whose sensor has time-correlated errors: only the state of ``inner`` holds them.
 
     Priors, estimates and beliefs in ``info`` have the components of the target alone; errors start from their
@@ -120,26 +120,26 @@ class WithErrors(Filter[WithErrorsState]):
 
     # ------------------------------------------------------------ steps
 
-    def begin(self, belief: Gaussian) -> WithErrorsState:
+    def begin(self, belief: Gaussian) -> WithCorrelatedErrorsState:
         """The state of a belief of the target, with errors in their stationary distribution."""
         std = stationary(self.errors, belief.mean)
         mean = torch.cat([belief.mean, torch.zeros_like(std)], -1)
         root = block_diagonal([belief.scale_tril, torch.diag_embed(std)])
-        return WithErrorsState(belief, self.inner.begin(Gaussian(mean, root)))
+        return WithCorrelatedErrorsState(belief, self.inner.begin(Gaussian(mean, root)))
 
-    def advance(self, state: WithErrorsState, frame: Frame) -> tuple[WithErrorsState, Record]:
+    def advance(self, state: WithCorrelatedErrorsState, frame: Frame) -> tuple[WithCorrelatedErrorsState, Record]:
         """One step of the inner filter."""
         inner, record = self.inner.advance(state.inner, frame)
-        past = WithErrorsPast(record.belief, record.info, record.past)
+        past = WithCorrelatedErrorsPast(record.belief, record.info, record.past)
         record = record._replace(belief=self.own(record.belief), info=self.own(record.info), past=past)
-        return WithErrorsState(self.own(inner.belief), inner), record
+        return WithCorrelatedErrorsState(self.own(inner.belief), inner), record
 
-    def finish(self, state: WithErrorsState, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
+    def finish(self, state: WithCorrelatedErrorsState, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """The estimates of the inner filter, with the target's components alone."""
         return self.inner.finish(self.own(state.inner), belief, info)
 
     def predict(
-        self, state: WithErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None
+        self, state: WithCorrelatedErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None
     ) -> Forecast:
         """The prediction after ``dt`` seconds: of the target, and of a measurement with its errors."""
         forecast = self.with_sensor(sensor).inner.predict(state.inner, dt, u=u)
@@ -147,7 +147,9 @@ class WithErrors(Filter[WithErrorsState]):
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
         """The hypotheses of the inner filter, with the target's components alone."""
-        beliefs, log_weights = self.inner.hypotheses(source.inner if isinstance(source, WithErrorsState) else source)
+        beliefs, log_weights = self.inner.hypotheses(
+            source.inner if isinstance(source, WithCorrelatedErrorsState) else source
+        )
         return self.own(beliefs), log_weights
 
     # ------------------------------------------------------------ other sensors
@@ -174,7 +176,9 @@ class WithErrors(Filter[WithErrorsState]):
         """
         self.inner.check_smooths_several()
 
-    def past(self, belief: Gaussian, info: Any, state: WithErrorsState, steps: WithErrorsPast) -> Any:
+    def past(
+        self, belief: Gaussian, info: Any, state: WithCorrelatedErrorsState, steps: WithCorrelatedErrorsPast
+    ) -> Any:
         """The past of the inner filter."""
         belief, info = self.inner.finish(state.inner, steps.belief, steps.info)
         return self.inner.past(belief, info, state.inner, steps.past)
@@ -219,7 +223,7 @@ def with_errors(preset: P, takes: bool = True) -> P:
         errors, behind = errors_of(sensor), count(_one(motion).size)
         biased = Biased(without_errors(sensor), [next(behind) if has else None for has in have_errors(sensor)])
         options = {name: x for name, x in options.items() if name not in (first, second)}
-        return WithErrors(preset(_augmented(motion, errors), biased, *arguments[2:], **options), sensor)
+        return WithCorrelatedErrors(preset(_augmented(motion, errors), biased, *arguments[2:], **options), sensor)
 
     return made  # type: ignore[return-value]  # it takes all that the preset takes
 

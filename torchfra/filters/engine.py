@@ -204,8 +204,8 @@ def backward_pass(
         lag: number of later steps whose measurements count; None for all.
         truncate: steps after which the forward pass has cut gradients.
     """
-    carried = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
-    steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], carried[:-1], strict=True)]
+    sources = [tree.detach(x) if truncate and k % truncate == 0 else x for k, x in enumerate(past, 1)]
+    steps = [BackwardStep(*of) for of in zip(past[:-1], past[1:], frames[1:], sources[:-1], strict=True)]
     state, end = f.last(past[-1])
     if lag is not None:
         state = tree.stack([state] * lag, 0)

@@ -43,7 +43,7 @@ def forecast(f: Any, state: Any, frame: Frame) -> Forecast:
 
 
 def _moments(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) -> Gaussian:
-    """The Gaussian with the moments of hypotheses ``(K, ...)``; ``angles`` are components that are angles."""
+    """The Gaussian with the moments of hypotheses ``(H, ...)``; ``angles`` are components that are angles."""
     if len(log_weights) > 1:
         return moment_match(beliefs, log_weights, angles)
     return Gaussian(beliefs.mean[0], beliefs.scale_tril[0])

@@ -34,7 +34,7 @@ Branches = tuple[Gaussian, Gaussian, Gaussian]
 UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 """Which branch may be the estimate of an abnormal step that no measurement has decided."""
 _ROUNDING = 1e-9
-"""Relative difference of two scores that are equal but for rounding, in double precision."""
+"""Relative difference of two scores that are equal up to rounding, in double precision."""
 
 
 class FRAState(NamedTuple):
@@ -43,9 +43,9 @@ class FRAState(NamedTuple):
     belief: Gaussian
     """Provisional estimate of this step: of an abnormal one the branch that ``FRA.provisional`` names."""
     robust: Gaussian
-    """The robust branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
+    """The robust branch; equal to ``plain`` where the step was normal (except with a soft decision)."""
     adaptive: Gaussian
-    """The adaptive branch; equal to ``plain`` where the step was normal (but for a soft decision)."""
+    """The adaptive branch; equal to ``plain`` where the step was normal (except with a soft decision)."""
     plain: Gaussian
     """The estimate of the plain update."""
     lagged: Gaussian
@@ -75,7 +75,7 @@ class FRAInfo(NamedTuple):
     plain: Tensor
     """``(..., T)`` bool: the plain branch was kept (with a soft decision: had the largest weight)."""
     fading: Tensor
-    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps (but for a soft decision)."""
+    """``(..., T)`` fading factor of the adaptive branch, 1 at normal steps (except with a soft decision)."""
     weights: Tensor
     """``(..., T, m)`` Huber weights of the robust branch, 1 at normal steps."""
     provisional: Gaussian
@@ -125,7 +125,7 @@ class FRA(Soft, Filter[FRAState]):
         sensor: what is measured.
         robust: weights of the robust branch (``torchfra.robust``); None for Huber's.
         fading: fading factors of the adaptive branch (``torchfra.adaptive``); None for the paper's, bounded.
-        rule: from a number of states to the rule that carries a Gaussian through a function.
+        rule: from a dimension to the rule that carries a Gaussian through a function.
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
         plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).
@@ -334,7 +334,7 @@ class FRA(Soft, Filter[FRAState]):
 def best(scores: Tensor) -> Choice:
     """The branch of the largest score; of scores that differ by rounding alone the first.
 
-    (With robust weights of 1 and a fading factor of 1 all branches are equal but for rounding.)
+    (With robust weights of 1 and a fading factor of 1 all branches are equal up to rounding.)
 
     Args:
         scores: ``(branches, ...)`` of robust, adaptive and, if there is one, plain.

@@ -31,7 +31,7 @@ class Fused:
     views: list[Any]
     """The filter around each of the sensors."""
     which: list[int]
-    """The number of each step's sensor."""
+    """The index of each step's sensor."""
 
     def check_smooths(self) -> None:
         """Checks that the filter can be smoothed over several sensors.
@@ -48,8 +48,8 @@ class Fused:
         check(measurements, prior, self.viewed.motion, max(sizes), name=name, zero_dt=self.viewed.zero_dt)
         steps = measurements.z.shape[-2]
         if steps != len(self.which):
-            received = f"{len(self.which)} numbers"
-            raise ValueError(f"which: expected the number of a sensor for each of {steps} steps, received {received}")
+            received = f"{len(self.which)} of them"
+            raise ValueError(f"which: expected the index of a sensor for each of {steps} steps, received {received}")
         beyond = torch.arange(max(sizes)) >= torch.tensor([sizes[k] for k in self.which]).unsqueeze(-1)
         wrong = (~measurements.z.isnan() & beyond.to(measurements.z.device)).reshape(-1, *beyond.shape).any(0)
         if not is_traced(measurements.z) and bool(wrong.any()):
@@ -96,10 +96,10 @@ class Stretches(Interpreted):
 
 
 def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
-    """A view of a filter in which each step has one of the ``sensors``, whose numbers are ``which (T,)``.
+    """A view of a filter in which each step has one of the ``sensors``, by the indices ``which (T,)``.
 
     Raises:
-        ValueError: one without the other, no sensors, or numbers that are not those of the sensors.
+        ValueError: one without the other, no sensors, or indices that are not those of the sensors.
     """
     if sensors is None or which is None:
         missing, there = ("sensors", "which") if sensors is None else ("which", "sensors")
@@ -110,7 +110,7 @@ def fused(f: Any, sensors: Sequence[Sensor] | None, which: Any) -> Any:
     numbers = which.tolist() if isinstance(which, Tensor | np.ndarray) else which
     count = len(sensors)
     if not isinstance(numbers, Sequence) or not all(is_integer(k, 0) and k < count for k in numbers):
-        raise ValueError(f"which: expected (T,) whole numbers from 0 to {count - 1}, received {which}")
+        raise ValueError(f"which: expected (T,) indices from 0 to {count - 1}, received {which}")
     new = sharing(f, mixed(Fused, f.__class__), engine=Stretches())
     new.__dict__.update(viewed=f, views=[f.with_sensor(sensor) for sensor in sensors], which=[int(k) for k in numbers])
     return new

@@ -16,12 +16,12 @@ from torchfra.filters.base import Filter, Mix
 from torchfra.filters.interaction import (
     cycle,
     for_each_model,
+    identity_at_zero_dt,
     interaction,
-    over_time_step,
     uniform_interaction,
 )
 from torchfra.filters.likely_models import LikelyModels, of_active
-from torchfra.filters.markov import mean_durations, over_seconds, rates
+from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
@@ -58,7 +58,7 @@ class IMMInfo(NamedTuple):
 
 
 class IMM(Filter[IMMState]):
-    """Interacting multiple models over any filter of this package, in the log domain and in square-root form.
+    """Interacting multiple models over ``SRCKF``, ``FRA`` or another filter with ``mixes``, in square-root form.
 
     Args:
         inner: a filter around a ``Bank`` of K motions; a copy of it runs all K in one batched call.
@@ -224,12 +224,12 @@ class IMM(Filter[IMMState]):
         durations = self.durations(like)
         if not self.durations.event_dim:
             durations = durations.unsqueeze(-1).expand(*durations.shape, len(self.motion))
-        return over_seconds(rates(durations, matrix), dt)
+        return transition_over(generator(durations, matrix), dt)
 
     def log_transition(self, like: Tensor, dt: Tensor) -> Tensor:
         """Logs of the transition ``(..., K, K)`` over a step of ``dt (...)`` seconds."""
         if self.durations is None:
-            return over_time_step(self.matrix(like).log(), dt)
+            return identity_at_zero_dt(self.matrix(like).log(), dt)
         return safe_log(self.probabilities(like, dt))
 
     def stay_to_transition(self) -> None:
@@ -250,7 +250,7 @@ class IMM(Filter[IMMState]):
         super()._load_from_state_dict(state_dict, prefix, *args)
 
     def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """A hypothesis ``(K, ..., n)`` of the state after a step for each model, and logs of their weights."""
+        """A hypothesis ``(K, ..., n)`` of the state after a step, one for each model, and logs of their weights."""
         log_weights, interact, frame, _ = self.mixing(state, frame)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief
         return models_first(belief), log_weights.movedim(-1, 0)
@@ -268,7 +268,7 @@ class IMM(Filter[IMMState]):
         was, now = step.past.active, step.next.active
         stays_active = (was * now).sum(-1)  # a model that stays active keeps its place
         every = self.probabilities(like, step.frame.dt)
-        matrix = over_time_step(safe_log(self.subset.matrix(every, was, now, stays_active)), step.frame.dt)
+        matrix = identity_at_zero_dt(safe_log(self.subset.matrix(every, was, now, stays_active)), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
@@ -305,7 +305,7 @@ class IMM(Filter[IMMState]):
             several: tuple[Models, Smoothed] = tree.stack(each, 0)
             return several
         matrix, frame = self.past_transition(step, after.log_weights)
-        models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.carried), matrix, after)
+        models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.source), matrix, after)
         return models, estimate_of_models(models, step.past.active, self.motion)
 
 
@@ -342,7 +342,7 @@ def _as_durations(count: int, value: Value) -> Hyper:
         raise ValueError(f"durations: expected None for a single model, received {value.tolist()}")
     if value.dim() and value.shape[-1] != count:
         raise ValueError(f"durations: expected a number or ({count},), received {tuple(value.shape)}")
-    return mean_durations(value, min(value.dim(), 1), "durations")
+    return sojourn_times(value, min(value.dim(), 1), "durations")
 
 
 def _as_stay(count: int, value: Value) -> Hyper:

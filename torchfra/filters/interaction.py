@@ -114,7 +114,7 @@ def pooled(belief: Gaussian, log_weights: Tensor, motion: Motion) -> Gaussian:
     return matched(models_first(belief), share_roots(log_weights.movedim(-1, 0))[0], motion.angles)
 
 
-def over_time_step(matrix: Tensor, dt: Tensor) -> Tensor:
+def identity_at_zero_dt(matrix: Tensor, dt: Tensor) -> Tensor:
     """Logs ``(..., K, K)`` of a transition over ``dt (...)`` seconds: the identity where ``dt`` is 0."""
     same = torch.eye(matrix.shape[-1], dtype=torch.bool, device=matrix.device)
     identity = torch.where(same, torch.zeros_like(matrix), -torch.inf)

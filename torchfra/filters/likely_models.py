@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.distributions import constraints
 
 from torchfra import tree
-from torchfra.filters.interaction import PER_MODEL, over_time_step
+from torchfra.filters.interaction import PER_MODEL, identity_at_zero_dt
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_log
@@ -25,7 +25,7 @@ class LikelyModels(nn.Module):
     probability.  Every track has its own set.
 
     Args:
-        neighbours: for each model of a bank the numbers of its neighbours, which it activates as a principal model; at
+        neighbours: for each model of a bank the indices of its neighbours, which it activates as a principal model; at
             most as many as can be active beside it.  Every model must be reached from every other.
         first: the models that are active first.
         unlikely: probability below which a model is unlikely.
@@ -38,7 +38,7 @@ class LikelyModels(nn.Module):
     Part V: Likely-Model Set Algorithm".  Differs: the paper does not say how its set changes; the number is fixed.
     """
 
-    calls: Tensor
+    activates: Tensor
     """``(K, K)`` 1 where a principal model activates another."""
     first: Tensor
     """``(A, K)`` with a single 1 in each row: the models that are active first."""
@@ -56,7 +56,7 @@ class LikelyModels(nn.Module):
             )
         self.unlikely = Hyper(unlikely, constraints.unit_interval, name="unlikely")
         self.principal = Hyper(principal, constraints.unit_interval, name="principal")
-        self.register_buffer("calls", _calls(neighbours, count, len(first)))
+        self.register_buffer("activates", _activations(neighbours, count, len(first)))
         self.register_buffer("first", torch.eye(count, dtype=torch.float64)[list(first)])
 
     def check(self, bank: Bank, transition: Value | None, initial: Value | None) -> None:
@@ -68,8 +68,10 @@ class LikelyModels(nn.Module):
         count = len(bank)
         if not bank.linear:
             raise ValueError(f"inner: expected a filter around a Bank of linear motions, received {bank}")
-        if len(self.calls) != count:
-            raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(self.calls)}")
+        if len(self.activates) != count:
+            raise ValueError(
+                f"neighbours: expected one list for each of {count} models, received {len(self.activates)}"
+            )
         if initial is not None:
             raise ValueError(f"initial: expected None beside a subset, which starts uniformly, received {initial}")
         if transition is None:
@@ -96,7 +98,7 @@ class LikelyModels(nn.Module):
         instant = (dt == 0).unsqueeze(-1)
         after = torch.where(instant.unsqueeze(-1), active, after)
         stays_active = torch.where(instant, torch.ones_like(stays_active), stays_active)
-        return after, over_time_step(safe_log(self.matrix(transition, active, after, stays_active)), dt)
+        return after, identity_at_zero_dt(safe_log(self.matrix(transition, active, after, stays_active)), dt)
 
     def choose(self, active: Tensor, log_weights: Tensor) -> tuple[Tensor, Tensor]:
         """The set for the next step, ``(..., A, K)``, and ``(..., A)`` 1 where a model stays active.
@@ -107,14 +109,15 @@ class LikelyModels(nn.Module):
         runs = active.sum(-2)
         high, low = (x(weight).unsqueeze(-1) for x in (self.principal, self.unlikely))
         principal = (weight > high).to(weight)
-        called = ((principal.unsqueeze(-2) @ self.calls.to(weight)).squeeze(-2) > 0).to(weight)
+        activated = ((principal.unsqueeze(-2) @ self.activates.to(weight)).squeeze(-2) > 0).to(weight)
         likely = runs * (weight >= low).to(weight)
         # 4 for principal models, 3 for their neighbours, 2 for active likely ones, 1 for active unlikely ones, else 0;
         # a probability is less than the 2 between tiers, so that it decides within a tier alone.
-        tier = torch.where(principal > 0, 4.0, torch.where(called > 0, 3.0, runs + likely))
+        tier = torch.where(principal > 0, 4.0, torch.where(activated > 0, 3.0, runs + likely))
         score = 2 * tier + weight
         mine, other = score.unsqueeze(-1), score.unsqueeze(-2)
-        before = torch.ones_like(self.calls).tril(-1).to(weight)  # of equal scores the first in the bank comes first
+        # Of equal scores the first in the bank comes first.
+        before = torch.ones_like(self.activates).tril(-1).to(weight)
         rank = ((other > mine).to(weight) + (other == mine).to(weight) * before).sum(-1)
         chosen = (rank < active.shape[-2]).to(weight)
         stays_active = (active @ chosen.unsqueeze(-1)).squeeze(-1)
@@ -161,19 +164,19 @@ def _check_thresholds(unlikely: Value, principal: Value) -> None:
         raise ValueError(f"unlikely, principal: expected 0 <= unlikely < principal < 1, received {received}")
 
 
-def _calls(neighbours: Sequence[Sequence[int]], count: int, active: int) -> Tensor:
+def _activations(neighbours: Sequence[Sequence[int]], count: int, active: int) -> Tensor:
     """``(K, K)`` 1 where a model activates another, of ``count`` models of which ``active`` run at a time."""
     if len(neighbours) != count:
         raise ValueError(f"neighbours: expected one list for each of {count} models, received {len(neighbours)}")
     if max(map(len, neighbours)) >= active:
         expected = f"at most {active - 1} for each, which can run beside it"
         raise ValueError(f"neighbours: expected {expected}, received {neighbours}")
-    if not all(0 <= called < count for row in neighbours for called in row):
-        raise ValueError(f"neighbours: expected numbers from 0 to {count - 1}, received {neighbours}")
-    calls = torch.zeros(count, count, dtype=torch.float64)
-    for model, called in enumerate(neighbours):
-        calls[model, list(called)] = 1
-    reached = torch.linalg.matrix_power(calls + torch.eye(count, dtype=torch.float64), count) > 0
+    if not all(0 <= activated < count for row in neighbours for activated in row):
+        raise ValueError(f"neighbours: expected indices from 0 to {count - 1}, received {neighbours}")
+    activates = torch.zeros(count, count, dtype=torch.float64)
+    for model, activated in enumerate(neighbours):
+        activates[model, list(activated)] = 1
+    reached = torch.linalg.matrix_power(activates + torch.eye(count, dtype=torch.float64), count) > 0
     if not bool(reached.all()):
         raise ValueError(f"neighbours: expected every model to be reached from every other, received {neighbours}")
-    return calls
+    return activates

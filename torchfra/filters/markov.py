@@ -10,11 +10,10 @@ from torchfra.linalg.safe import safe_divide
 from torchfra.numbers import as_numbers
 
 DOUBLINGS = 20
-"""Number of times that a step is halved.  A step longer than two million of the shortest sojourn times counts as two
-million."""
+"""Number of times that a step is halved.  Steps are cut at two million of the shortest mean sojourn time."""
 
 
-def mean_durations(value: Value, event_dim: int, name: str) -> Hyper:
+def sojourn_times(value: Value, event_dim: int, name: str) -> Hyper:
     """Mean sojourn times of states, s, as a hyperparameter.
 
     Raises:
@@ -26,7 +25,7 @@ def mean_durations(value: Value, event_dim: int, name: str) -> Hyper:
     return Hyper(value, event_dim=event_dim, name=name)
 
 
-def rates(durations: Tensor, follows: Tensor) -> Tensor:
+def generator(durations: Tensor, follows: Tensor) -> Tensor:
     """The generator ``(..., K, K)`` in 1/s, ``[was, now]``, whose rows sum to zero.
 
     Args:
@@ -37,7 +36,7 @@ def rates(durations: Tensor, follows: Tensor) -> Tensor:
     return (follows - eye) / durations.unsqueeze(-1)
 
 
-def over_seconds(generator: Tensor, dt: Tensor) -> Tensor:
+def transition_over(generator: Tensor, dt: Tensor) -> Tensor:
     """Transition probabilities ``exp(G dt) (..., K, K)``, ``[was, now]``, over ``dt (...)`` seconds.
 
     Two steps have the same probabilities as one step of their sum, and over 0 s they are the identity.  The exponential
@@ -47,7 +46,7 @@ def over_seconds(generator: Tensor, dt: Tensor) -> Tensor:
     Source: Moler & Van Loan (2003), "Nineteen dubious ways to compute the exponential of a matrix", method 3.
     """
     fastest = (-generator.diagonal(dim1=-2, dim2=-1)).amax(-1)
-    # No longer step, for which the series of a halved step would not converge.
+    # A longer step is cut: its series would not converge after the halvings.
     ends = torch.minimum(fastest * dt, torch.as_tensor(2.0 ** (DOUBLINGS + 1)).to(fastest))
     small = generator * (safe_divide(ends, fastest) / 2**DOUBLINGS)[..., None, None]
     square = small @ small

@@ -27,7 +27,7 @@ class ModelsStep(NamedTuple):
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None
-    """``(..., K, all)`` with a single 1 in each row: the active models of a bank; None if all run."""
+    """``(..., A, K)``, as in ``IMMState``; None if all run."""
 
 
 class ModelsPast(NamedTuple):
@@ -38,7 +38,7 @@ class ModelsPast(NamedTuple):
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None
-    """``(..., K, all)`` see ``ModelsStep``."""
+    """``(..., A, K)``, as in ``IMMState``; None if all run."""
 
 
 class Models(NamedTuple):
@@ -89,16 +89,16 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
         matrix: ``(..., K, K)`` logs of the transition, ``[was, now]``.
         after: the models after the step.
     """
-    of_pairs = [matrix + x.log_weights.unsqueeze(-1) for x in (step.past, step.carried)]
-    share, of_carried = (joint - joint.logsumexp(-2, keepdim=True) for joint in of_pairs)
-    before, carried = (repeated(models_first(x.inner.belief), share.shape[-1]) for x in (step.past, step.carried))
-    mixed = moment_match(carried, of_carried.movedim(-2, 0), inner.motion.angles)  # (was, ..., now) before
+    of_pairs = [matrix + x.log_weights.unsqueeze(-1) for x in (step.past, step.source)]
+    share, of_source = (joint - joint.logsumexp(-2, keepdim=True) for joint in of_pairs)
+    before, source = (repeated(models_first(x.inner.belief), share.shape[-1]) for x in (step.past, step.source))
+    mixed = moment_match(source, of_source.movedim(-2, 0), inner.motion.angles)  # (was, ..., now) before
     frame = adapted(step.frame, mixed.mean)  # shift and process noise of the forward pass
-    predicted, _ = inner.carry(mixed, frame, step.next.factor).belief()
+    predicted, _ = inner.propagate(mixed, frame, step.next.factor).belief()
     difference = inner.motion.difference
     # The information of later measurements on a prediction updates every model before that leads to it.
     later = future(predicted, after.belief, difference)
-    each, fit = later.update(inner.carry(before, frame, step.next.factor), difference)
+    each, fit = later.update(inner.propagate(before, frame, step.next.factor), difference)
     joint = without_failed((share + without_failed(fit).movedim(0, -2)).log_softmax(-2))
     joint = joint + after.log_weights.unsqueeze(-2)
     log_weights = joint.logsumexp(-1)

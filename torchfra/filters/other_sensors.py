@@ -78,7 +78,7 @@ def mixed(mixin: type, cls: Any) -> type:
 
 
 def sharing(module: nn.Module, cls: type, **own: Any) -> Any:
-    """A module of class ``cls`` that shares all parts and values of ``module``, not copies, but those in ``own``.
+    """A module of class ``cls`` that shares all parts and values of ``module`` except those in ``own``, without copies.
 
     Modules in ``own`` become its parts, other values its attributes.
     """

@@ -52,9 +52,9 @@ class SRCKF(Filter[State]):
     """Square-root cubature Kalman filter, optionally robust to outliers and adaptive to manoeuvres.
 
     Args:
-        motion: how targets move; a linear motion is carried exactly, without points.
+        motion: how targets move; a linear motion is propagated exactly, without points.
         sensor: what is measured.
-        rule: from a number of states to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
+        rule: from a dimension to the rule that carries a Gaussian through a function (``torchfra.gaussian``).
         robust: robust update, which down-weights outlying innovations (``torchfra.robust``); None for the plain one.
         fading: factors that widen the prediction where the motion no longer holds (``torchfra.adaptive``); None for
             none.
@@ -91,7 +91,9 @@ class SRCKF(Filter[State]):
         check_parts(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
         self.fading = self.fading.for_motion(motion)
         if self.signed and not self.fading.plain:
-            raise ValueError("rule: expected one without negative weights beside fading factors")
+            raise ValueError(
+                "rule: expected one without negative weights beside fading factors, received one with some"
+            )
         others = [name for name in ("robust", "fading") if not getattr(self, name).plain]
         if others and not self.noise.plain:
             expected = "none beside an estimate of the measurement noise"
@@ -111,7 +113,11 @@ class SRCKF(Filter[State]):
         return State(belief, self.fading.begin(belief.mean, self.sensor.size), self.noise.begin(belief.mean))
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The parts, by name, that differ around another sensor."""
+        """The parts, by name, that differ around another sensor.
+
+        Raises:
+            ValueError: the filter estimates the measurement noise.
+        """
         if not self.noise.plain:
             raise ValueError(
                 "sensor: expected None beside an estimate of the measurement noise, which is of the elements of the "
@@ -132,7 +138,7 @@ class SRCKF(Filter[State]):
         return one_hypothesis(self.predicted(state.belief, frame).belief)
 
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)`` under the estimated noise, in nominal units."""
+        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)`` under the estimated noise, in nominal units."""
         whitened = self.compare(beliefs, frame)
         root, _ = innovation(self.noise.rescale(whitened, state.noise))
         return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))

@@ -2,25 +2,25 @@
 
 from torchfra.gaussian.cubature import (
     fifth_degree,
+    first_order,
     gauss_hermite,
     spherical_fifth_degree,
-    tangent,
     third_degree,
     unscented,
 )
 from torchfra.gaussian.mixture import moment_match
-from torchfra.gaussian.rules import Linearised, Rule, SigmaPoints, Tangent
+from torchfra.gaussian.rules import FirstOrder, Linearised, Rule, SigmaPoints
 
 __all__ = [
+    "FirstOrder",
     "Linearised",
     "Rule",
     "SigmaPoints",
-    "Tangent",
     "fifth_degree",
+    "first_order",
     "gauss_hermite",
     "moment_match",
     "spherical_fifth_degree",
-    "tangent",
     "third_degree",
     "unscented",
 ]

@@ -1,4 +1,4 @@
-"""Rules by name: cubature of third and fifth degree, unscented, Gauss-Hermite, and the tangent."""
+"""Rules by name: cubature of third and fifth degree, unscented, Gauss-Hermite, and first-order."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import torch
 
-from torchfra.gaussian.rules import SigmaPoints, Tangent
+from torchfra.gaussian.rules import FirstOrder, SigmaPoints
 from torchfra.numbers import as_number
 
 
@@ -110,9 +110,9 @@ def _symmetric(n: int, on_axis: float, axis_weight: float, on_diagonal: float, d
     return SigmaPoints(torch.cat([axes, diagonals]).mT, weights, signed=True)
 
 
-def tangent(n: int) -> Tangent:
-    """The rule of the extended Kalman filter, for any number of states.
+def first_order(n: int) -> FirstOrder:
+    """The rule of the extended Kalman filter, for any state dimension.
 
     Source: Jazwinski (1970), "Stochastic Processes and Filtering Theory", ch. 8.
     """
-    return Tangent()
+    return FirstOrder()

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchfra.gaussian.model import Carried
+from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
 from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import downdate, gram_information
@@ -33,24 +33,24 @@ class Future(NamedTuple):
     value: Tensor
     """``(..., n)``."""
 
-    def update(self, carried: Carried, difference: Difference = torch.sub) -> tuple[Gaussian, Tensor]:
-        """Beliefs before the step that has ``carried`` them to this state, updated by this measurement.
+    def update(self, propagated: Propagated, difference: Difference = torch.sub) -> tuple[Gaussian, Tensor]:
+        """Beliefs before the step that has ``propagated`` them to this state, updated by this measurement.
 
         The process noise ``Q`` counts as measurement noise, ``N = I + slope Q slope^T``.  In units of ``N`` and of the
         root before the step, ``N^-1/2 value = A u + N(0, I)`` for ``u ~ N(0, I)``.  ``tria([[I, A^T], [0, e^T]]) = [[R,
         0], [y^T, d]]`` gives the posterior ``u ~ N(R^-T y, R^-T R^-1)`` and the density ``exp(-d^2 / 2) / det R``.
 
         Args:
-            carried: the beliefs ``(..., n)`` after the step.
+            propagated: the beliefs ``(..., n)`` after the step.
             difference: subtracts two states.
 
         Returns:
             The posterior ``(..., n)`` in units of the roots before the step, with an upper root (``N(0, I)`` where the
             measurement holds no information), and the log density ``(...)`` of the measurement, constants left out.
         """
-        gap = difference(carried.mean, self.origin)
-        subtracted = () if carried.subtracted is None else (carried.subtracted,)
-        return _update(self.slope, self.value, gap, carried.spread, carried.process_noise, *subtracted)
+        gap = difference(propagated.mean, self.origin)
+        subtracted = () if propagated.subtracted is None else (propagated.subtracted,)
+        return _update(self.slope, self.value, gap, propagated.spread, propagated.process_noise, *subtracted)
 
 
 @batchwise(2, 1, 1, 2, 2, 2)

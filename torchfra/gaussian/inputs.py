@@ -85,7 +85,7 @@ class Frame(NamedTuple):
     """``F (..., n, n)``, None for a motion that is not linear."""
     shift: Tensor | None
     process_noise: Tensor
-    """``S_Q (..., n, q)``."""
+    """``S_Q (..., n, r)``."""
     adaptation: Adaptation | None
     """How shift and process noise depend on the estimated acceleration; None where they do not."""
 
@@ -99,8 +99,8 @@ class BackwardStep(NamedTuple):
     """The past of the step after it."""
     frame: Frame
     """The frame of the time step between the two."""
-    carried: Any
-    """The past from which the next step was predicted; detached where the forward pass was truncated after it.
+    source: Any
+    """The past from which the next step was predicted: ``past``, detached if the forward pass was truncated after it.
 
     Later measurements enter as the difference of the smoothed state and this prediction.  If only one of the two had a
     gradient, the gradient of their difference would be dominated by rounding errors.

@@ -39,8 +39,8 @@ def add_counts(*counts: Tensor | None) -> Tensor | None:
 
 
 @event_ranks(mean=1, spread=2, process_noise=2, subtracted=2)
-class Carried(NamedTuple):
-    """A belief carried through a motion.
+class Propagated(NamedTuple):
+    """A belief propagated through a motion.
 
     ``P = spread spread^T + process_noise process_noise^T - subtracted subtracted^T``.
     """
@@ -48,9 +48,9 @@ class Carried(NamedTuple):
     mean: Tensor
     """``(..., n)``."""
     spread: Tensor
-    """``(..., n, p)`` root of the propagated part of the covariance; its last ``n`` columns are ``F S``."""
+    """``(..., n, r)`` root of the propagated part of the covariance; its last ``n`` columns are ``F S``."""
     process_noise: Tensor
-    """``(..., n, q)``."""
+    """``(..., n, r)`` root of the process noise."""
     subtracted: Tensor | None
     """``(..., n, k)`` root of what a rule with negative weights subtracts."""
 
@@ -70,21 +70,21 @@ def canonical(motion: Motion, belief: Gaussian) -> Gaussian:
 
 def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Prediction:
     """Time update: eqs. (8)-(13)."""
-    carried = propagate(motion, rule, belief, frame)
-    after, repaired = carried.belief()
-    return Prediction(after, carried.spread, carried.process_noise, repaired)
+    propagated = propagate(motion, rule, belief, frame)
+    after, repaired = propagated.belief()
+    return Prediction(after, propagated.spread, propagated.process_noise, repaired)
 
 
-def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
+def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Propagated:
     """The predicted mean and the parts of its covariance."""
     mean, root = belief
     transition = frame.transition
     if transition is not None:
         frame = adapted(frame, mean)
         mean, spread = apply(transition, mean), transition @ root
-        return Carried(mean if frame.shift is None else mean + frame.shift, spread, frame.process_noise, None)
+        return Propagated(mean if frame.shift is None else mean + frame.shift, spread, frame.process_noise, None)
     mean, spread, subtracted = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
-    return Carried(mean, spread, motion.process_noise_at(frame.process_noise, mean, frame.dt), subtracted)
+    return Propagated(mean, spread, motion.process_noise_at(frame.process_noise, mean, frame.dt), subtracted)
 
 
 def adapted(frame: Frame, mean: Tensor) -> Frame:

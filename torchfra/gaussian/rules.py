@@ -1,4 +1,4 @@
-"""Rules that carry a Gaussian through a function: sigma points of several kinds, and the tangent of the EKF.
+"""Rules that carry a Gaussian through a function: sigma points of several kinds, and the first-order rule of the EKF.
 
 Each rule is a statistical linearisation.  For ``x ~ N(mean, S S^T)``
 
@@ -70,8 +70,11 @@ class SigmaPoints(nn.Module):
     """
 
     points: Tensor
+    """``(1 + p, n)``, the centre first."""
     combine: Tensor
+    """``(p, 1 + r + n)`` from differences to the centre's value to the mean's difference and the spread."""
     minus: Tensor | None
+    """``(p, k)`` from the same differences to the subtracted root; None without negative weights."""
 
     def __init__(self, points: Tensor, weights: Tensor, extra: float = 0.0, *, signed: bool = False) -> None:
         super().__init__()
@@ -135,13 +138,13 @@ class SigmaPoints(nn.Module):
         return Linearised(centre + moments[..., 0], moments[..., 1:], subtracted)
 
 
-class Tangent(nn.Module):
-    """The tangent at the mean, by forward-mode differentiation: the rule of the extended Kalman filter."""
+class FirstOrder(nn.Module):
+    """The first-order Taylor expansion at the mean, by forward-mode differentiation: the rule of the EKF."""
 
     signed = False
 
-    def marginal(self, d: int) -> Tangent:
-        """This rule itself, as it does not depend on the number of states."""
+    def marginal(self, d: int) -> FirstOrder:
+        """This rule itself, as it does not depend on the state dimension."""
         return self
 
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchfra.gaussian.model import Carried
+from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
 from torchfra.linalg.tracing import is_elementary
@@ -15,7 +15,7 @@ from torchfra.types import Gaussian
 
 
 def smooth_step(
-    belief: Gaussian, carried: Carried, after: Gaussian, difference: Difference
+    belief: Gaussian, propagated: Propagated, after: Gaussian, difference: Difference
 ) -> tuple[Gaussian, Tensor | None]:
     """The smoothed belief before a step, from the smoothed one after it.
 
@@ -31,7 +31,7 @@ def smooth_step(
 
     Args:
         belief: ``(..., n)`` filtered.
-        carried: the same belief after the step.
+        propagated: the same belief after the step.
         after: ``(..., n)`` smoothed, after the step; it may have one more dimension in front.
         difference: subtracts two states.
 
@@ -44,13 +44,13 @@ def smooth_step(
     Models".  Differs: the rank of the prediction may be lost.
     """
     n, repaired = belief.mean.shape[-1], None
-    columns = hstack(carried.process_noise, carried.spread)
-    if carried.subtracted is not None:
-        root, repaired = downdate(tria(columns[..., :-n]), carried.subtracted)
+    columns = hstack(propagated.process_noise, propagated.spread)
+    if propagated.subtracted is not None:
+        root, repaired = downdate(tria(columns[..., :-n]), propagated.subtracted)
         columns = hstack(root, columns[..., -n:])
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
     root, cross, remainder, certain = _split(torch.cat([columns, now], -2), n)
-    gap = difference(after.mean, carried.mean).unsqueeze(-1)
+    gap = difference(after.mean, propagated.mean).unsqueeze(-1)
     later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, after.scale_tril))
     gained = cross @ torch.linalg.solve_triangular(root, later, upper=False)  # G [x_after - predicted, S_after]
     return Gaussian(belief.mean + gained[..., 0], tria(hstack(remainder, gained[..., 1:]))), repaired

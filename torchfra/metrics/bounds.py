@@ -119,7 +119,9 @@ def outlier_information(weights: Sequence[float], factors: Sequence[float], size
     """
     w, c = np.asarray(weights, dtype=float), np.asarray(factors, dtype=float)
     if w.shape != c.shape or w.ndim != 1 or (w < 0).any() or abs(w.sum() - 1) > 1e-9 or not (c > 0).all() or size < 1:
-        raise ValueError(f"weights, factors: expected probabilities and values above 0, received {weights}, {factors}")
+        raise ValueError(
+            f"weights, factors: expected probabilities, and factors above 0, received {weights}, {factors}"
+        )
     # Simpson's rule over the logarithm of the length r of the error: factors may be orders of magnitude apart.
     r = np.exp(np.linspace(math.log(1e-6 * c.min()), math.log(40 * c.max()), 2 * _NODES + 1))[:, None]
     log_density = np.log(np.maximum(w, np.finfo(float).tiny)) - size * np.log(c) - 0.5 * (r / c) ** 2

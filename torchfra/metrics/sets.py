@@ -121,7 +121,7 @@ def _pairs(mean: Tensor, truth: Tensor, states: slice, cutoff: float, order: flo
     """Distances ``(..., T, N, M)`` to the power of ``order``, infinite where one is NaN, and the numbers of both."""
     if not 0 < cutoff < torch.inf or not 1 <= order < torch.inf:
         raise ValueError(
-            f"cutoff, order: expected metres above 0 and 1 or more, both finite, received {cutoff}, {order}"
+            f"cutoff, order: expected finite numbers, cutoff above 0 m and order from 1 on, received {cutoff}, {order}"
         )
     if min(mean.dim(), truth.dim()) < 3 or mean.shape[-2] != truth.shape[-2]:
         raise ValueError(

@@ -27,9 +27,9 @@ class Bank(Motion):
 
     Args:
         models: motions of the same state: of the same size and angles, and of kinds that do not contradict each other.
-        neighbours: for each model the numbers of those that become active when it is likely, for filters in which a few
+        neighbours: for each model the indices of those that become active when it is likely, for filters in which a few
             models are active at a time (``filters.LikelyModels``).
-        first: the numbers of the models that are active first in such a filter.
+        first: the indices of the models that are active first in such a filter.
 
     Raises:
         ValueError: no models, or states that differ.

@@ -36,7 +36,7 @@ class Adaptation(NamedTuple):
     """``(..., 2)`` relative decrease of that factor per m/s^2, down to 0, for positive and negative accelerations."""
 
     def __call__(self, mean: Tensor, shift: Tensor | None, process_noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Shift ``(..., n)`` and root of the process noise ``(..., n, q)`` of a step from ``mean (..., n)``."""
+        """Shift ``(..., n)`` and root of the process noise ``(..., n, r)`` of a step from ``mean (..., n)``."""
         dims = self.response.shape[-1]
         acceleration = mean[..., 2 * dims : 3 * dims]
         scale, decrease = (torch.where(acceleration < 0, x[..., 1:], x[..., :1]) for x in (self.scale, self.decrease))
@@ -78,7 +78,7 @@ class Motion(nn.Module):
         velocity: components that are the velocity; by default the next ``dims``, as far as there are any.
         angles: components that are angles, which differences of states wrap; by default those of the class.
         components: names of the components, ``("x", "y", "vx", "vy")``; by default from their places.
-        kinds: kind of each component, out of ``torchfra.motion.KINDS``; by default from their places.
+        kinds: kind of each component, one of ``torchfra.motion.KINDS``; by default from their places.
 
     Raises:
         ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, not one name or kind for each component, ``angles``
@@ -99,7 +99,7 @@ class Motion(nn.Module):
     components: tuple[str, ...]
     """Names of the components of the state."""
     kinds: tuple[str, ...]
-    """Kind of each component, out of ``torchfra.motion.KINDS``."""
+    """Kind of each component, one of ``torchfra.motion.KINDS``."""
     stated: tuple[str, ...]
     """The kinds that class or user have stated, otherwise "other": a sensor is refused for stated kinds only."""
     usual_layout = False
@@ -140,14 +140,14 @@ class Motion(nn.Module):
         self.velocity = slice(dims, 2 * dims) if velocity is None else velocity
         self.angles = self.angles if angles is None else tuple(angles)
         if not set(self.angles) <= set(range(self.size)):
-            expected = f"numbers of components, 0 to {self.size - 1}"
+            expected = f"indices of components, 0 to {self.size - 1}"
             raise ValueError(f"angles: expected {expected}, received {self.angles}")
         names, usual_kinds = _usual(self.size, dims, orders, self.position, self.velocity, self.angles)
         self.components, self.kinds = tuple(components or names), tuple(kinds or usual_kinds)
         _check_components(self.size, self.components, self.kinds)
         self.stated = self.kinds if kinds or self.usual_layout else ("other",) * self.size
         if "angle" in self.stated and not self.angles:
-            raise ValueError("angles: expected the numbers of the components of kind 'angle', received none")
+            raise ValueError("angles: expected the indices of the components of kind 'angle', received none")
         if q is not None:
             self.q = Hyper(q, constraints.nonnegative, name="q")
 
@@ -194,7 +194,7 @@ class Motion(nn.Module):
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``, of linear motions."""
-        raise TypeError(f"{type(self).__name__}: expected a linear motion, this has no transition")
+        raise TypeError(f"{type(self).__name__}: expected a linear motion, received one without a transition")
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """A known change of the state, ``(..., n)``, on top of a linear transition: control, or a moving frame."""

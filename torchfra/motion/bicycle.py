@@ -18,7 +18,7 @@ class Bicycle(Motion):
     """A vehicle in the plane that rolls without slip: the kinematic bicycle.
 
     States ``[x, y, speed, heading, steering]``: m, m, m/s, rad, rad.  The heading counts counter-clockwise from +x, the
-    steering angle of the front wheel to the left.  Speed and steering are constant but for noise, so a step is an arc.
+    steering angle of the front wheel to the left.  Speed and steering are constant plus noise, so a step is an arc.
     The process noise is that of the acceleration and of the steering rate, carried along the arc at the predicted mean,
     exact to first order in both.
 

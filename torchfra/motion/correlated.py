@@ -123,7 +123,7 @@ class CurrentStatistical(Singer):
     Args:
         alpha: rate at which the correlation decays, 1/s.
         limit: largest acceleration, m/s^2.
-        below: largest acceleration in the negative direction, m/s^2; ``limit`` if None.
+        negative_limit: largest acceleration in the negative direction, m/s^2; ``limit`` if None.
         dims: dimensions of space.
 
     Raises:
@@ -133,11 +133,11 @@ class CurrentStatistical(Singer):
     Targets".
     """
 
-    def __init__(self, alpha: Value, limit: Value, below: Value | None = None, dims: int = 2) -> None:
+    def __init__(self, alpha: Value, limit: Value, negative_limit: Value | None = None, dims: int = 2) -> None:
         Motion.__init__(self, dims, 3, None)
         self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
         self.limit = Hyper(limit, name="limit")
-        self.below = None if below is None else Hyper(below, name="below")
+        self.negative_limit = None if negative_limit is None else Hyper(negative_limit, name="negative_limit")
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)`` at an acceleration of 0."""
@@ -148,9 +148,10 @@ class CurrentStatistical(Singer):
         """The estimated acceleration shifts the state and scales the process noise, axis by axis."""
         rows = _response(self.alpha(dt), dt)
         moved = torch.stack([dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]], -1)
-        limit, below = ((x or self.limit)(dt) for x in (self.limit, self.below))
-        limit, below, _ = torch.broadcast_tensors(limit, below, dt)
-        scale, decrease = torch.stack([limit / limit, below / limit], -1), torch.stack([1 / limit, 1 / below], -1)
+        limits = (limit(dt) for limit in (self.limit, self.negative_limit or self.limit))
+        positive, negative, _ = torch.broadcast_tensors(*limits, dt)
+        scale = torch.stack([positive / positive, negative / positive], -1)
+        decrease = torch.stack([1 / positive, 1 / negative], -1)
         return Adaptation(per_axis(moved.unsqueeze(-1), self.dims), scale, decrease)
 
 

@@ -35,7 +35,7 @@ class Level(Motion):
             raise ValueError(f"motion: expected {expected}, received {type(motion).__name__}")
         inside = Augmented(motion, RandomWalk(height, 1, components=("height",)))
         self.order = (0, 1, motion.size, *range(2, motion.size))
-        """The number of each component in ``inside``."""
+        """The index of each component in ``inside``."""
         super().__init__(
             3, 1, None, size=inside.size, velocity=slice(0, 0),
             angles=[self.order.index(i) for i in inside.angles],

@@ -37,6 +37,8 @@ class ConstantVelocity(_Polynomial):
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0, ``orders`` neither 2 nor 3.
 
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.3.2, piecewise constant; 6.2.2, continuous, for ``spectral``.
+
     Example:
         >>> torchfra.motion.ConstantVelocity(q=1.0, dims=1).transition(torch.tensor(2.0))
         tensor([[1., 2.],
@@ -70,7 +72,7 @@ class ConstantAcceleration(_Polynomial):
     Raises:
         ValueError: ``dims`` below 1, ``q`` below 0.
 
-    Source: Wang et al. (2021), eqs. (1)-(4); Bar-Shalom, Li & Kirubarajan (2001), section 6.2, for spectral ones.
+    Source: Wang et al. (2021), eqs. (1)-(4); Bar-Shalom, Li & Kirubarajan (2001), 6.3.3, and 6.2.3 for ``spectral``.
     """
 
     def __init__(self, q: Value, dims: int = 2, *, spectral: bool = False) -> None:

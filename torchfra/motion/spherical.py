@@ -9,7 +9,7 @@ from torchfra.angles import turned
 from torchfra.coordinates import AZIMUTH, ELEVATION, PLACE, RATES, from_cartesian, from_east, jacobian, to_cartesian
 from torchfra.motion.base import Motion
 
-COMPONENTS = ("omega", "elevation rate", "opening", "azimuth", "elevation", "inverse range")
+COMPONENTS = ("omega", "elevation rate", "range rate / range", "azimuth", "elevation", "inverse range")
 KINDS = ("rate", "rate", "other", "angle", "angle", "other")
 
 

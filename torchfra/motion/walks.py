@@ -20,7 +20,7 @@ class RandomWalk(Motion):
     Args:
         q: density of the white noise, the increase of the variance per second: m^2/s for positions.
         dims: number of components.
-        kind: their kind, out of ``torchfra.motion.KINDS``.
+        kind: their kind, one of ``torchfra.motion.KINDS``.
         components: their names; by default the axes for positions, numbers for other kinds.
 
     Raises:

@@ -87,7 +87,7 @@ def name_lines(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> No
     """Names to the right of each of some axes, in the colour of the line they belong to; gives the figure its layout.
 
     Args:
-        figure: finished but for these.
+        figure: finished except for these.
         lines: of each of its axes, by name.
     """
     lay_out(figure)  # labels are put where there is room, which the layout decides

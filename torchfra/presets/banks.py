@@ -86,7 +86,7 @@ def imm_srckf(
 imm_ckf = register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)(imm_srckf)
 """``imm_srckf`` under the name of the filter with which Du & Zhang (2020) compare theirs.
 
-Covariances and their roots have the same estimates but for rounding, so they cannot explain the difference in accuracy
+Covariances and their roots have the same estimates up to rounding, so they cannot explain the difference in accuracy
 that the paper reports.  This filter computes with roots too.
 """
 
@@ -129,7 +129,7 @@ def imm_fra(
         memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``.
         provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``.
         final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
-        rule: makes the points for a number of states.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     inner = partial(

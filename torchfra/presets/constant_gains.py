@@ -29,7 +29,7 @@ def alphabeta(
     motion: Motion, sensor: Sensor, *, gains: Gains | None = None, manoeuvre: Value | None = None,
     outlier: Value | None = None, level_shares: Value | Sequence[float] | None = None, max_acceleration: Value = 60.0,
     margin: Value | None = None, hysteresis: Value | None = None, dwell: Value | None = None, votes: int = 2,
-    patience: int = 5, max_gap: float = math.inf, converged: int = 5, flag_on_reject: str = "raw",
+    patience: int = 5, max_gap: float = math.inf, warmup: int = 5, flag_on_reject: str = "raw",
     detect: str = "cartesian", onset: str | None = None, temperature: float = 0.0,
     initiation: str = "two-point", period: Value | None = None, confirm: bool | None = None,
     learn: Collection[str] = (),
@@ -57,7 +57,7 @@ def alphabeta(
         votes: flags before the newest one, even.
         patience: rejections in a row after which the filter restarts.
         max_gap: seconds without a used measurement after which the filter restarts.
-        converged: measurements before the first decision.
+        warmup: measurements before the first decision.
         flag_on_reject: flag of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the vote.
         detect: in ``"cartesian"`` or ``"polar"`` coordinates.
         onset: a manoeuvre begins from the ``"shared"`` state or the ``"fastest"`` filter's; shared if None (fastest).
@@ -73,7 +73,7 @@ def alphabeta(
     thresholds = defaults | {name: value for name, value in chosen.items() if value is not None}
     f = AlphaBetaBank(
         motion, sensor, gains, max_acceleration=max_acceleration, votes=votes, patience=patience, max_gap=max_gap,
-        converged=converged, flag_on_reject=flag_on_reject, detect=detect, temperature=temperature,
+        warmup=warmup, flag_on_reject=flag_on_reject, detect=detect, temperature=temperature,
         initiation=initiation, period=period, **thresholds,
     )  # fmt: skip
     return with_learning(f, learn)

@@ -52,7 +52,7 @@ def fra_srckf(
         memory: innovations count ``"plain"``, or ``"weighted"`` by the robust weights: ``filters.FRA``.
         provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``: ``filters.FRA``.
         final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
-        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     update = robust_update(sensor, robust, threshold, per_element, learn)
@@ -96,7 +96,7 @@ def fra(
         memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``: ``filters.FRA``.
         provisional: branch of an abnormal step until it is decided, ``"robust"`` or ``"likeliest"``: ``filters.FRA``.
         final: branch of an abnormal last step: ``"robust"``, ``"adaptive"``, ``"plain"`` or ``"likeliest"``.
-        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """

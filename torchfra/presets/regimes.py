@@ -83,7 +83,7 @@ def gpb(
     prior_outlier: Value = 0.0132,
     prior_inflation: Value = 92.5,
     adaptive_largest_size: bool = True,
-    outliers_inform: bool = True,
+    outliers_update: bool = True,
     same_offset: Value | None = None,
     lag: int = 0,
     rule: Callable[[int], Rule] = third_degree,
@@ -98,7 +98,7 @@ def gpb(
         manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"some"``; or ``"hard"``, also turns
             far beyond its process noise, at some loss of accuracy with outliers.  None is ``"none"`` for a motion that
             measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six
-            arguments that follow: ``MANOEUVRES`` in this file.
+            arguments that follow: ``presets.regimes.MANOEUVRES``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is the
@@ -109,17 +109,17 @@ def gpb(
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
             squared per element.
         self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
-            manoeuvre, each jump; or with each of several other motions instead of any other.  They are those of a step,
+            manoeuvre, each jump; for three or more motions also one for each other motion.  They are those of a step,
             whatever its ``dt``.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
-        durations: instead of ``self_transition``, mean seconds until a regime ends, in the same order: ``filters.GPB``.
+        durations: instead of ``self_transition``, mean sojourn times of the regimes, s, in the same order.
         climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
-            level, with its probabilities, and defaults ``IN_SPACE`` in this file.  None is True for a motion in space
-            (``Motion.vertical``) if none of the arguments between ``manoeuvres`` and this one is given.
+            level, with its probabilities, and defaults ``presets.regimes.IN_SPACE``.  None is True for a motion in
+            space (``Motion.vertical``) if no argument from ``noise_levels`` to ``durations`` is given.
         outlier_transition: ``(2, 2)`` probabilities ``[i, j] = P(now j | was i)`` of no outlier and outlier, for each
-            block, from one measurement to the next; ``OUTLIER_TRANSITION`` in this file if None.
-        outlier_durations: instead of it, mean seconds without outliers, and of a fault of the device.
+            block, from one measurement to the next; ``presets.regimes.OUTLIER_TRANSITION`` if None.
+        outlier_durations: instead of it, mean sojourn times, s, without outliers and in a fault of the device.
         outlier_sizes: factors on the covariance of the measurement noise of outliers.
         outlier_shares: share of the outliers that have each size.
         outlier_offsets: mean of the noise of outliers of each size, in units of the nominal noise, as of ranges without
@@ -127,11 +127,11 @@ def gpb(
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
         prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
         adaptive_largest_size: whether the largest size adapts to the squared residual of a measurement.
-        outliers_inform: whether outliers update the belief, as measurements with larger noise.
+        outliers_update: whether outliers update the belief, as measurements with larger noise.
         same_offset: probability that an outlier after another has the same offset, as the fixes of a second target
             have; for linear sensors.  None for 0.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``Estimate.info``.
-        rule: makes the points for a number of states.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:
@@ -180,7 +180,7 @@ def gpb(
         outlier_shares=outlier_shares,
         outlier_offsets=outlier_offsets,
         adaptive_largest_size=adaptive_largest_size,
-        outliers_inform=outliers_inform,
+        outliers_update=outliers_update,
         same_offset=same_offset,
     )
     f = GPB(

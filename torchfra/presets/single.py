@@ -10,7 +10,7 @@ from torchfra import register
 from torchfra.adaptive.fading import Fading
 from torchfra.adaptive.noise import SageHusa
 from torchfra.filters.srckf import SRCKF
-from torchfra.gaussian.cubature import fifth_degree, tangent, unscented
+from torchfra.gaussian.cubature import fifth_degree, first_order, unscented
 from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
@@ -55,9 +55,7 @@ def robust_update(
     if robust is None:
         return Huber(1.345 if threshold is None else threshold, elements=sensor.size if per_element else None)
     if threshold is not None or per_element:
-        raise ValueError(
-            "robust, threshold, per_element: expected a robust update or options of Huber weights, not both"
-        )
+        raise ValueError("robust, threshold, per_element: expected robust or options of Huber weights, received both")
     return copy.deepcopy(robust) if learn else robust
 
 
@@ -88,7 +86,7 @@ def ekf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRCKF
         sensor: what is measured.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    return with_learning(SRCKF(motion, sensor, rule=tangent), learn)
+    return with_learning(SRCKF(motion, sensor, rule=first_order), learn)
 
 
 @register.filter("srckf", words="square-root cubature Kalman filter")
@@ -175,7 +173,7 @@ def hghckf1(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         threshold: of the weights, in standard deviations: ``robust.HuberRegression``.
         max_iter: iterations at most.
         tol: relative change at which a track has converged.
@@ -205,7 +203,7 @@ def hghckf2(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         threshold: in standard deviations of the innovation: ``robust.HuberScore``.
         eps: assumed share of outliers, or ``"minimax"``: ``robust.HuberScore``.
         cov_mode: factor of the covariance, ``"constant"`` or ``"indicator"``: ``robust.HuberScore``.
@@ -233,7 +231,7 @@ def hghckf(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        rule: makes the points for a number of states: ``torchfra.gaussian.cubature``.
+        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         threshold: in standard deviations of the innovation: ``robust.HuberScore``.
         eps: assumed share of outliers, or ``"minimax"``: ``robust.HuberScore``.
         whitening: root of the innovation covariance, ``"cholesky"`` or ``"symmetric"``.

@@ -1,6 +1,6 @@
 """Reads tracks from files into local metres, and counts its repairs.
 
-A file is one of these, gzipped or not (but for the last):
+A file is one of these, gzipped or not (except for the last):
 
 - rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
   comments (# or %); other lines before the header, lines of units beneath it and the header again are left out;

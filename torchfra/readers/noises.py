@@ -48,7 +48,7 @@ def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
 
     Args:
         columns: the larger and the smaller axis, m, degrees from north to the larger one, and, if there are four, the
-            standard deviation that goes with the class, m.
+            standard deviation of the class, m.
     """
     larger, smaller, angle = columns[0] / math.sqrt(2), columns[1] / math.sqrt(2), np.radians(columns[2])
     known = (larger > 0) & (smaller > 0) & np.isfinite(angle)

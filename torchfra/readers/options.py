@@ -32,7 +32,7 @@ class ReadOptions:
     units: str | None = None
     """``"m"``, ``"ft"``, ``"km"``, ... of ``METRES``: of x, y, z, or of altitudes beside latitudes."""
     delimiter: str | None = None
-    """One sign between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
+    """One character between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
     decimal: str | None = None
     """``"."`` or ``","``."""
     time_format: str | None = None
@@ -51,7 +51,7 @@ class ReadOptions:
         self._check("decimal", (".", ","))
         if self.delimiter is not None and len(self.sign) != 1:
             raise ValueError(
-                f"delimiter: expected one sign or tab, space, comma, semicolon, received {self.delimiter!r}"
+                f"delimiter: expected one character or tab, space, comma, semicolon, received {self.delimiter!r}"
             )
         form = self.time_format
         if form is not None and form not in FORMS and "%" not in form and not per_second(form):

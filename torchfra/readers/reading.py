@@ -128,7 +128,7 @@ def _recordings(
     if layout is None or not table.rows:
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     if not layout.degrees and origin is not None:
-        raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table.names)}")
+        raise ValueError(f"origin: expected degrees beside it, received the columns {listed(table.names)}")
     targets = repaired_targets(table, layout, stem)
     if layout.degrees and not apart:
         origin = _origin(targets[0], origin)

@@ -1,6 +1,6 @@
 """Robust updates: how a filter down-weights outlying innovations.
 
-There are two kinds.  ``Weights`` (``Huber``, ``ThreeSegment``) divide the measurement noise of each element by a weight
+There are two kinds.  ``Weights`` (``Huber``, ``ThreeSegment``) divide the noise covariance of each element by a weight
 from 1 (nominal noise) down to 0 (left out), followed by the plain update.  ``HuberScore`` and ``HuberRegression`` are
 other updates.
 """

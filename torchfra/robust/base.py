@@ -17,7 +17,7 @@ class Corrected(NamedTuple):
 
     belief: Gaussian
     weights: Tensor | None
-    """``(..., m)`` by which the noise of each element was divided; None for the plain update."""
+    """``(..., m)`` by which the noise covariance of each element was divided; None for the plain update."""
     evidence: Tensor | None = None
     """``(...)`` log density of the innovation under the divided noise, less a constant; None for the nominal noise."""
     iterations: Tensor | None = None
@@ -35,7 +35,7 @@ class Robust(nn.Module):
         return type(self) is Robust
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
-        """Weights ``(..., m)`` that divide the measurement noise, here ones.
+        """Weights ``(..., m)`` that divide the noise covariance, here ones.
 
         Args:
             residual: ``(..., m)`` in units of the measurement noise.

@@ -74,7 +74,9 @@ class HuberRegression(Robust):
     ) -> None:
         super().__init__()
         if not (is_integer(max_iter, 1) and as_number(tol) >= 0):
-            raise ValueError(f"max_iter, tol: expected 1 or more and 0 or more, received {max_iter!r}, {tol!r}")
+            raise ValueError(
+                f"max_iter, tol: expected max_iter of 1 or more and tol of 0 or more, received {max_iter!r}, {tol!r}"
+            )
         one_of(first_iterate=(first_iterate, ("posterior", "prior")))
         self.threshold = Hyper(threshold, name="threshold")
         self.max_iter, self.tol, self.first_iterate, self.compensate = max_iter, tol, first_iterate, compensate

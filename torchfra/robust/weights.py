@@ -1,4 +1,4 @@
-"""Robust updates by weights that divide the measurement noise of each element."""
+"""Robust updates by weights that divide the noise covariance of each element."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from torchfra.types import Gaussian, Whitened
 
 
 class Weights(Robust):
-    """Abstract: a subclass defines ``forward``, whose weights divide the measurement noise of the plain update."""
+    """Abstract: a subclass defines ``forward``, whose weights divide the noise covariance of the plain update."""
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
-        """The plain update with the measurement noise divided by ``weights``: Wang et al. (2021), eq. (26)."""
+        """The plain update with the noise covariance divided by ``weights``: Wang et al. (2021), eq. (26)."""
         residual = whitened.residual
         if weights.dim() < residual.dim() or weights.shape[-1] != residual.shape[-1]:
             expected, received = tuple(residual.shape), tuple(weights.shape)

@@ -43,7 +43,7 @@ def launched() -> tuple[int, int]:
     said = os.environ.get("RANK", "0"), os.environ["WORLD_SIZE"]
     number, count = (int(text) if text.isdecimal() else -1 for text in said)
     if not 0 <= number < count:
-        raise ValueError(f"RANK, WORLD_SIZE: expected a number from 0 and how many there are, received {said}")
+        raise ValueError(f"RANK, WORLD_SIZE: expected whole numbers with 0 <= RANK < WORLD_SIZE, received {said}")
     return number, count
 
 

@@ -51,7 +51,7 @@ def as_stated(
     A position is measured to 1 m (across a line of sight, and along it), and targets cover 20 m in a step.
 
     Args:
-        motion: ``"velocity"`` or ``"acceleration"``, constant but for noise; a ``"turn"`` of 0.1 rad per step; or a
+        motion: ``"velocity"`` or ``"acceleration"``, constant except for noise; a ``"turn"`` of 0.1 rad per step; or a
             ``"bank"`` of constant velocity and turns to both sides, each of which stays with probability 0.95.
         sensor: ``"position"``, ``"bearings"`` of two stations, ``"radar"`` for range and bearing, ``"ranges"`` to four
             anchors; stations are 10 km away.

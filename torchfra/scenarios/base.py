@@ -148,7 +148,7 @@ class Scenario:
         given = (runs, seed, first)
         if not all(is_integer(x, least) for x, least in zip(given, (1, 0, 0), strict=True)):
             received = ", ".join(map(repr, given))
-            raise ValueError(f"runs, seed, first: expected whole numbers of at least 1, 0, 0, received {received}")
+            raise ValueError(f"runs, seed, first: expected whole numbers, runs of at least 1, received {received}")
         size = len(self.recordings) or BLOCK
         numbers = range(first // size, -(-(first + runs) // size))
         blocks = [self.block(np.random.default_rng([seed, n]), torch.arange(n * size, (n + 1) * size)) for n in numbers]

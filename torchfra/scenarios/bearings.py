@@ -130,7 +130,7 @@ def _scenario(name: str, path: Tensor, moves: Sequence[Motion], sizes: dict[int,
 def _law(
     moves: Sequence[Motion], sensor: Bearings, size: Tensor, outliers: str, truth_noise: float, initial: str
 ) -> Law:
-    """Paths that are known but for their start, and for what ``truth_noise`` adds; so are the outliers."""
+    """Paths that are known except for their start, and for what ``truth_noise`` adds; so are the outliers."""
     std = STD * {"covariance": size.sqrt(), "std": size}.get(outliers, torch.ones_like(size))
     root = ConstantAcceleration(truth_noise).process_noise(torch.tensor(DT, dtype=torch.float64))
     tells = burst_information(STEPS) if outliers == "bursts" else 1.0

@@ -23,7 +23,7 @@ class Bound:
 
     kind: str
     """``"posterior"``: of all estimators, of truths that are drawn with process noise.  ``"parametric"``: of estimators
-    without bias, of paths that are fixed, or taken as known but for their start."""
+    without bias, of paths that are fixed, or taken as known except for their start."""
     known: tuple[str, ...]
     """Quantities taken as known although no filter knows them: the bound may be far below every filter."""
     covariance: Tensor

@@ -22,11 +22,11 @@ class Law:
 
     Args:
         start: ``(n, p)`` root of the covariance of the error of the initial beliefs.
-        motion: how states follow each other, but for ``process_noise`` and for known changes, which no bound depends
+        motion: how states follow each other, except for ``process_noise`` and for known changes, which no bound depends
             on; linear ones may be given for each step.
         sensor: what is measured of a state, given ``u``.
         std: ``(m,)`` or ``(T, m)`` standard deviation of a measurement without outliers; a tensor or a number.
-        process_noise: ``(n, q)`` root of that of a step; None for paths that are fixed, or known but for their start.
+        process_noise: ``(n, q)`` root of that of a step; None for paths that are fixed, or known except their start.
         information: ``(T,)`` or a number: what a measurement with outliers tells, relative to one without
             (``metrics.outlier_information``).
         known: what the bound takes as known although no filter knows it, in words.

@@ -51,7 +51,7 @@ def outlier_factors(outliers: str, size: float | None, share: float) -> Callable
     """
     one_of(outliers=(outliers, ("covariance", "std", "none")))
     if not (size is None or 1 <= size < float("inf")) or not 0 <= share <= 1:
-        raise ValueError(f"size, share: expected 1 or more and a share in [0, 1], received {size}, {share}")
+        raise ValueError(f"size, share: expected a size of 1 or more and a share in [0, 1], received {size}, {share}")
 
     def draw(rng: np.random.Generator, shape: Any) -> Tensor:
         outlying, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))

@@ -67,7 +67,9 @@ def ranges_outliers(
         if not 0 <= value < 1:
             raise ValueError(f"{name}: expected a share from 0 to below 1, received {value}")
     if not size > 0 or length < 1:
-        raise ValueError(f"size, length: expected metres above 0 and 1 or more steps, received {size}, {length}")
+        raise ValueError(
+            f"size, length: expected a size above 0 m and a length of 1 step or more, received {size}, {length}"
+        )
     sensor = Ranges(torch.tensor(_ANCHORS[anchors], dtype=torch.float64), STD, height=HEIGHT)
     root = torch.eye(6, dtype=torch.float64)
 

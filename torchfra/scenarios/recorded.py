@@ -72,7 +72,7 @@ def recorded(
     """
     one_of(outliers=(outliers, ("covariance", "std", "bursts", "none")))
     if not 0 <= share <= 1 or not size >= 1:
-        raise ValueError(f"share, size: expected a share in [0, 1], and 1 or more, received {share}, {size}")
+        raise ValueError(f"share, size: expected a share in [0, 1] and a size of 1 or more, received {share}, {size}")
     _check(recordings, dt, max_gap, q)
     windows = _windows(recordings, dt, steps, max_gap, repair)
     model, places = _observed(sensor, std, windows)

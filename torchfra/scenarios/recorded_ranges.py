@@ -106,5 +106,7 @@ def _places(recording: RangeRecording, grid: RangeGrid, height: float | None, co
             height = float(np.median(grid.reference[:, 2]))
         places[: len(given), 2] -= height
     elif height is not None:
-        raise ValueError(f"height: goes with anchors in space, received {height} for those of {recording.name}")
+        raise ValueError(
+            f"height: expected anchors in space beside it, received {height} for those of {recording.name}"
+        )
     return torch.from_numpy(places.flatten())

@@ -82,7 +82,7 @@ class Sensor(nn.Module):
     """Elements that come from the same device, which share an estimate of the measurement noise; one block by default.
     """
     expects: Expected = ()
-    """Number and accepted kinds of state components that it reads, as far as it expects any; a property where they
+    """Index and accepted kinds of state components that it reads, as far as it expects any; a property where they
     depend on the instance."""
     linear: bool = False
     """Whether ``forward`` is a matrix times the state, the same for all ``u``."""

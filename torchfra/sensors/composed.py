@@ -127,13 +127,13 @@ class Biased(Sensor):
 
     Args:
         sensor: the sensor without biases.
-        bias: number of the component that is added to every element, or one for each element, None for no bias.
+        bias: index of the component that is added to every element, or one for each element, None for no bias.
 
     Raises:
-        ValueError: no sensor, no whole numbers of 0 or more, or not one for each element.
+        ValueError: no sensor, indices below 0, or not one for each element.
     """
 
-    drifts: tuple[str, ...] = ("bias", "clock", "angle", "rate")
+    bias_kinds: tuple[str, ...] = ("bias", "clock", "angle", "rate")
     """Kinds of components that may be added."""
 
     def __init__(self, sensor: Sensor, bias: int | Sequence[int | None]) -> None:
@@ -160,7 +160,7 @@ class Biased(Sensor):
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
         """The components that the sensor without biases expects, and the biases."""
-        return [*self.unbiased.expects, *((i, self.drifts) for i in self.bias if i is not None)]
+        return [*self.unbiased.expects, *((i, self.bias_kinds) for i in self.bias if i is not None)]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., m)`` with its biases."""

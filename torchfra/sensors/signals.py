@@ -33,7 +33,7 @@ class Pseudoranges(Biased):
     Source: Brown & Hwang (2012), "Introduction to Random Signals and Applied Kalman Filtering", section 9.4.
     """
 
-    drifts = ("clock",)
+    bias_kinds = ("clock",)
 
     def __init__(self, count: int, std: Value, rates: Value | None = None, *, clock: int = 6) -> None:
         ranges = Ranges(count=count, std=std, dims=3)

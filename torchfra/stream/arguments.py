@@ -29,7 +29,9 @@ def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str
             cannot have.
     """
     if not isinstance(filter, Filter) or filter.scans:
-        raise ValueError(f"filter: expected one of tracks, as presets.gpb makes, received {type(filter).__name__}")
+        raise ValueError(
+            f"filter: expected one of single tracks, such as presets.gpb, received {type(filter).__name__}"
+        )
     if sensors is None:
         return {OWN: filter.sensor}
     if not isinstance(sensors, Mapping) or not sensors or not all(isinstance(name, str) for name in sensors):

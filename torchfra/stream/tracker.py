@@ -158,7 +158,7 @@ class Tracker:
     def alarms(self) -> dict[str, Alarm]:
         """For each sensor whether it is faulty, since when, and by how much; empty for filters without alarms.
 
-        It is that of the sensor's last measurement, but for ``duration``, which counts to now.
+        It is that of the sensor's last measurement, except for ``duration``, which counts to now.
         """
         return dict(zip(self._intake.names, self._now.alarms, strict=False))
 

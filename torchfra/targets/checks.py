@@ -39,8 +39,8 @@ def check_filter(filter: object, name: str = "filter", *, births: bool = True) -
     if filter.sensor.locates:
         dims = filter.sensor.locate(torch.ones(1, filter.sensor.size)).shape[-1]
         if dims != wanted:
-            expected = f"a sensor that locates in {wanted} dimensions as the motion has"
-            raise ValueError(f"{name}: expected {expected}, not {dims}")
+            expected = f"a sensor that locates in {wanted} dimensions, as the motion has"
+            raise ValueError(f"{name}: expected {expected}, received {dims}")
     if len(known_components(filter.motion)) != 2 * wanted:
         received = type(filter.motion).__name__
         raise ValueError(f"{name}: expected a motion with position and velocity in its state, received {received}")
@@ -56,7 +56,7 @@ def check_filter(filter: object, name: str = "filter", *, births: bool = True) -
 def _check_missable(filter: JPDA, name: str = "filter") -> None:
     if not bool(log_miss(filter.detection, filter.gate, torch.zeros(())) > -torch.inf):
         raise ValueError(
-            f"{name}: expected a detection below 1 or a gate of a probability, so that targets may be missed"
+            f"{name}: expected a detection below 1 or a gate with a probability, so that targets may be missed"
         )
 
 

@@ -71,7 +71,7 @@ def check_linkage(
     for name, metres in (linkage or {}).items():
         if name not in filters:
             expected = ", ".join(str(known) for known in filters)
-            raise ValueError(f"linkage: expected sensors out of {expected}, received {name!r}")
+            raise ValueError(f"linkage: expected some of {expected}, received {name!r}")
         if not filters[name].sensor.locates:
             received = filters[name].sensor.describe()
             raise ValueError(f"linkage: expected a sensor that measures where a target is, received {received}")

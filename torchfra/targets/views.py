@@ -59,7 +59,7 @@ def check_views(
     """
     for name, view in (views or {}).items():
         if name is not None and name not in names:
-            raise ValueError(f"views: expected sensors out of {', '.join(['None', *names])}, received {name!r}")
+            raise ValueError(f"views: expected some of {', '.join(['None', *names])}, received {name!r}")
         if not isinstance(view, FieldOfView):
             raise ValueError(f"views: expected a FieldOfView of {name!r}, received {type(view).__name__}")
         if view.place is not None and len(view.place) != dims:

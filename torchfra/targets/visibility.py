@@ -93,7 +93,7 @@ def check_visibility(visibility: Mapping[str | None, Visibility] | None, names: 
         return None
     for name, chain in visibility.items():
         if name is not None and name not in names:
-            raise ValueError(f"visibility: expected sensors out of {', '.join(['None', *names])}, received {name!r}")
+            raise ValueError(f"visibility: expected some of {', '.join(['None', *names])}, received {name!r}")
         if not isinstance(chain, Visibility):
             raise ValueError(f"visibility: expected a Visibility of {name!r}, received {type(chain).__name__}")
     always = Visibility(math.inf, 1.0)

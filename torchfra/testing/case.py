@@ -140,7 +140,7 @@ def make_case(
         ValueError: only one of ``z`` and ``prior``, or tracks that are too few or too short.
     """
     if (z is None) != (prior is None):
-        raise ValueError("z, prior: expected both or neither")
+        raise ValueError("z, prior: expected both or neither, received one of them")
     f = learnable(copy.deepcopy(f), "all")
     if z is None or prior is None:
         z, prior = simulate(f, dt, seed)

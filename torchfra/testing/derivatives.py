@@ -55,7 +55,7 @@ def gradients_are_those_of_small_differences(case: Case) -> None:
 
 @torch.no_grad()
 def _expect_slope(moved: Callable[[float], Tensor], size: float, slope: Tensor, what: str) -> None:
-    """Expects a central difference, but for rounding: of this step, or of finer ones where the slope bends strongly.
+    """Expects a central difference, up to rounding: of this step, or of finer ones where the slope bends strongly.
 
     Not at a jump, whose difference grows as the step shrinks.
     """

@@ -28,7 +28,7 @@ from torchfra.types import CompileError, Gaussian
 
 TYPICAL = {
     "position": (100.0, 10.0), "velocity": (3.0, 1.0), "angle": (0.1, 0.05), "rate": (0.1, 0.05),
-    "opening": (0.02, 0.01), "inverse range": (0.01, 0.001), "steering": (0.05, 0.02),
+    "range rate / range": (0.02, 0.01), "inverse range": (0.01, 0.001), "steering": (0.05, 0.02),
 }  # fmt: skip
 """Typical value and standard deviation of a component, by its name or kind, in its unit; 1 and 1 by default."""
 WORDS = {"passed": "right", "skipped": "skipped"}
@@ -85,7 +85,7 @@ def check_model(
     Args:
         motion: how targets move; of a ``Bank`` all its motions.
         sensor: what is measured.
-        state: ``(n,)`` a state near which both should work; by default one that goes with ``motion.kinds``.
+        state: ``(n,)`` a state near which both should work; by default one that fits ``motion.kinds``.
         dt: seconds of a step; as short as yours are where a motion bends strongly.
         u: ``(k,)`` inputs that the models need at a step.
         compiled: whether to try the compiled filter too, which takes some seconds to compile.

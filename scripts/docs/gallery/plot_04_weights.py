@@ -1,6 +1,6 @@
 """How much a measurement counts.
 
-Weights of robust filters: what divides the measurement noise, over the innovation in standard deviations. A weight of
+Weights of robust filters: what divides the noise covariance, over the innovation in standard deviations. A weight of
 0.01 means that the measurement counts as if its standard deviation were ten times what the sensor states.
 """
 

@@ -9,7 +9,7 @@ import math
 import matplotlib.pyplot as plt
 import torch
 
-from torchfra.gaussian import fifth_degree, tangent, third_degree
+from torchfra.gaussian import fifth_degree, first_order, third_degree
 from torchfra.types import Gaussian
 
 belief = Gaussian(torch.tensor([100.0, 0.5]).double(), torch.tensor([[2.0, 0], [0, 0.35]]).double())
@@ -32,7 +32,7 @@ cloud = place(draws)
 figure, axes = plt.subplots(figsize=(6.5, 5), layout="constrained")
 axes.plot(*cloud[:1500].T, ".", ms=2, color="#cccccc")
 axes.plot(*outline(cloud.mean(0), cloud.T.cov()), "k", lw=3, alpha=0.5, label="the draws")
-rules = {"tangent (ekf)": tangent, "third degree (srckf)": third_degree, "fifth degree (ghckf)": fifth_degree}
+rules = {"first order (ekf)": first_order, "third degree (srckf)": third_degree, "fifth degree (ghckf)": fifth_degree}
 for name, rule in rules.items():
     carried = rule(2)(place, belief, torch.sub)
     covariance = carried.spread @ carried.spread.mT

@@ -62,7 +62,7 @@ class ConstantGainFilter(Filter[S]):
         return components
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
+        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
         mean, root = (x[..., : self.sensor.size, :] for x in (beliefs.mean.unsqueeze(-1), beliefs.scale_tril))
         noise = frame.measurement_noise
         one = torch.ones_like(frame.z).diag_embed().expand(*mean.shape[:-1], -1)
@@ -110,28 +110,28 @@ def predict_axes(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:
     return [p + dt * v + dt**2 / 2 * a, v + dt * a, a]
 
 
-def update_axes(predicted: list[Tensor], column: list[Tensor], since: Tensor, residual: Tensor) -> list[Tensor]:
+def update_axes(predicted: list[Tensor], gains: list[Tensor], since: Tensor, residual: Tensor) -> list[Tensor]:
     """Position, velocity(, acceleration) after the update by a residual; those without a gain are 0."""
-    moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(predicted, column, strict=False))]
-    return moved + [torch.zeros_like(residual) for _ in predicted[len(column) :]]
+    moved = [x + g / since**i * residual for i, (x, g) in enumerate(zip(predicted, gains, strict=False))]
+    return moved + [torch.zeros_like(residual) for _ in predicted[len(gains) :]]
 
 
-def short_step_gains(column: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
+def short_step_gains(gains: list[Tensor], since: Tensor, period: Hyper | None) -> list[Tensor]:
     """Gains for a step shorter than their period: the tracking index falls with the square of the step."""
     if period is None:
-        return column
+        return gains
     share = (since / period(since).unsqueeze(-1)).clamp_max(1.0)
-    return [gain * share ** (i + 1) for i, gain in enumerate(column)]
+    return [gain * share ** (i + 1) for i, gain in enumerate(gains)]
 
 
-def startup_gains(column: list[Tensor], count: Tensor) -> list[Tensor]:
+def startup_gains(gains: list[Tensor], count: Tensor) -> list[Tensor]:
     """Gains that take the position from the first measurement and the velocity from the second; later unchanged."""
-    first = [1.0] + [0.0] * (len(column) - 1)
-    second = [1.0, 1.0] + [0.0] * (len(column) - 2)
+    first = [1.0] + [0.0] * (len(gains) - 1)
+    second = [1.0, 1.0] + [0.0] * (len(gains) - 2)
     # Thresholds are halfway between whole numbers, as soft choices count a measurement as a share of one.
     return [
         torch.where(count < 0.5, a, torch.where(count < 1.5, b, gain))
-        for a, b, gain in zip(first, second, column, strict=True)
+        for a, b, gain in zip(first, second, gains, strict=True)
     ]
 
 
@@ -153,19 +153,19 @@ def predict_root(rows: Rows, dt: Tensor) -> Rows:
     return [list(column) for column in zip(*(predict_axes(tuple(c), dt) for c in zip(*rows, strict=True)), strict=True)]
 
 
-def corrected_root(rows: Rows, column: list[Tensor], since: Tensor, used: Tensor, std: Tensor) -> Tensor:
+def corrected_root(rows: Rows, gains: list[Tensor], since: Tensor, used: Tensor, std: Tensor) -> Tensor:
     """Entries ``(..., p, d)`` of a root of ``(I - K H) P (I - K H)^T + K R K^T``, the errors' covariance for any gains.
 
     Args:
         rows: of a root of P.
-        column: gains of position, velocity(, acceleration).
+        gains: of position, velocity(, acceleration).
         since: seconds that the gains are divided by.
         used: 1 where the measurement is used, 0 where K is 0.
         std: root of R.
 
     Source: Bar-Shalom, Li & Kirubarajan (2001), section 5.2 (Joseph form).
     """
-    gains = [used * gain / since**i for i, gain in enumerate(column)]
+    gains = [used * gain / since**i for i, gain in enumerate(gains)]
     rest = [[*(a - g * b for a, b in zip(row, rows[0], strict=True)), g * std]
             for g, row in zip(gains, rows, strict=True)]  # fmt: skip
     entries: list[list[Tensor]] = [[] for _ in rest]

@@ -54,7 +54,7 @@ class AlphaBetaBankState(NamedTuple):
     mean: Tensor
     root: Tensor
     """``(..., p, d)``, see ``AlphaBetaState``."""
-    start: Tensor
+    prior_std: Tensor
     """``(..., k, d)`` std of position, velocity(, acceleration) of the prior."""
     used: Tensor
     """``(..., g)`` number of measurements used since the (re)start."""
@@ -91,7 +91,7 @@ class AlphaBetaInfo(NamedTuple):
     """Per step and track, for each axis, or once if all axes decide together: ``(..., T, g)``."""
 
     level: Tensor
-    """Number of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
+    """Index of the filter that was used, from 0 (the fastest); at a rejected step that of the step before."""
     vote: Tensor
     """bool: the flags voted for a manoeuvre."""
     manoeuvre: Tensor
@@ -191,7 +191,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         votes: number of flags before the newest one, even.
         patience: rejections in a row after which the next rejection restarts the filter.
         max_gap: seconds without a used measurement after which the next measurement restarts the filter.
-        converged: measurements before the first decision; until then the fastest level is used.
+        warmup: measurements before the first decision; until then the fastest level is used.
         flag_on_reject: the flag that the history keeps of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the
             vote.
         detect: ``"cartesian"``: each axis decides by itself; ``"polar"``: range and horizontal azimuth from the origin
@@ -230,7 +230,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         votes: int = 2,
         patience: int = 5,
         max_gap: float = math.inf,
-        converged: int = 5,
+        warmup: int = 5,
         flag_on_reject: str = "raw",
         detect: str = "cartesian",
         onset: str = "shared",
@@ -240,7 +240,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         confirm: bool = False,
     ) -> None:
         super().__init__(motion, sensor, initiation, period)
-        self.votes, self.patience, self.max_gap, self.converged = votes, patience, max_gap, converged
+        self.votes, self.patience, self.max_gap, self.warmup = votes, patience, max_gap, warmup
         self.flag_on_reject, self.detect, self.onset = flag_on_reject, detect, onset
         self.confirm = confirm
         self._check()
@@ -260,12 +260,11 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             detect=(self.detect, ("cartesian", "polar")),
             onset=(self.onset, ("shared", "fastest")),
         )
-        even = is_integer(self.votes, 2) and self.votes % 2 == 0
-        if not (even and is_integer(self.patience, 1) and is_integer(self.converged, 3)):
-            raise ValueError(
-                "votes, patience, converged: expected an even number of 2 or more, 1 or more, 3 or more, received "
-                f"{self.votes!r}, {self.patience!r}, {self.converged!r}"
-            )
+        if not (is_integer(self.votes, 2) and self.votes % 2 == 0):
+            raise ValueError(f"votes: expected an even number of 2 or more, received {self.votes!r}")
+        for name, value, least in (("patience", self.patience, 1), ("warmup", self.warmup, 3)):
+            if not is_integer(value, least):
+                raise ValueError(f"{name}: expected a whole number of {least} or more, received {value!r}")
         if not as_number(self.max_gap) > 0:
             raise ValueError(f"max_gap: expected seconds above 0, received {self.max_gap!r}")
         if self.detect == "polar" and self.motion.dims < 2:
@@ -309,7 +308,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         return AlphaBetaBankState(
             mean=mean,
             root=root,
-            start=root_spreads(root),
+            prior_std=root_spreads(root),
             used=count,
             since=zero,
             rejected=zero,
@@ -358,7 +357,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         threshold = self.manoeuvre(channels).unsqueeze(-1)
         threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(channels).unsqueeze(-1)))
         flag = self._above(channels / threshold, 1.0)
-        enough = self._above(state.used, self.converged - 0.5) * self._above(state.flag_count, self.votes - 0.5)
+        enough = self._above(state.used, self.warmup - 0.5) * self._above(state.flag_count, self.votes - 0.5)
         majority = self._above(reduce(torch.add, state.flags.unbind(-2), flag), (self.votes + 1) / 2)
         vote = enough * self._any(majority) * innovation.measured
         quiet = (1 - vote) * (state.quiet + innovation.measured)
@@ -418,7 +417,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     ) -> Tensor:
         """Shares ``(..., g, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
         channels = innovation.channels
-        converged = self._above(state.used, self.converged - 0.5)
+        converged = self._above(state.used, self.warmup - 0.5)
         degree = channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
         degree = degree / self.manoeuvre(degree).unsqueeze(-1)
         zero = torch.zeros_like(converged)
@@ -510,19 +509,19 @@ def _restarted(state: AlphaBetaBankState, innovation: AxisInnovation, points: Te
     two, since, std = points - 1, state.since_last + innovation.dt, innovation.std
     speed = two * (innovation.z - state.last) / since
     along = two * std / since
-    entries, more = [std, along, along + (1 - two) * state.start[..., 1, :]], state.start.shape[-2] > 2
+    entries, more = [std, along, along + (1 - two) * state.prior_std[..., 1, :]], state.prior_std.shape[-2] > 2
     if more:
-        entries += [0 * std, 0 * std, state.start[..., 2, :]]
+        entries += [0 * std, 0 * std, state.prior_std[..., 2, :]]
     parts = [innovation.z, speed] + [0 * speed] * (state.mean.shape[-1] // speed.shape[-1] - 2)
     return Gaussian(torch.cat(torch.broadcast_tensors(*parts), -1), torch.stack(torch.broadcast_tensors(*entries), -2))
 
 
 def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
     """Entries of the root of a track that has used no measurement for ``max_gap``, with the velocity of the prior."""
-    speed = state.start[..., 1, :]
+    speed = state.prior_std[..., 1, :]
     entries = [innovation.since * speed, speed, 0 * speed]
-    if state.start.shape[-2] > 2:
-        entries += [0 * speed, 0 * speed, state.start[..., 2, :]]
+    if state.prior_std.shape[-2] > 2:
+        entries += [0 * speed, 0 * speed, state.prior_std[..., 2, :]]
     return torch.stack(torch.broadcast_tensors(*entries), -2)
 
 

@@ -49,7 +49,9 @@ def kalata(index: Value, orders: int = 2) -> Gains:
     """
     index = as_numbers(index, "index").double()
     if not bool((index > 0).all()) or orders not in (2, 3):
-        raise ValueError(f"index, orders: expected above 0, and 2 or 3, received {index.tolist()}, {orders}")
+        raise ValueError(
+            f"index, orders: expected index above 0 and orders 2 or 3, received {index.tolist()}, {orders}"
+        )
     if orders == 2:
         root = (4 + index - (8 * index + index.square()).sqrt()) / 4
         return Gains(1 - root.square(), 2 * (1 + root.square()) - 4 * root)

@@ -19,18 +19,18 @@ from torchfra.filters.gpb.hypotheses import (
     OUTLIER,
     Hypotheses,
     batch_first,
-    carry,
     estimate,
     from_state,
     merge,
     moments,
+    propagate_motions,
     to_state,
     values_first,
 )
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Regimes, Switching
 from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
-from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, Last, Step
+from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
 from torchfra.filters.records import Record, Smoothed
@@ -54,7 +54,7 @@ class Mixing(NamedTuple):
     own: Tensor
     """Weight of the belief itself."""
     common: Tensor
-    """Weight of the common belief, from which all regimes that begin start."""
+    """Weight of the common belief, from which a regime that begins starts."""
     origin: Tensor
     """Weight of each belief in that common one."""
 
@@ -71,10 +71,10 @@ class GPB(Filter[GPBState]):
     Markov chain too; an outlier has one of several sizes.  Every combination is a hypothesis with a prediction, an
     update and a likelihood.  After a step the hypotheses are merged into one Gaussian for each motion (and each level
     that ``Regimes.separate_levels`` keeps separate) without an outlier in the step and one with an outlier in some
-    block; the next measurement weighs those two.  So no gate decides whether a large innovation is an outlier or a
-    manoeuvre, and the filter is smooth in its inputs.  Over the regimes it is IMM, which mixes beliefs before a step;
+    block, whose probabilities the next measurement updates.  So no gate decides whether a large innovation is an
+    outlier or a manoeuvre, and the filter is smooth in its inputs.  Over regimes it is IMM, which mixes before a step;
     over the two outlier modes GPB2, which merges them after the next measurement.  Over steps without any measurement,
-    however many, both modes are carried on, and the first motion keeps its regime if regimes have no ``durations``.
+    however many, both modes are propagated, and the first motion keeps its regime if regimes have no ``durations``.
 
     With ``o`` for an outlier in the step, ``r`` for its regime, ``k`` for the regime's belief, and a prime for the step
     before, a step is:
@@ -100,7 +100,7 @@ class GPB(Filter[GPBState]):
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
         prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``info``.
-        rule: from a number of states to the rule that carries a Gaussian through a function.
+        rule: from a dimension to the rule that carries a Gaussian through a function.
 
     Raises:
         ValueError: regimes for another number of motions, blocks that do not hold each element once, noise that is
@@ -172,8 +172,8 @@ class GPB(Filter[GPBState]):
         predicted, nis = self.predict_regimes(mixed, switching.log_weight, frame)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
         modes = self.outliers.predict(state.outlier, relaxation, measured)
-        repeated = self.repeated(state, relaxation, mixed, nis, frame)
-        updated, outlier, log_ratio = self.update(predicted, frame, modes, repeated)  # (4)
+        change = self.compare_change(state, relaxation, mixed, nis, frame)
+        updated, outlier, log_ratio = self.update(predicted, frame, modes, change)  # (4)
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
@@ -185,7 +185,11 @@ class GPB(Filter[GPBState]):
         blocks = torch.where(measured.unsqueeze(-1), blocks, state.outlier)
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
-        last = None if state.last is None else Last(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
+        last = (
+            None
+            if state.last is None
+            else LastMeasurement(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
+        )
         now = GPBState(belief, lagged, *kept, state.duration, relaxation, last)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
@@ -223,25 +227,25 @@ class GPB(Filter[GPBState]):
         Returns:
             Hypotheses ``(1, R, 2, ...)``, and the normalised innovation squared ``(1, 1, 2, ...)``.
         """
-        carried = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        agile = self.regimes.agile_prediction(carried)
+        propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
+        agile = self.regimes.agile_prediction(propagated)
         _, normalised = innovation(self.compare(self.read(agile), frame))
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # no manoeuvre and no jump takes no time
-        predicted = self.regimes.predictions(carried, nis, self.motion.position)
+        predicted = self.regimes.predictions(propagated, nis, self.motion.position)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, nis)), nis
 
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
-        repeated: tuple[Tensor, Whitened] | None,
+        change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None]:  # fmt: skip
         """Hypotheses after the measurement: see ``Outliers.update``."""
         return self.outliers.update(
             predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, 1 - frame.measured, modes,
-            repeated,
+            change,
         )  # fmt: skip
 
-    def repeated(
+    def compare_change(
         self, state: GPBState, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
     ) -> tuple[Tensor, Whitened] | None:
         """Probabilities that outliers have the offset of the step before, and the change of the measurement since.
@@ -252,14 +256,16 @@ class GPB(Filter[GPBState]):
         if state.last is None or not self.sensor.linear:
             return None
         regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
-        carried = carry(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        ahead = regimes.predicted_parts(carried, nis, self.motion.position)
+        propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
+        ahead = regimes.predicted_parts(propagated, nis, self.motion.position)
         mean, root = (regimes.per_regime(x) for x in mixed)
         # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
         rest, slope = ahead.spread[..., :-n], ahead.spread[..., -n:]
         change = hstack(rest, slope - root, ahead.process_noise)[..., :d, :]
         expected = Gaussian(self.motion.difference(ahead.mean, mean)[..., :d], tria(change))
-        probability = self.outliers.repeated(state.outlier, relaxation, state.last.measured, frame.measured)
+        probability = self.outliers.same_offset_probability(
+            state.outlier, relaxation, state.last.measured, frame.measured
+        )
         z = self.sensor.difference(frame.z, state.last.z)
         return probability, compare_linear(self.sensor, expected, frame._replace(z=z))
 
@@ -305,7 +311,7 @@ class GPB(Filter[GPBState]):
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
     def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
+        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
         return super().predict_innovation(state, self.read(beliefs), frame)
 
     # ------------------------------------------------------------ the sensor
@@ -351,13 +357,13 @@ class GPB(Filter[GPBState]):
         """A state after a measurement of another sensor, whose outliers are independent of this filter's own."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
-        last: Last | None = tree.map_tensors(torch.zeros_like, before.last)
+        last: LastMeasurement | None = tree.map_tensors(torch.zeros_like, before.last)
         return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last)
 
-    def _unmeasured(self, like: Tensor) -> Last:
+    def _unmeasured(self, like: Tensor) -> LastMeasurement:
         """The measurement of a step without any, for states ``like (..., n)``."""
         none = like.new_zeros(*like.shape[:-1], self.sensor.size)
-        return Last(none, none)
+        return LastMeasurement(none, none)
 
     # ------------------------------------------------------------ smoothing
 
@@ -379,9 +385,9 @@ class GPB(Filter[GPBState]):
     last_past = provisional_past
 
     def needed_of_next(self, past: GPBPast) -> GPBPast:
-        """Of the next step the normalised innovation squared, whether it has a measurement, and ``log_repeated``."""
+        """Of the next step the normalised innovation squared, whether it has a measurement, and ``log_same_offset``."""
         none: Any = None  # ``retreat`` reads no others
-        return GPBPast(none, none, none, past.nis, past.measured, None, past.log_repeated)
+        return GPBPast(none, none, none, past.nis, past.measured, None, past.log_same_offset)
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Smoothed]:
         """Where the backward pass begins: the filtered hypotheses of the last step."""

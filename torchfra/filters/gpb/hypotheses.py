@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import largest, matched, share_roots
-from torchfra.gaussian.model import Carried, canonical, propagate
+from torchfra.gaussian.model import Propagated, canonical, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_log
@@ -94,7 +94,7 @@ class Hypotheses(NamedTuple):
 
 
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
-    """The entries of ``x`` along an axis that have these numbers.
+    """The entries of ``x`` along an axis that have these indices.
 
     Successive numbers are a slice and equal ones an expansion, which copy less than ``index_select``.
     """
@@ -154,7 +154,7 @@ def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
     return canonical(motion, moments(belief, roots, motion.angles))
 
 
-def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
+def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Propagated:
     """Carries ``S`` beliefs on axis ``MOTION`` over a step: ``K`` by the motions of a bank, all others by its first.
 
     Process noise that several hypotheses share has size 1 along their axes.
@@ -166,7 +166,7 @@ def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
         frame: for each motion.
     """
     more = belief.mean.shape[MOTION] - len(bank)
-    carried = propagate(bank, rule, models_last(by_layer(belief, len(bank))), frame)
+    propagated = propagate(bank, rule, models_last(by_layer(belief, len(bank))), frame)
     rank = belief.mean.dim() - 1
 
     def back(event: int, x: Tensor) -> Tensor:
@@ -177,7 +177,7 @@ def carry(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Carried:
         layers = x.expand(more + 1, *x.shape[1:])
         return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
 
-    result: Carried = tree.map_ranked(back, carried)
+    result: Propagated = tree.map_ranked(back, propagated)
     return result
 
 

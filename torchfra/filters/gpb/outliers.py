@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
 from torchfra.filters.gpb.slopes import elements_of
-from torchfra.filters.markov import mean_durations
+from torchfra.filters.markov import sojourn_times
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
 from torchfra.hyper import Hyper, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
@@ -27,17 +27,17 @@ class Outliers(nn.Module):
     """Whether measurements are outliers: a Markov chain for each block of elements.
 
     Args:
-        blocks: numbers of the elements of each block: those of a device fail together.
+        blocks: indices of the elements of each block: those of a device fail together.
         outlier_transition: ``(..., 2, 2)``, ``[i, j] = P(now j | was i)`` of no outlier and outlier, from one
             measurement to the next, whatever the time between them; rows sum to one.
-        outlier_durations: ``(..., 2)`` instead of it: mean seconds without outliers, and of a fault of the device.
+        outlier_durations: ``(..., 2)`` instead of it: mean sojourn times, s, without outliers and in a fault.
         outlier_sizes: ``(..., C)`` factors on the covariance of the measurement noise of outliers.
         outlier_shares: ``(..., C)`` share of the outliers that have each size; they sum to one.
         outlier_offsets: ``(..., C)`` mean of the noise of outliers of each size, in units of the nominal noise, as of
             ranges without a line of sight, which are too large; None for 0.
         adaptive_largest_size: whether the last size is at least the mean squared residual of a block in units of its
             noise, so that outliers of any size beyond it are equally likely.
-        outliers_inform: whether outliers update the belief, as measurements with larger noise; if not, it stays as
+        outliers_update: whether outliers update the belief, as measurements with larger noise; if not, it stays as
             predicted.
         same_offset: ``(...)`` probability that an outlier of a block that was one in the step before has the same
             offset, as the fixes of a second target have; it does not update the belief.  Both steps are assumed to have
@@ -67,11 +67,11 @@ class Outliers(nn.Module):
         outlier_durations: Values | None = None,
         outlier_offsets: Values | None = None,
         adaptive_largest_size: bool = True,
-        outliers_inform: bool = True,
+        outliers_update: bool = True,
         same_offset: Value | None = None,
     ) -> None:
         super().__init__()
-        self.adaptive_largest_size, self.outliers_inform = adaptive_largest_size, outliers_inform
+        self.adaptive_largest_size, self.outliers_update = adaptive_largest_size, outliers_update
         name, modes = one_given(outlier_transition=outlier_transition, outlier_durations=outlier_durations)
         arguments = {name: modes, "outlier_sizes": outlier_sizes, "outlier_shares": outlier_shares}
         modes, sizes, shares = (as_numbers(x, argument).double() for argument, x in arguments.items())
@@ -92,7 +92,7 @@ class Outliers(nn.Module):
         if name == "outlier_transition":
             self.outlier_transition = Hyper(modes, constraints.simplex, event_dim=2, name=name)
         else:
-            self.outlier_durations = mean_durations(modes, 1, name)
+            self.outlier_durations = sojourn_times(modes, 1, name)
         self.outlier_sizes = Hyper(sizes, constraints.greater_than(1.0), event_dim=1, name="outlier_sizes")
         self.outlier_shares = Hyper(shares, constraints.simplex, event_dim=1, name="outlier_shares")
         self.outlier_offsets = None
@@ -181,7 +181,9 @@ class Outliers(nn.Module):
         same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
         return torch.where(measured, torch.cat([none, safe_log(some)]), same), share
 
-    def repeated(self, outlier: Tensor, relaxation: Tensor | None, before: Tensor, now: Tensor) -> Tensor:
+    def same_offset_probability(
+        self, outlier: Tensor, relaxation: Tensor | None, before: Tensor, now: Tensor
+    ) -> Tensor:
         """Probability ``(1, 1, 2, ..., B)`` that an outlier of a block has the offset of the step before.
 
         It is 0 after a step without outliers, and where an element is measured now that was missing then.
@@ -214,7 +216,7 @@ class Outliers(nn.Module):
         reads: int,
         missing: Tensor,
         modes: tuple[Tensor, Tensor],
-        repeated: tuple[Tensor, Whitened] | None = None,
+        change: tuple[Tensor, Whitened] | None = None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None]:
         """The update of all hypotheses, without outliers and with outliers in some blocks.
 
@@ -231,12 +233,12 @@ class Outliers(nn.Module):
             reads: ``d``, the number of leading components of a state that the sensor reads.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             modes: from ``predict``.
-            repeated: from ``repeated``, and the change of the measurement against the predicted one.
+            change: from ``same_offset_probability``, and the change of the measurement compared with its prediction.
 
         Returns:
             ``(2, R, 2, ...)`` without and with outliers, the probability ``(1, R, 2, ..., B)`` that each block is one,
             given that some block is, and ``(1, R, 2, ...)`` the log likelihood ratio of outliers with and without
-            ``repeated``.
+            the same offset.
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
@@ -245,13 +247,15 @@ class Outliers(nn.Module):
         none_measured, outliers, ratios = torch.ones_like(missing[..., :1, None]), [], []
         for b, block in enumerate(self.blocks):
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
-            whitened, absent = compare(so_far, block), missing[..., list(block)]
+            whitened, block_missing = compare(so_far, block), missing[..., list(block)]
             if b and whitened.rest.shape[-1]:
                 whitened = whitened._replace(spread=hstack(none_measured * tria(whitened.rest), whitened.slope))
-            none_measured = none_measured * absent.amin(-1)[..., None, None]
+            none_measured = none_measured * block_missing.amin(-1)[..., None, None]
             rows, cross, independent, residual = _in_space_of(whitened, belief)
-            again = None if repeated is None else (repeated[0][..., b], elements_of(repeated[1], block))
-            unknowns, log_block, outlier, ratio = self._weigh_modes(rows, residual, absent, prior[..., b], noise, again)
+            since = None if change is None else (change[0][..., b], elements_of(change[1], block))
+            unknowns, log_block, outlier, ratio = self._weigh_modes(
+                rows, residual, block_missing, prior[..., b], noise, since
+            )
             spread = cross @ unknowns.scale_tril
             spread = spread if independent is None else hstack(spread, independent)
             belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
@@ -274,8 +278,8 @@ class Outliers(nn.Module):
         return sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets])
 
     def _weigh_modes(
-        self, rows: Tensor, residual: Tensor, absent: Tensor, prior: Tensor,
-        noise: tuple[Tensor, Tensor, Tensor | None], again: tuple[Tensor, Whitened] | None,
+        self, rows: Tensor, residual: Tensor, missing: Tensor, prior: Tensor,
+        noise: tuple[Tensor, Tensor, Tensor | None], change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None]:  # fmt: skip
         """The update of unknowns by one block, without any outlier so far and with some, which are in front.
 
@@ -283,32 +287,32 @@ class Outliers(nn.Module):
             rows: ``(1 or 2, R, 2, ..., m, k)`` measurement matrix of the unknowns, ``N(0, I)`` before: before the first
                 block the two in front are one.
             residual: ``(1 or 2, R, 2, ..., m)``.
-            absent: ``(..., m)`` 1 where missing, 0 where measured.
+            missing: ``(..., m)`` 1 where missing, 0 where measured.
             prior: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
             noise: from ``_noise``.
-            again: probability that an outlier has the offset of the step before, and the measurement's change since.
+            change: probability that an outlier has the offset of the step before, and the measurement's change since.
 
         Returns:
             The posterior ``(2, R, 2, ..., k)`` of the unknowns, the log density ``(2, R, 2, ...)`` of the block, the
             probability ``(1, R, 2, ...)`` that it is an outlier, given that some block is, and the log likelihood ratio
-            with and without ``again``.
+            with and without the same offset.
         """
         (sizes, log_shares, offsets), single, log_ratio = noise, len(self.blocks) == 1, None
-        adapted = self.adapted(sizes, residual[-1:], absent, offsets)
-        updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, absent, offsets)
+        adapted = self.adapted(sizes, residual[-1:], missing, offsets)
+        updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, missing, offsets)
         none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
-        if not self.outliers_inform:
+        if not self.outliers_update:
             updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
         if len(rows) > 1:
-            first, log_first = sequential(rows[:1], residual[:1], sizes[:1], absent)
+            first, log_first = sequential(rows[:1], residual[:1], sizes[:1], missing)
             none, log_none = _entry(first, 0), log_first[0]
         joint = torch.cat(
             [(log_updated[0] + torch.log1p(-prior)).unsqueeze(0), log_updated[1:] + prior.log() + log_shares]
         )
         start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
-        if again is not None:
-            probability, change = again
-            _, log_same = sequential(change.spread, change.residual, 2 * sizes[:1], absent)  # noise of two steps
+        if change is not None:
+            probability, whitened = change
+            _, log_same = sequential(whitened.spread, whitened.residual, 2 * sizes[:1], missing)  # noise of two steps
             without, same = joint[start:], log_same + prior.log() + safe_log(probability)
             joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
             updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))

@@ -11,9 +11,9 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
-from torchfra.filters.markov import mean_durations, over_seconds, rates
+from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
-from torchfra.gaussian.model import Carried
+from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
@@ -46,13 +46,12 @@ class Regimes(nn.Module):
     noise, each other motion of a bank is one regime, as are ``C`` climbs (below).  In each of ``M`` manoeuvres the
     process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
     each of ``J`` jumps the covariance of the predicted position is.  A regime continues with its self-transition
-    probability, or for its mean duration; then the next one is drawn from the restart distribution.  The chain starts
-    from its stationary distribution.  Values are by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
-    manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
-    ``(..., R - C)``: levels of process noise that keep beliefs of their own, for one, are a bank of one motion at
-    several ``q``.
+    probability, or a mean sojourn time; then the next one is drawn from the restart distribution.  The chain starts
+    from its stationary distribution.  These values are given by kind, ``(..., L + 1 + M + J)``: each level, any other
+    motion, each manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime
+    instead, ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
 
-    The levels of a motion share a belief, but for the lowest ``separate_levels``, which keep beliefs of their own:
+    The levels of a motion share a belief, except for the lowest ``separate_levels``, which keep beliefs of their own:
     while a target moves as calmly as such a level states, the covariance of its belief shrinks accordingly.  So there
     are ``S = K + separate_levels + C`` beliefs: of each motion, of these levels, then of climbs.
 
@@ -69,7 +68,7 @@ class Regimes(nn.Module):
         jump_factors: ``(..., J)`` factors on the covariance of the predicted position per unit of the normalised
             innovation squared per element; the product is 1 at least.  Correlations of the position stay.
         self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``.
-        durations: instead of these, mean seconds by kind or regime until one ends: a Markov chain in continuous time.
+        durations: instead of these, mean sojourn times, s, by kind or regime: a Markov chain in continuous time.
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
             theirs evenly, and a level with its climb.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
@@ -102,7 +101,7 @@ class Regimes(nn.Module):
         levels, manoeuvres, jumps, stay, begin = (as_numbers(x, name).double() for name, x in arguments.items())
         for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
-                raise ValueError(f"{name}: expected several, received {value.item():g}")
+                raise ValueError(f"{name}: expected a sequence of numbers, received {value.item():g}")
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
         if separate_levels not in range(max(self.level_count, 1)):
@@ -119,18 +118,18 @@ class Regimes(nn.Module):
         self.vertical, self.climb_count = tuple(vertical), separate_levels if vertical else 0
         scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + scaled)
-        """The number of each regime's motion."""
+        """The index of each regime's motion."""
         self.beliefs = motions + separate_levels + self.climb_count
         """The number of beliefs, ``S``."""
         separate, climbs = range(motions, motions + separate_levels), range(motions + separate_levels, self.beliefs)
         self.belief_of = (
             *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * scaled
         )  # fmt: skip
-        """The number of each regime's belief."""
+        """The index of each regime's belief."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
-        """The numbers of the first belief's regimes."""
+        """The indices of the first belief's regimes."""
         self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
-        """The number of the only regime of each other belief."""
+        """The index of the only regime of each other belief."""
         others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - scaled)
         last = (kinds if self.by_kind else count) - scaled
         self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + scaled))
@@ -144,7 +143,7 @@ class Regimes(nn.Module):
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.self_transition = self.durations = None
         if sojourn == "durations":
-            self.durations = mean_durations(stay, 1, sojourn)
+            self.durations = sojourn_times(stay, 1, sojourn)
         else:
             self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name=sojourn)
         self.restart = Hyper(begin, constraints.simplex, event_dim=1, name="restart")
@@ -161,7 +160,7 @@ class Regimes(nn.Module):
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
 
-        It is the stationary distribution of the chain: restart probability times mean duration, normalised.  If a
+        It is the stationary distribution of the chain: restart probability times mean sojourn time, normalised.  If a
         regime that may begin is absorbing, the chain is in an absorbing regime from the first step on.
         """
         restart = self.restart_distribution(like)
@@ -218,7 +217,9 @@ class Regimes(nn.Module):
             present = torch.tensor([float(k != self.level_count) for k in range(restart.shape[-1])]).to(restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
-        ended = (over_seconds(rates(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(0.0)
+        ended = (transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(
+            0.0
+        )
         each = [ended[..., kind] / sharing for kind, sharing in zip(self.kind_of, self.sharing, strict=True)]
         return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])
 
@@ -269,16 +270,16 @@ class Regimes(nn.Module):
 
     # ------------------------------------------------------------ predictions
 
-    def agile_prediction(self, carried: Carried) -> Gaussian:
+    def agile_prediction(self, propagated: Propagated) -> Gaussian:
         """The prediction ``(1, 1, 2, ..., n)`` by the agile level, the last level of the first motion.
 
         Args:
-            carried: ``(1, S, 2, ...)``, each belief by its motion.
+            propagated: ``(1, S, 2, ...)``, each belief by its motion.
         """
-        noise = self.noise_levels(carried.mean)[..., -1].sqrt()[..., None, None] * carried.process_noise[:, :1]
-        return Gaussian(carried.mean[:, :1], tria(hstack(carried.spread[:, :1], noise)))
+        noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
+        return Gaussian(propagated.mean[:, :1], tria(hstack(propagated.spread[:, :1], noise)))
 
-    def predictions(self, carried: Carried, nis: Tensor, position: slice) -> Gaussian:
+    def predictions(self, propagated: Propagated, nis: Tensor, position: slice) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -286,23 +287,23 @@ class Regimes(nn.Module):
         without bound.
 
         Args:
-            carried: ``(1, S, 2, ...)``, each belief by its motion.
+            propagated: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
             position: components of a state that are its position.
         """
-        root = tria(hstack(self.per_regime(carried.spread), self._noise(carried, nis)))
-        widths = self._widths(carried.mean, nis, position)
-        return Gaussian(self.per_regime(carried.mean), widths * root)  # with scaled rows a lower root stays one
+        root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)))
+        widths = self._widths(propagated.mean, nis, position)
+        return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
-    def predicted_parts(self, carried: Carried, nis: Tensor, position: slice) -> Carried:
+    def predicted_parts(self, propagated: Propagated, nis: Tensor, position: slice) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made, of the same arguments."""
-        widths = self._widths(carried.mean, nis, position)
-        spread, noise = self.per_regime(carried.spread), self._noise(carried, nis)
-        return Carried(self.per_regime(carried.mean), widths * spread, widths * noise, None)
+        widths = self._widths(propagated.mean, nis, position)
+        spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
+        return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
 
-    def _noise(self, carried: Carried, nis: Tensor) -> Tensor:
-        """Roots ``(1, R, 2, ..., n, q)`` of the process noise of every regime."""
-        return self._noise_factors(carried.mean, nis) * self.per_regime(carried.process_noise)
+    def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
+        """Roots ``(1, R, 2, ..., n, r)`` of the process noise of every regime."""
+        return self._noise_factors(propagated.mean, nis) * self.per_regime(propagated.process_noise)
 
     def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
         """Factors ``(1, R, 2, ..., n or 1, 1)`` on the root of the process noise of each regime's motion."""

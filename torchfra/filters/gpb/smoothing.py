@@ -14,10 +14,10 @@ from torchfra.filters.gpb.hypotheses import (
     OUTLIER,
     Hypotheses,
     by_layer,
-    carry,
     estimate,
     from_state,
     models_last,
+    propagate_motions,
     to_state,
 )
 from torchfra.filters.gpb.states import GPBPast
@@ -59,21 +59,21 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     nis = step.next.nis.movedim(-1, 0)[None, None, :, None]
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    prior, prior_of_carried = (_prior(f, x, step.next, nis, frame.dt) for x in (step.past, step.carried))
+    prior, prior_of_source = (_prior(f, x, step.next, nis, frame.dt) for x in (step.past, step.source))
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
-    carried = from_state(step.carried.hypotheses, step.carried.log_weights, (BEFORE, MOTION), AXES)
-    mixed, _ = f.mix(carried.belief, regimes.switch(carried.log_weight, frame.dt, measured))
+    source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
+    mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, frame.dt, measured))
     # Shift and process noise are those of the forward pass.
     frame = adapted(for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean)
-    predicted = regimes.predictions(carry(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
-    to_step = Hypotheses(predicted, log_sum(prior_of_carried, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
+    predicted = regimes.predictions(propagate_motions(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
+    to_step = Hypotheses(predicted, log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
     measurement = tree.map_tensors(regimes.per_regime, measurement)  # (2, R, 1, 1, ...)
 
-    # The belief of every motion before, carried by every regime, is updated by it.
+    # The belief of every motion before, propagated by every regime, is updated by it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.beliefs, *x.shape[2:]) for x in before.belief))
-    by_regime = regimes.predicted_parts(carry(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
+    by_regime = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
     each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
     joint = prior + regimes.per_regime(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
@@ -96,9 +96,9 @@ def _prior(f: Any, past: GPBPast, after: GPBPast, nis: Tensor, dt: Tensor) -> Te
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
     regime = log_weight + f.regimes.transition(log_weight.transpose(0, 1), dt, measured)
     log_mode, _ = f.outliers.predict(past.outlier, f.outliers.relaxation(past.relaxation, dt), measured)
-    if after.log_repeated is not None:
-        repeated = after.log_repeated.movedim(-1, 0)
-        none = torch.zeros_like(repeated)
-        log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, repeated], 1)])
+    if after.log_same_offset is not None:
+        same_offset = after.log_same_offset.movedim(-1, 0)
+        none = torch.zeros_like(same_offset)
+        log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, same_offset], 1)])
     pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), nis)
     return pairs

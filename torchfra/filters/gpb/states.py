@@ -10,7 +10,7 @@ from torchfra.tree import Late
 from torchfra.types import Alarm, Gaussian
 
 
-class Last(NamedTuple):
+class LastMeasurement(NamedTuple):
     """The measurement of a step, with which the next one is compared."""
 
     z: Tensor
@@ -41,7 +41,7 @@ class GPBState(NamedTuple):
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
-    last: Last | None = None
+    last: LastMeasurement | None = None
     """The measurement of the step; None without ``same_offset``."""
 
 
@@ -86,5 +86,5 @@ class GPBPast(NamedTuple):
     """``(...)`` 1 where the step has a measurement, else 0."""
     relaxation: Tensor | None = None
     """See ``GPBState``."""
-    log_repeated: Tensor | None = None
+    log_same_offset: Tensor | None = None
     """``(..., R)`` log likelihood ratio of outliers after an outlier, with and without ``same_offset``."""

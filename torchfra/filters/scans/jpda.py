@@ -30,7 +30,7 @@ from torchfra.filters.scans.scan import (
     associate_uncertain,
     target_repairs,
 )
-from torchfra.filters.scans.separate import core, inflated_state, measured, merge_hypotheses, missed
+from torchfra.filters.scans.separate import core, inflated_state, merge_hypotheses, step_measured, step_missed
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
@@ -78,7 +78,7 @@ class JPDA(Soft, Filter[JPDAState]):
         detection: probability of detection, up to 1.
         lost: largest probability that a track which is on its target misses so many scans in a row.  Below it a track
             is considered lost: its covariance quadruples with every further miss, five times at most, until it is
-            measured again (that of several models before the prediction).  0 for never.
+            measured again (with several models before the prediction, with one after it).  0 for never.
         share_noise: whether all targets share one noise estimate, the mean weighted by their probabilities of being
             measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
@@ -216,10 +216,10 @@ class JPDA(Soft, Filter[JPDAState]):
             frame: of the scan.
         """
         f, state = self.inner, state if inflation is None else inflated_state(self.inner, state, inflation)
-        none, record = missed(f, state, frame, self.sensor)
+        none, record = step_missed(f, state, frame, self.sensor)
         scan = self.compare_scan(core(f), record.belief, None, frame)
         inside = self.inside(scan)
-        each = measured(f, state, frame, inside > -torch.inf)
+        each = step_measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)
         association = associate(scan, inside)
         inner, info = merge_hypotheses(f, none, each, association)
@@ -312,12 +312,12 @@ class JPDA(Soft, Filter[JPDAState]):
     def retreat(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
         """One step of the backward pass, of each target by itself."""
         belief, factor = tree.insert_batch_dimension(step.past.inner.belief), step.next.inner.factor
-        carried = self.inner.carry(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
+        propagated = self.inner.propagate(belief, step.frame, None if factor is None else factor.unsqueeze(-1))
         times = 2 ** (step.next.inflations - step.past.inflations).clamp_min(0.0)[..., None, None, None]
-        spread, noise = times * carried.spread, times * carried.process_noise
-        subtracted = None if carried.subtracted is None else times * carried.subtracted
-        carried = carried._replace(spread=spread, process_noise=noise, subtracted=subtracted)
-        smoothed = self.inner.reverse(belief, carried, tree.insert_batch_dimension(after))
+        spread, noise = times * propagated.spread, times * propagated.process_noise
+        subtracted = None if propagated.subtracted is None else times * propagated.subtracted
+        propagated = propagated._replace(spread=spread, process_noise=noise, subtracted=subtracted)
+        smoothed = self.inner.smooth_belief(belief, propagated, tree.insert_batch_dimension(after))
         repaired = None if smoothed.repaired is None else smoothed.repaired.squeeze(-1)
         smoothed = Smoothed(tree.remove_batch_dimension(smoothed.belief), repaired=repaired)
         return smoothed.belief, smoothed

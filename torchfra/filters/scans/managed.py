@@ -13,7 +13,7 @@ from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import inflated, log_miss, lost_inflation
 from torchfra.filters.scans.scan import JPDAState
-from torchfra.filters.scans.separate import inflated_state, missed
+from torchfra.filters.scans.separate import inflated_state, step_missed
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.triangular import hstack, tria
@@ -93,7 +93,7 @@ def predict_measurements(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAS
         learned = f.inner.noise.scale(noise)
     else:
         before = inner if factor is None else inflated_state(f.inner, inner, factor)
-        belief = missed(f.inner, before, frame, f.sensor)[1].belief
+        belief = step_missed(f.inner, before, frame, f.sensor)[1].belief
     return state, tree.remove_batch_dimension(_measurement(f.sensor, belief, frame, learned))
 
 

@@ -48,7 +48,7 @@ class JPDAInfo(NamedTuple):
     noise: Tensor | None = None
     """``(..., N, T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones; or None."""
     weights: Tensor | None = None
-    """``(..., N, T, J, m)`` weights of a robust inner filter, which divide the noise of each measurement."""
+    """``(..., N, T, J, m)`` weights of a robust inner filter, which divide the noise covariance of each measurement."""
     repaired: Tensor | None = None
     """``(..., N, T)`` number of covariances that were not positive definite and were repaired; for rules with negative
     weights."""
@@ -92,7 +92,7 @@ def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **o
 
 
 def gated_first(inside: Tensor) -> Tensor:
-    """Numbers ``(..., N, K)`` of measurements, those ``inside (..., N, J)`` the gate first.
+    """Indices ``(..., N, K)`` of measurements, those ``inside (..., N, J)`` the gate first.
 
     K is the largest number of measurements in a gate; while code is traced it is J.
     """
@@ -111,7 +111,7 @@ def target_repairs(prediction: Prediction, whitened: Whitened) -> Tensor | None:
 
 
 def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | None = None) -> C:
-    """The measurements with the numbers ``order (..., N, K)``, out of those of ``shape = (..., N, J)``.
+    """The measurements with the indices ``order (..., N, K)``, of those of ``shape = (..., N, J)``.
 
     With ``only``, all other fields of the tuple stay as they are.
     """

@@ -28,7 +28,7 @@ class Pairs(NamedTuple):
     info: Any
     """Info ``(K, ..., N)`` of the filter."""
     number: Tensor
-    """``(..., N, K)`` number of each measurement in the scan."""
+    """``(..., N, K)`` index of each measurement in the scan."""
     log_density: Tensor
     """``(..., N, J)`` of each measurement of the scan if it is the target's; minus infinity outside the gate."""
 
@@ -38,7 +38,7 @@ def core(inner: Filter) -> Any:
     return inner.inner if isinstance(inner, IMM) else inner
 
 
-def missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any, Record]:
+def step_missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any, Record]:
     """State and info ``(1, ..., N)`` of targets that are missed, and the record ``(..., N, 1)`` of the step."""
     z = torch.zeros_like(frame.z[..., :1, :])
     nothing = sensor.measurement_noise(torch.full_like(z, torch.nan))
@@ -48,7 +48,7 @@ def missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any
     return _rows_first((state, record.info), rank, 1), record
 
 
-def measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
+def step_measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
     """The states after each measurement that is ``inside (..., N, J)`` a target's gate."""
     number, rank = gated_first(inside), state.belief.mean.dim() - 1
     frame = chosen(frame, number, inside.shape, only=("z", "measured", "measurement_noise"))
