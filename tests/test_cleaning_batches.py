@@ -32,10 +32,17 @@ def test_recordings_that_are_divided_into_rows_are_one_batch_whatever_their_leng
     assert groups(several) == [[2], [0], [1]]
 
 
-def test_recordings_that_are_alike_are_divided_evenly_by_their_fixes(monkeypatch):
-    monkeypatch.setattr(batches, "_MOST_FIXES", 300)
+def test_recordings_that_are_alike_are_an_even_number_of_batches_of_as_many_fixes(monkeypatch):
+    monkeypatch.setattr(batches, "_ALONE", 200)
+    monkeypatch.setattr(batches, "_PAIR", 400)
+    assert groups([recorded(90)] * 2) == [[0, 1]]
     assert groups([recorded(90)] * 5) == [[0, 1], [2, 3, 4]]
+    assert groups([recorded(90)] * 8) == [[0, 1], [2, 3], [4, 5], [6, 7]]
     assert groups([recorded(90)] * 2 + [recorded(260)]) == [[0, 1], [2]]
+
+
+def test_a_long_recording_is_one_batch(monkeypatch):
+    monkeypatch.setattr(batches, "_ALONE", 200)
     assert groups([recorded(1000)]) == [[0]]
 
 
@@ -60,7 +67,8 @@ def test_no_process_at_all_is_refused():
 
 @pytest.mark.slow
 def test_results_are_the_same_to_the_last_bit_whatever_the_number_of_processes(monkeypatch):
-    monkeypatch.setattr(batches, "_MOST_FIXES", 200)
+    monkeypatch.setattr(batches, "_ALONE", 100)
+    monkeypatch.setattr(batches, "_PAIR", 300)
     monkeypatch.setattr(core, "_WORTHWHILE", 1)
     several = [recorded(count) for count in (150, 30, 20, 45, 170, 35, 40, 12, 25, 50, 15)]  # short ones share sigma
     alone, shared = (clean_tracks(several, jobs=number) for number in (1, 3))

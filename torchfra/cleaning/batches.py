@@ -22,9 +22,11 @@ _COARSEST = 31.0
 _LEAST, _FINEST = 0.01, 1e-4
 """Standard deviation across the ground that fixes have at least, m: of degrees, whose last digit is often as coarse,
 and of metres with many digits."""
-_SHORT, _MOST_FIXES = 100, 50_000
-"""Fixes by which tracks of one batch may always differ, and those of all in a batch, about: more would be padded more
-and leave the caches, fewer would pay for each operation more often."""
+_SHORT = 100
+"""Fixes by which tracks of one batch may always differ."""
+_ALONE, _PAIR = 45_000, 100_000
+"""Fixes up to which a batch stays whole, and those of two batches, about: in larger ones more is padded and leaves the
+caches, smaller ones pay for each operation more often."""
 
 
 class Steps(NamedTuple):
@@ -122,8 +124,9 @@ def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
 def groups(recordings: Sequence[Recording], alike: float = math.inf) -> list[list[int]]:
     """Numbers of the recordings that are one batch: of the same dimensions, and at most twice as long as the shortest.
 
-    A batch is also bounded in all, so that its memory is: by a share of all that are alike, in order of length, so that
-    batches are about as large.  It depends on nothing but the recordings, as tracks of one batch may share values.
+    A batch is also bounded in all, so that its memory is: those that are alike are divided in order of length into an
+    even number of batches of as many fixes, for two processes or more.  That depends on nothing but the recordings, as
+    tracks of one batch may share values.
 
     Args:
         recordings: of any length.
@@ -140,9 +143,10 @@ def groups(recordings: Sequence[Recording], alike: float = math.inf) -> list[lis
 
 
 def _divided(group: Sequence[int], lengths: Sequence[int]) -> list[list[int]]:
-    """A group in order, in as few shares of about as many fixes as its bound allows; none is empty."""
+    """A group in order, in shares of about as many fixes; none is empty."""
     middle, total = np.cumsum(lengths) - np.asarray(lengths) / 2, sum(lengths)
-    share = (middle * -(-total // _MOST_FIXES) / total).astype(int)
+    count = 1 if total <= _ALONE else 2 * max(1, round(total / _PAIR))
+    share = (middle * count / total).astype(int)
     return [some.tolist() for some in np.split(group, np.flatnonzero(np.diff(share)) + 1)]
 
 
