@@ -1,6 +1,7 @@
 """Work is shared among processes: all of it is done, each part once, and an error ends it."""
 
 import math
+import multiprocessing
 import subprocess
 import sys
 import threading
@@ -55,6 +56,37 @@ def test_processes_end_with_the_one_that_started_them_even_if_it_is_killed(tmp_p
 def test_a_process_that_is_killed_is_said():
     with pytest.raises(ChildProcessError, match="jobs: expected processes that end by themselves, one was killed"):
         list(finished(exec, [("import os, signal; os.kill(os.getpid(), signal.SIGKILL)",)], 2))
+
+
+def tensors(count):
+    """Some tensors, of a process that may open few files."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_NOFILE, (100, 100))
+    return [torch.full((2,), float(i)) for i in range(count)]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+def test_tensors_come_from_a_process_by_value_and_open_no_files():
+    ((_, found),) = finished(tensors, [(1000,)], 2)
+    torch.testing.assert_close(torch.stack(found)[:, 0], torch.arange(1000.0))
+
+
+def test_a_process_that_may_start_no_others_does_the_work_alone(monkeypatch):
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
+    assert dict(finished(math.sqrt, [(4.0,), (9.0,)], 2)) == {0: 2.0, 1: 3.0}
+
+
+@pytest.mark.slow
+def test_a_script_that_each_process_runs_again_is_said(tmp_path):
+    (tmp_path / "again.py").write_text(WAITING.replace('if __name__ == "__main__":', "if True:"))
+    ended = subprocess.run([sys.executable, tmp_path / "again.py"], capture_output=True, text=True, timeout=300)
+    assert ended.stderr.splitlines()[-1].startswith(
+        "ChildProcessError: jobs: expected processes that end by themselves"
+    )
+    assert 'if __name__ == "__main__"' in ended.stderr.splitlines()[-1]
+    assert not ended.stdout
 
 
 # ---------------------------------------------------------------- threads

@@ -22,8 +22,11 @@ _COARSEST = 31.0
 _LEAST, _FINEST = 0.01, 1e-4
 """Standard deviation across the ground that fixes have at least, m: of degrees, whose last digit is often as coarse,
 and of metres with many digits."""
-_SHORT, _MOST_FIXES = 100, 100_000
-"""Fixes by which tracks of one batch may always differ, and those of all in a batch."""
+_SHORT = 100
+"""Fixes by which tracks of one batch may always differ."""
+_ALONE, _PAIR = 45_000, 100_000
+"""Fixes up to which a batch stays whole, and those of two batches, about: in larger ones more is padded and leaves the
+caches, smaller ones pay for each operation more often."""
 
 
 class Steps(NamedTuple):
@@ -121,23 +124,30 @@ def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
 def groups(recordings: Sequence[Recording], alike: float = math.inf) -> list[list[int]]:
     """Numbers of the recordings that are one batch: of the same dimensions, and at most twice as long as the shortest.
 
-    A batch is also bounded in all, so that its memory is.
+    A batch is also bounded in all, so that its memory is: those that are alike are divided in order of length into an
+    even number of batches of as many fixes, for two processes or more.  That depends on nothing but the recordings, as
+    tracks of one batch may share values.
 
     Args:
         recordings: of any length.
         alike: fixes from which on recordings are alike, as they are divided into rows of about that length.
     """
     together: list[list[int]] = []
-    count = 0
     for i in sorted(range(len(recordings)), key=lambda i: recordings[i].position.shape[::-1]):
         length, d = recordings[i].position.shape
         first = recordings[together[-1][0]].position.shape if together else (0, 0)
-        count += length
-        if d != first[1] or min(length, alike) > 2 * first[0] + _SHORT or count > _MOST_FIXES:
+        if d != first[1] or min(length, alike) > 2 * first[0] + _SHORT:
             together.append([])
-            count = length
         together[-1].append(i)
-    return together
+    return [some for group in together for some in _divided(group, [len(recordings[i].time) for i in group])]
+
+
+def _divided(group: Sequence[int], lengths: Sequence[int]) -> list[list[int]]:
+    """A group in order, in shares of about as many fixes; none is empty."""
+    middle, total = np.cumsum(lengths) - np.asarray(lengths) / 2, sum(lengths)
+    count = 1 if total <= _ALONE else 2 * max(1, round(total / _PAIR))
+    share = (middle * count / total).astype(int)
+    return [some.tolist() for some in np.split(group, np.flatnonzero(np.diff(share)) + 1)]
 
 
 def _std(recording: Recording) -> Array:

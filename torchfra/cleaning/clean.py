@@ -63,6 +63,7 @@ def clean(
     dt: float | None = None,
     repair: bool = True,
     compile: bool = False,
+    jobs: int = 1,
     max_bytes: int = MAX_BYTES,
     **words: Any,
 ) -> Any:
@@ -83,6 +84,8 @@ def clean(
         repair: whether fixes whose time stamps are off are first put in place, where tracks show it: see
             ``cleaning.clean_tracks``.
         compile: whether to run compiled, which pays for long tracks; needs the extra ``compiler``.
+        jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
+            each; with more than 1 a script needs ``if __name__ == "__main__":``.
         max_bytes: of text that a file may hold.
         words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
             ``readers.ReadOptions``.
@@ -98,9 +101,10 @@ def clean(
         ValueError: the data cannot be understood, or a value is out of its range.
         ImportError: what reads a file is not installed.
         CompileError: (a ``RuntimeError``) with ``compile``, if llvmlite is not installed.
+        ChildProcessError: a process was killed, for example when memory ran out.
     """
     settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
-                                "repair": repair, "compile": compile}  # fmt: skip
+                                "repair": repair, "compile": compile, "jobs": jobs}  # fmt: skip
     if isinstance(data, str | Path):
         return clean_tracks(read(data, max_bytes=max_bytes, **words), **settings)
     if _is_frame(data):

@@ -24,7 +24,7 @@ from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
-from torchfra.running.jobs import one_thread
+from torchfra.running.jobs import finished, one_thread
 from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
@@ -35,6 +35,8 @@ _SURER = 0.75
 """Share of the standard deviation of a fix above which its estimate is hardly surer: others tell little of it."""
 _OPEN = 0.5
 """Share of sigma below which one that is not ruled out makes sigma unsure."""
+_WORTHWHILE = 20_000
+"""Fixes of a process: it takes as long to start as to clean some thousands."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
 """What a track may do to its own work; all else is a mistake of the program and is raised."""
 
@@ -51,6 +53,7 @@ def clean_tracks(
     repair: bool = True,
     compile: bool = False,
     fallback: Fallback | None = None,
+    jobs: int = 1,
 ) -> list[Cleaned]:
     """Recorded tracks, cleaned.
 
@@ -72,6 +75,8 @@ def clean_tracks(
             path to where the target was: where tracks show it, and not for a filter on line.
         compile: whether filters of the catalogue run compiled (``Filter.compile``); needs the extra ``compiler``.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
+        jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
+            each.  Results are the same to the last bit.
 
     Returns:
         One for each recording, in their order.  A track that fails has estimates that are NaN, and says why.
@@ -79,36 +84,51 @@ def clean_tracks(
     Raises:
         ValueError: an unknown filter or bank, one that targets are far too fast for, or a value out of its range.
         CompileError: the filter cannot be compiled, and there is no ``fallback``.
+        ChildProcessError: a process was killed, for example when memory ran out.
     """
     check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
+    if jobs < 1:
+        raise ValueError(f"jobs: expected 1 or more, received {jobs}")
     if isinstance(bank, str):
         check_speeds(recordings, bank)
-    measured = [_as_measured(recording) for recording in recordings]
-    moved: dict[int, tuple[Recording, Array]] = {}
-    cut: list[int] = []
-    if repair and smooth:
-        moved, cut = _stamps(measured, bank)
-    placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
+    default = _is_default(filter, bank)
     work = partial(
-        _clean_batch, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt, compile=compile,
-        fallback=fallback,
+        _clean_group, repair=repair and smooth, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt,
+        compile=compile, fallback=None if default else fallback,
     )  # fmt: skip
-    coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
+    several = groups(recordings, ROW if default else math.inf)[::-1]  # the longest tracks first
+    fixes = sum(len(recording.time) for recording in recordings)
+    jobs = min(jobs, len(several), fixes // _WORTHWHILE) if default else 1
     done: dict[int, Cleaned] = {}
-    for group in groups(placed, ROW if _is_default(filter, bank) else math.inf):
-        batch = [placed[i] for i in group]
-        try:
-            done |= zip(
-                group, work(batch, coarse=[coarse[i] for i in group], moved=[i in moved for i in group]), strict=True
-            )
-        except FAILURES:  # of one of them; the others shall not pay for it
-            for i in group:
-                done[i] = _alone(placed[i], partial(work, coarse=[coarse[i]], moved=[i in moved]), filter, smooth)
+    for number, results in finished(work, [([recordings[i] for i in group],) for group in several], max(jobs, 1)):
+        done |= zip(several[number], results, strict=True)
+    return [replace(done[i], recording=recording) for i, recording in enumerate(recordings)]
+
+
+def _clean_group(
+    recordings: Sequence[Recording], *, repair: bool, name: str, bank: str | Bank | None, settings: Settings,
+    dt: float | None, compile: bool, fallback: Fallback | None,
+) -> list[Cleaned]:  # fmt: skip
+    """Recordings that are one batch, cleaned by the arguments of ``_clean_batch``; with ``repair`` of their stamps."""
+    measured = [_as_measured(recording) for recording in recordings]
+    moved, cut = _stamps(measured, bank) if repair else ({}, [])
+    placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
+    coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
+    work = partial(
+        _clean_batch, name=name, bank=bank, settings=settings, dt=dt, compile=compile, fallback=fallback
+    )  # fmt: skip
+    try:
+        done = work(placed, coarse=coarse, moved=[i in moved for i in range(len(placed))])
+    except FAILURES:  # of one of them; the others shall not pay for it
+        done = [
+            _alone(one, partial(work, coarse=[coarse[i]], moved=[i in moved]), name, settings.smooth)
+            for i, one in enumerate(placed)
+        ]
     for i, (_, variance) in moved.items():
         done[i] = as_recorded(done[i], measured[i], variance)
     for i in cut:
         done[i] = earlier(done[i])
-    return [replace(done[i], recording=recording) for i, recording in enumerate(recordings)]
+    return done
 
 
 def _stamps(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
 from torchfra.cli import page
 from torchfra.cli import plan as plans
-from torchfra.cli.command import Failures, add_output_options, check_files
+from torchfra.cli.command import Failures, add_output_options, check_files, check_least
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.reading_options import add_bound_option, add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers import Recording
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
+from torchfra.running.jobs import add_jobs_option, cores, prepare
 from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 
@@ -47,6 +49,9 @@ covariance."""
 WORTHWHILE = 5_000
 """Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
 
+_LARGE = 1_000_000
+"""Bytes of a file from which on it may have work for several processes."""
+
 
 def add_to(command: argparse.ArgumentParser) -> None:
     """Adds what the command is about, its options and its work to its parser."""
@@ -71,6 +76,8 @@ def add_to(command: argparse.ArgumentParser) -> None:
     cleaning("--filter", default=DEFAULT, metavar="NAME",
              help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")  # fmt: skip
     add_reading_options(command.add_argument_group("reading").add_argument)
+    add_jobs_option(command, None, "the most processes that share the work, where there are 20,000 fixes or more for "
+                    "each (default: as many as processors)")  # fmt: skip
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
     add_output_options(command)
@@ -82,6 +89,7 @@ def run(options: argparse.Namespace) -> None:
     if distributed.rank():
         return
     others = {"json": options.json, "html": options.html}
+    check_least(options, jobs=1)
     plans.ending_of(options.out, options.format)
     if options.html is not None:
         page.check_script()
@@ -91,10 +99,16 @@ def run(options: argparse.Namespace) -> None:
         others["share-script"] = page.script_beside(options.html)
     check_files(others, [options.file])
     check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
+    options.jobs = options.jobs or cores()
+    large = options.file.is_file() and options.file.stat().st_size > _LARGE
+    if options.jobs > 1 and options.filter == DEFAULT and large:
+        prepare("torchfra.cleaning.core")
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
     check_files(others | {f"out, {path.name}": path for path in files.paths()}, [options.file])
+    if files.pictures or files.overview is not None:
+        import_module("torchfra.plotting")  # with matplotlib it takes long, as processes do to start: at the same time
     tell, _ = reporters(options.compile, options.quiet)
     for said in dict.fromkeys(said for recording in recordings for said in recording.source.notes):
         tell(printable(said))
@@ -126,7 +140,7 @@ def _cleaned(
     results = clean_tracks(
         recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
         smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
-        repair=not options.no_repair,
+        repair=not options.no_repair, jobs=options.jobs,
     )  # fmt: skip
     done = {}
     for cleaned in results:
@@ -173,7 +187,7 @@ def _draw(
 ) -> None:
     """The pictures and the page."""
     if files.pictures or files.overview is not None:
-        from torchfra import plotting  # matplotlib takes long to import
+        from torchfra import plotting  # matplotlib takes long to import, and not all need it
 
         for recording, path in progress_bar(files.pictures.items(), "picture", not options.quiet):
             if (cleaned := results.get(recording)) is not None:

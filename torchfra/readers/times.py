@@ -68,6 +68,10 @@ _USUAL = re.compile(
 )
 """Lines of ISO text in UTC, or empty."""
 _CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:[.,][0-9]{1,6})?(?P<half> ?[AaPp][Mm])?")
+_DAY_AND_CLOCK = {"%Y-%m-%dT%H:%M:": "T", "%Y-%m-%d %H:%M:": " "}
+"""Forms, up to seconds, that numpy writes ten times as fast as ``strftime``; and what is between day and clock."""
+_FOUR_DIGITS = 3 * 10**16
+"""Microseconds to 1970 of years that have four digits."""
 _COMMA, _PART = re.compile("(?<=:[0-9]{2}),(?=[0-9])"), re.compile("(?<=%S)[.,]%f")
 """Before parts of a second, of a time and of its form."""
 _ZONED = re.compile(r"(?P<bare>.*[0-9](?: ?[AaPp][Mm])?)(?P<gap> ?)(?P<zone>[A-Z]{1,5}|[A-Z][a-z]+/[A-Za-z_/]+)")
@@ -297,6 +301,11 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
     digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
     form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" else _PART.sub("", form)
     (head, second, tail), ahead = form.partition("%S"), _ahead(form)
+    if head in _DAY_AND_CLOCK and "%" not in tail and np.abs(micro).max(initial=0) < _FOUR_DIGITS:
+        unit = {0: "s", 3: "ms", 6: "us"}[digits]
+        moments = (micro + ahead // timedelta(microseconds=1)).astype("datetime64[us]").astype(f"datetime64[{unit}]")
+        parts = moments.astype(str).tolist()
+        return [part.replace("T", _DAY_AND_CLOCK[head]) + tail for part in parts]
     texts = []
     for value in micro.tolist():
         moment = _EPOCH + timedelta(microseconds=value) + ahead
