@@ -343,8 +343,10 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
     monkeypatch.setattr(Descent, "advance", advance)
     with pytest.raises(ValueError, match="holds a fit already"):
         torchfra.fit(start(), z, checkpoint=path, **options)
-    with pytest.raises(ValueError, match="resume: expected the data and settings"):
+    with pytest.raises(ValueError, match=r"resume: expected the settings of .*fit\.pt, these differ: lr$"):
         torchfra.fit(start(), z, checkpoint=path, resume=True, **options | {"lr": 0.2})
+    with pytest.raises(ValueError, match=r"these differ: data$"):
+        torchfra.fit(start(), {**z, "z": z["z"] + 1.0}, checkpoint=path, resume=True, **options)
     resumed = torchfra.fit(start(), z, checkpoint=path, resume=True, **options)
     assert resumed.learned == unbroken.learned
     assert resumed.rows == unbroken.rows

@@ -147,8 +147,8 @@ class Regrets(Training):
         return best, errors[best]
 
     @torch.no_grad()
-    def generation(self) -> tuple[Tensor, dict[str, float]]:
-        """An iteration: the best losses ``(tasks,)`` of a candidate, and further columns of the log."""
+    def iterate(self, iteration: int) -> tuple[Tensor, dict[str, float]]:
+        """A generation of the search: the best losses ``(tasks,)`` of a candidate, and further columns of the log."""
         search, losses = cast(Evolution, self.optimiser), []
         for candidate in search.ask():
             self._take(candidate)
@@ -160,9 +160,9 @@ class Regrets(Training):
         return best, {"median": float(totals.median()), "step": search.step, "left out": 0}
 
     @torch.no_grad()
-    def validation(self) -> float:
+    def validation(self) -> Tensor:
         """The weighted loss on tracks that are never trained on."""
-        return float(self.task_weights @ self.losses_of(self.unseen))
+        return self.task_weights @ self.losses_of(self.unseen)
 
     def losses_of(self, cases: Cases) -> Tensor:
         """``(tasks,)`` losses; 0 of tasks that do not count."""

@@ -1,9 +1,10 @@
-"""The filter of a run, its losses, and the state of training."""
+"""The filter of a run, its losses, and the gradient of each track."""
 
 from __future__ import annotations
 
 import copy
 import math
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,16 +15,17 @@ from torchfra import losses
 from torchfra.catalogue import FILTERS, scenario_filter
 from torchfra.filters import Filter
 from torchfra.filters.soft import Soft
-from torchfra.hyper import named, natural_values, one_of
+from torchfra.fitting.descent import falling, follow, means, summands
+from torchfra.hyper import hypers, named, natural_values, one_of
 from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
-from train.batches import Batch, task_scenario
+from train.batches import Batch, simulate, task_scenario
 from train.config import Config
 
 
 class Training:
-    """A filter with its optimiser, the tracks it learns from, and the progress so far.
+    """A filter with its optimiser, and the tracks it learns from: a ``Learner`` of ``torchfra.fitting.descent``.
 
     Raises:
         ValueError: settings that do not fit each other, or fewer tracks than processes.
@@ -39,12 +41,6 @@ class Training:
         self.optimiser: Any = torch.optim.Adam(self.parameters.values(), lr=config.lr)
         weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64, device=config.device)
         self.task_weights = weights / weights.sum()
-        self.iteration, self.stopped = 0, False
-        self.rows: list[dict[str, float]] = []
-        """Rows of the log, one for each iteration."""
-        self.best: dict[str, Any] = {}
-        """Score, iteration and state_dict of the best validation."""
-        self.keep(math.inf)
 
     def make(self) -> nn.Module:
         """The module whose parameters learn."""
@@ -82,15 +78,71 @@ class Training:
         loss = _loss(self.config, counted, target[..., skip:, :], states)
         return loss.flatten(1).mean(-1) if loss.dim() > 1 else loss
 
-    def learned_values(self) -> dict[str, float]:
-        """The values that learn or are searched, in natural units."""
+    def step(self, iteration: int) -> dict[str, float]:
+        """Changes the values once; what the log has of it."""
+        begun = time.perf_counter()
+        losses, columns = self.iterate(iteration)
+        row = {"loss": float(self.task_weights @ losses)}
+        if len(losses) > 1:
+            row |= {f"loss {i + 1}": value for i, value in enumerate(losses.tolist())}
+        return row | columns | {"seconds": time.perf_counter() - begun}
+
+    def iterate(self, iteration: int) -> tuple[Tensor, dict[str, float]]:
+        """Changes the values once; the losses ``(tasks,)`` and further columns of the log."""
+        # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
+        c, progress = self.config, iteration / self.config.iterations
+        batch = simulate(self.scenarios, first=iteration * c.batch, runs=c.batch, seed=c.seed, device=c.device)
+        temperature = c.temperature and c.temperature * (c.cold / c.temperature) ** progress
+        losses, gradients, left_out = self.task_means(batch, temperature)
+        gradient, rate = self.task_weights @ gradients, falling(c.lr, progress)
+        follow(self.optimiser, gradient, rate)
+        return losses, {
+            "gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature
+        }  # fmt: skip
+
+    def task_means(self, batch: Batch, temperature: float) -> tuple[Tensor, Tensor, int]:
+        """The mean loss ``(tasks,)`` and mean clipped gradient ``(tasks, P)`` of each task, over all processes.
+
+        Tracks whose loss or gradient is NaN or infinite do not count; their number is the third that is returned.
+        """
+        table = summands(*self.track_gradients(batch, temperature), self.config.clip)
+        count = len(self.scenarios)
+        sums = table.new_zeros(count, table.shape[1]).index_add(0, batch.task, table)
+        losses, gradients, used = means(sums)
+        return losses, gradients, count * self.config.batch - used
+
+    def track_gradients(self, batch: Batch, temperature: float) -> tuple[Tensor, Tensor]:
+        """The loss of each track, ``(B,)``, and its gradient with respect to the parameters, ``(B, P)``."""
+        # Every track gets its own copy of the hyperparameters, all with the same values.  The gradient of the sum of
+        # all losses with respect to one copy is then the gradient of that track alone.  So one backward pass gives the
+        # gradients of all tracks, which can be clipped one by one, and NaN from a track that diverged stays with it.
+        count = len(batch.task)
+        copies = {name: self._copies(name, count) for name in self.parameters}
+        losses = self.losses(copies, batch, temperature)
+        gradients = torch.autograd.grad(losses.sum(), list(copies.values()), allow_unused=True, materialize_grads=True)
+        return losses.detach(), torch.cat([gradient.reshape(count, -1) for gradient in gradients], 1)
+
+    def _copies(self, name: str, count: int) -> Tensor:
+        """A parameter for each track; in scans for each scene, whose targets share it unless they have one each."""
+        value = self.parameters[name].detach()
+        each = hypers(self.filter)[name.removesuffix(".raw")].batch_rank
+        batch = (count, 1) if FILTERS[self.config.filter].scans and not each else (count,)
+        return value.expand(*batch, *value.shape).clone().requires_grad_()
+
+    @torch.no_grad()
+    def validation(self) -> Tensor:
+        """The weighted loss on tracks that are never trained on, with hard decisions; infinite if one is NaN."""
+        c = self.config
+        batch = simulate(self.held_out, first=0, runs=c.validation_runs, seed=c.validation_seed, device=c.device)
+        # A teacher that decides softly is compared with a filter that does so too.
+        losses = self.losses({}, batch, c.temperature if c.loss == "teacher" else 0.0).nan_to_num(nan=math.inf)
+        sums = losses.new_zeros(len(self.held_out)).index_add(0, batch.task, losses)
+        return self.task_weights @ distributed.summed(sums) / c.validation_runs
+
+    def natural(self, start: int = 0) -> dict[str, float]:
+        """The values that learn or are searched, in natural units; there is one start."""
         paths = {name.removesuffix(".raw") for name in self.parameters} | set(named(self.filter, self.config.search))
         return {path: value for path, value in natural_values(self.filter).items() if path.partition("[")[0] in paths}
-
-    def keep(self, score: float) -> None:
-        """Makes the present values the best so far."""
-        state = copy.deepcopy(self.filter.state_dict())
-        self.best = {"score": score, "iteration": self.iteration, "filter": state}
 
 
 def _check(config: Config, scenarios: list[Scenario]) -> None:
