@@ -1,4 +1,4 @@
-"""The filter of a run, its losses, and the gradient of each track."""
+"""The filter of a run, its losses, its iterations and validation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from torchfra import losses
 from torchfra.catalogue import FILTERS, scenario_filter
 from torchfra.filters import Filter
 from torchfra.filters.soft import Soft
+from torchfra.fitting.data import Batch
 from torchfra.fitting.descent import falling, follow, means, summands
-from torchfra.hyper import hypers, named, natural_values, one_of
+from torchfra.fitting.objective import LossFunction, Objective
+from torchfra.fitting.vector import Vector
+from torchfra.hyper import named, natural_values, one_of
 from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
-from train.batches import Batch, simulate, task_scenario
+from train.batches import simulate, task_scenario
 from train.config import Config
 
 
@@ -39,7 +42,7 @@ class Training:
         self.filter = self.make()
         self.parameters = dict(self.filter.named_parameters())
         self.optimiser: Any = torch.optim.Adam(self.parameters.values(), lr=config.lr)
-        weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64, device=config.device)
+        weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64)
         self.task_weights = weights / weights.sum()
 
     def make(self) -> nn.Module:
@@ -50,33 +53,8 @@ class Training:
         check_candidates(f, config)
         if config.loss == "teacher":
             self.teacher = make_filter(config, first, config.teacher, learn=False)
+        self.objective = _objective(config, f, self.teacher, first)
         return f
-
-    def losses(self, values: Mapping[str, Tensor], batch: Batch, temperature: float) -> Tensor:
-        """``(B,)`` loss of each track; of several targets in scans their mean.
-
-        Args:
-            values: parameters to use instead of the filter's, by name, each with or without a batch of tracks.
-            batch: of tracks.
-            temperature: of the filter's decisions, 0 for hard ones.
-        """
-        options: dict[str, Any] = {"u": batch.u, "dt": batch.dt, "truncate": self.config.truncate or None}
-        set_temperature(self.filter, temperature)
-        estimate = torch.func.functional_call(self.filter, dict(values), (batch.z, batch.prior), options)
-        skip = self.config.skip
-        mean, root, nis, log_likelihood, *_ = estimate
-        mean, root = mean[..., skip:, :], root[..., skip:, :, :]
-        counted = Estimate(mean, root, nis[..., skip:], log_likelihood[..., skip:], None)
-        if self.teacher is None:
-            target, states = batch.truth, self.scenarios[0].truth_position
-            counted = self.scenarios[0].cartesian(counted)
-        else:  # both estimates are in the coordinates of the motion
-            set_temperature(self.teacher, temperature)
-            states = self.teacher.motion.position
-            with torch.no_grad():
-                target = self.teacher(batch.z, batch.prior, **options).mean
-        loss = _loss(self.config, counted, target[..., skip:, :], states)
-        return loss.flatten(1).mean(-1) if loss.dim() > 1 else loss
 
     def step(self, iteration: int) -> dict[str, float]:
         """Changes the values once; what the log has of it."""
@@ -93,51 +71,43 @@ class Training:
         c, progress = self.config, iteration / self.config.iterations
         batch = simulate(self.scenarios, first=iteration * c.batch, runs=c.batch, seed=c.seed, device=c.device)
         temperature = c.temperature and c.temperature * (c.cold / c.temperature) ** progress
-        losses, gradients, left_out = self.task_means(batch, temperature)
+        self.decide(temperature)
+        losses, gradients, left_out = self.task_means(batch)
         gradient, rate = self.task_weights @ gradients, falling(c.lr, progress)
         follow(self.optimiser, gradient, rate)
         return losses, {
             "gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature
         }  # fmt: skip
 
-    def task_means(self, batch: Batch, temperature: float) -> tuple[Tensor, Tensor, int]:
+    def task_means(self, batch: Batch) -> tuple[Tensor, Tensor, int]:
         """The mean loss ``(tasks,)`` and mean clipped gradient ``(tasks, P)`` of each task, over all processes.
 
         Tracks whose loss or gradient is NaN or infinite do not count; their number is the third that is returned.
         """
-        table = summands(*self.track_gradients(batch, temperature), self.config.clip)
-        count = len(self.scenarios)
-        sums = table.new_zeros(count, table.shape[1]).index_add(0, batch.task, table)
-        losses, gradients, used = means(sums)
-        return losses, gradients, count * self.config.batch - used
+        each, gradient = self.objective.gradients(self.objective.vector.raw()[None, None], batch)
+        losses, gradients, used = means(self._by_task(summands(each[0], gradient[0], self.config.clip)))
+        return losses, gradients, len(self.scenarios) * self.config.batch - used
 
-    def track_gradients(self, batch: Batch, temperature: float) -> tuple[Tensor, Tensor]:
-        """The loss of each track, ``(B,)``, and its gradient with respect to the parameters, ``(B, P)``."""
-        # Every track gets its own copy of the hyperparameters, all with the same values.  The gradient of the sum of
-        # all losses with respect to one copy is then the gradient of that track alone.  So one backward pass gives the
-        # gradients of all tracks, which can be clipped one by one, and NaN from a track that diverged stays with it.
-        count = len(batch.task)
-        copies = {name: self._copies(name, count) for name in self.parameters}
-        losses = self.losses(copies, batch, temperature)
-        gradients = torch.autograd.grad(losses.sum(), list(copies.values()), allow_unused=True, materialize_grads=True)
-        return losses.detach(), torch.cat([gradient.reshape(count, -1) for gradient in gradients], 1)
-
-    def _copies(self, name: str, count: int) -> Tensor:
-        """A parameter for each track; in scans for each scene, whose targets share it unless they have one each."""
-        value = self.parameters[name].detach()
-        each = hypers(self.filter)[name.removesuffix(".raw")].batch_rank
-        batch = (count, 1) if FILTERS[self.config.filter].scans and not each else (count,)
-        return value.expand(*batch, *value.shape).clone().requires_grad_()
-
-    @torch.no_grad()
     def validation(self) -> Tensor:
         """The weighted loss on tracks that are never trained on, with hard decisions; infinite if one is NaN."""
         c = self.config
         batch = simulate(self.held_out, first=0, runs=c.validation_runs, seed=c.validation_seed, device=c.device)
         # A teacher that decides softly is compared with a filter that does so too.
-        losses = self.losses({}, batch, c.temperature if c.loss == "teacher" else 0.0).nan_to_num(nan=math.inf)
-        sums = losses.new_zeros(len(self.held_out)).index_add(0, batch.task, losses)
-        return self.task_weights @ distributed.summed(sums) / c.validation_runs
+        self.decide(c.temperature if c.loss == "teacher" else 0.0)
+        losses = self.objective.of_filter(self.objective.filter, batch).nan_to_num(nan=math.inf)
+        return self.task_weights @ distributed.summed(self._by_task(losses)) / c.validation_runs
+
+    def _by_task(self, x: Tensor) -> Tensor:
+        """Sums ``(tasks, ...)`` of ``x (N, ...)`` over the tracks of each task."""
+        count = len(self.scenarios)
+        task = torch.arange(count).repeat_interleave(len(x) // count)
+        return x.new_zeros(count, *x.shape[1:]).index_add(0, task, x)
+
+    def decide(self, temperature: float) -> None:
+        """Makes the decisions of the filter and of its teacher soft, or hard at 0."""
+        set_temperature(self.filter, temperature)
+        if self.teacher is not None:
+            set_temperature(self.teacher, temperature)
 
     def natural(self, start: int = 0) -> dict[str, float]:
         """The values that learn or are searched, in natural units; there is one start."""
@@ -152,15 +122,25 @@ def _check(config: Config, scenarios: list[Scenario]) -> None:
         raise ValueError(f"batch, validation_runs: expected at least {distributed.size()}, one for each process")
 
 
-def _loss(config: Config, estimate: Estimate, target: Tensor, states: slice) -> Tensor:
-    """The loss of a run, ``(...)`` over tracks."""
-    if config.loss == "innovation":
-        return losses.innovation_nll(estimate)
-    if config.loss == "nll":
-        return losses.nll(estimate, target, states)
-    if config.loss == "mse":
-        return losses.mse(estimate.mean, target, states)
-    return losses.robust_mse(estimate.mean, target, states, config.scale)  # "robust", "teacher"
+def _objective(config: Config, f: Filter, teacher: Filter | None, scenario: Scenario) -> Objective:
+    """The loss of each track of a run, and its gradient."""
+
+    def innovation(estimate: Estimate, batch: Batch) -> Tensor:
+        loss = losses.innovation_nll(estimate)
+        return loss.mean(-1) if f.scans else loss  # over the targets of a scene
+
+    def taught(estimate: Estimate, batch: Batch) -> Tensor:
+        assert teacher is not None
+        with torch.no_grad():
+            target = teacher(batch.z, batch.belief(teacher), u=batch.u, dt=batch.dt).mean[..., config.skip :, :]
+        return losses.robust_mse(estimate.mean, target, teacher.motion.position, config.scale)
+
+    own: dict[str, LossFunction] = {"innovation": innovation, "teacher": taught}
+    convert = scenario.cartesian if teacher is None else None  # a teacher is in the coordinates of the motion
+    return Objective(
+        f, Vector(f), own.get(config.loss, config.loss), scale=config.scale, states=scenario.truth_position,
+        skip=config.skip, convert=convert, truncate=config.truncate or None,
+    )  # fmt: skip
 
 
 def make_filter(config: Config, scenario: Scenario, values: Mapping[str, float], *, learn: bool) -> Filter:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -36,7 +35,7 @@ class Learner(Protocol):
         ...
 
     def validation(self) -> Tensor:
-        """Losses ``()`` or ``(R,)`` of the values on tracks that are not learned from."""
+        """Losses ``()`` or ``(R,)``, on the CPU, of the values on tracks that are not learned from."""
         ...
 
     def natural(self, start: int) -> dict[str, float]:
@@ -50,7 +49,7 @@ class Descent:
     Args:
         learner: what learns.
         values: the module whose state the learner changes; of R starts each tensor is ``(R, ...)``.
-        scores: losses ``()`` or ``(R,)`` at the start, which validation has to improve on.
+        scores: losses ``()`` or ``(R,)`` at the start, on the CPU, which validation has to improve on.
         settings: all that identifies the descent; ``iterations``, ``validate_every`` (iterations between validations)
             and ``patience`` (validations without improvement after which it stops) among them.
     """
@@ -62,8 +61,8 @@ class Descent:
         )
         self.iteration, self.improved = 0, 0
         """Iterations that are done, and how many were when a validation last improved."""
-        self.best, self.scores = copy.deepcopy(values.state_dict()), scores
-        """The state of ``values`` at each start's best validation, and its loss."""
+        self.best, self.scores = self._state(), scores
+        """The state of ``values`` at each start's best validation, and its loss; both on the CPU."""
         self.rows: list[dict[str, float]] = []
         """Rows of the learning curve, one for each iteration."""
 
@@ -110,15 +109,17 @@ class Descent:
         """Keeps the values of the starts for which these losses are the least so far; whether there are any."""
         better = scores < self.scores
         self.scores = torch.where(better, scores, self.scores)
-        for name, x in self.values.state_dict().items():
-            self.best[name] = torch.where(
-                better.reshape(better.shape + (1,) * (x.dim() - better.dim())), x, self.best[name]
-            )
+        for name, x in self._state().items():
+            which = better.reshape(better.shape + (1,) * (x.dim() - better.dim()))
+            self.best[name] = torch.where(which, x, self.best[name])
         return bool(better.any())
+
+    def _state(self) -> dict[str, Tensor]:
+        return {name: x.detach().to("cpu", copy=True) for name, x in self.values.state_dict().items()}
 
     def save(self, path: Path) -> None:
         """Writes a checkpoint; the one before stays: see ``checkpoints.save``."""
-        state = {"settings": self.settings, "iteration": self.iteration, "values": self.values.state_dict(),
+        state = {"settings": self.settings, "iteration": self.iteration, "values": self._state(),
                  "optimiser": self.learner.optimiser.state_dict(), "best": self.best, "scores": self.scores,
                  "improved": self.improved, "rows": self.rows}  # fmt: skip
         checkpoints.save(state, path)
@@ -134,7 +135,7 @@ class Descent:
             OtherSettingsError: it has other settings.
             ValueError: it is damaged, or something else.
         """
-        state = state_files.read(path, str(self.scores.device))
+        state = state_files.read(path)
         if not isinstance(state, dict) or not all(isinstance(state.get(name), kind) for name, kind in KINDS.items()):
             raise ValueError(f"expected {', '.join(KINDS)}, received something else")
         settings, rows = state["settings"], state["rows"]
@@ -197,7 +198,7 @@ def follow(optimiser: torch.optim.Optimizer, gradient: Tensor, rate: float) -> N
     (group,) = optimiser.param_groups
     parts = gradient.flatten().split([parameter.numel() for parameter in group["params"]])
     for parameter, part in zip(group["params"], parts, strict=True):
-        parameter.grad = part.reshape(parameter.shape).clone()
+        parameter.grad = part.reshape(parameter.shape).to(parameter, copy=True)
     group["lr"] = rate
     optimiser.step()
 

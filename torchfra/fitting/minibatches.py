@@ -13,7 +13,7 @@ from torchfra.fitting.descent import falling, follow, means, summands
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
 from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
-from torchfra.numbers import is_integer
+from torchfra.numbers import is_integer, positive
 from torchfra.running import distributed
 
 
@@ -43,16 +43,14 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positive = dict.fromkeys(("batch", "validate_every", "patience", "restarts", "runs"), 1)
-        for name, least in {**positive, **dict.fromkeys(("iterations", "skip", "seed"), 0)}.items():
+        counts = dict.fromkeys(("batch", "validate_every", "patience", "restarts", "runs"), 1)
+        for name, least in {**counts, **dict.fromkeys(("iterations", "skip", "seed"), 0)}.items():
             value = getattr(self, name)
             if not is_integer(value, least):
                 raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
             object.__setattr__(self, name, int(value))  # torch's generators take no integers of numpy
         for name in ("lr", "clip", "spread"):
-            value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise ValueError(f"{name}: expected a number above 0, received {value!r}")
+            positive(name, getattr(self, name))
         one_of(errors=(self.errors, KINDS_OF_ERRORS))
         if not isinstance(self.held_out, float) or not 0 < self.held_out < 1:
             raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out!r}")
