@@ -246,7 +246,7 @@ def test_an_error_of_the_particles_that_is_not_finite_shows_in_the_exit_status(m
 
 @pytest.mark.usefixtures("rough_figures")
 def test_a_run_without_a_finite_validation_says_that_it_learned_nothing(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(tune, "validate", lambda training: float("inf"))
+    monkeypatch.setattr(tune.Training, "validation", lambda training: torch.tensor(torch.inf).double())
     small = ["iterations=1", "batch=2", "validation_runs=2", "compile=false", "--quiet"]
     assert tune.main(["noise", *small, "--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err == (
