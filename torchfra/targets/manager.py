@@ -25,10 +25,9 @@ from torchfra.targets.detections import check_linkage, linked
 from torchfra.targets.late import Passed, kept, put_in
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import place, positions
-from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
-from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
+from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, collect, joined, rows
 from torchfra.targets.stitching import Parts, Stitching, lost
 from torchfra.targets.triangulation import Lines, Triangulation, check_triangulation, sights
 from torchfra.targets.views import FieldOfView, check_place, check_views
