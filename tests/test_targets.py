@@ -1,7 +1,7 @@
 """Targets come and go in streams and batches, around any filter of scans; clusters change nothing."""
 
-import importlib
 import math
+import sys
 
 import pytest
 import torch
@@ -397,15 +397,9 @@ def test_seconds_keep_their_precision():
 
 
 def test_without_scipy_it_is_said_what_to_install(monkeypatch):
-    real = importlib.import_module
-
-    def without(name, *rest):
-        if name.startswith("scipy"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr("torchfra.targets.assignment.import_module", without)
-    with pytest.raises(ImportError, match=r"pip install torchfra\[assignment\]"):
+    for part in ("optimize", "sparse", "sparse.csgraph", "special"):
+        monkeypatch.setitem(sys.modules, f"scipy.{part}", None)
+    with pytest.raises(ImportError, match=r'targets needs the package scipy: pip install "torchfra\[assignment\]"'):
         run(Targets(plane()), moving(FOUR, 3)[1])
 
 
