@@ -138,11 +138,13 @@ def gains(options: argparse.Namespace) -> None:
     with failures.of("json"):
         write_results(options.json, {**head, "cells": results})
     if options.plot is not None:
-        from torchfra import plotting  # matplotlib takes long to import
+        from regrets.figures import bands  # matplotlib takes long to import
+
+        from torchfra import plotting
 
         runs = smoothed.one_run(filters[names[-1]], scenario, options.seed)
         with failures.of("plot"):
-            plotting.save(plotting.bands(runs, scenario.dt, "error, m", f"{names[-1]}, {name}"), options.plot)
+            plotting.save(bands(runs, scenario.dt, "error, m", f"{names[-1]}, {name}"), options.plot)
     failures.end()
 
 
@@ -201,11 +203,13 @@ def write(
     with failures.of("json"):
         write_results(options.json, {**head, "summary": of, "cells": results})
     if options.figure is not None:
-        from torchfra import plotting  # matplotlib takes long to import
+        from regrets.figures import ratios  # matplotlib takes long to import
+
+        from torchfra import plotting
 
         title = f"{options.runs} runs, seed {options.seed}"
         with failures.of("figure"):
-            plotting.save(plotting.ratios(panels(results, compared), list(results), title), options.figure)
+            plotting.save(ratios(panels(results, compared), list(results), title), options.figure)
     failures.messages += not_finite(results)
     failures.end()
 

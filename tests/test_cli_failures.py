@@ -16,6 +16,8 @@ import particles
 import pytest
 import reproduce
 import torch
+from papers import figures
+from regrets.figures import ratios
 
 from torchfra import plotting
 from torchfra.cleaning import clean_tracks
@@ -74,11 +76,11 @@ def test_strange_names_are_harmless(tmp_path, capsys):
 
 def pictures(name):
     """Makes one picture or another, each with the name wherever it can be."""
-    yield lambda: plotting.rmse_curves({name: {"rmse_position": [1.0, 2.0]}}, "position", 1.0, name)
-    yield lambda: plotting.ratios({name: ([name], [[1.5]])}, [name], name)
+    yield lambda: figures.rmse_curves({name: {"rmse_position": [1.0, 2.0]}}, "position", 1.0, name)
+    yield lambda: ratios({name: ([name], [[1.5]])}, [name], name)
     yield lambda: plotting.learning_curve([{"iteration": 1, "loss": 1.0, name: 2.0}], {name: 1.0}, name)
     yield lambda: plotting.tracks(torch.zeros(3, 2), {name: torch.ones(3, 2)}, name)
-    yield lambda: plotting.probabilities({name: np.ones((3, 1))}, [name], 0.0, 1.0, name)
+    yield lambda: figures.probabilities({name: np.ones((3, 1))}, [name], 0.0, 1.0, name)
 
 
 @pytest.mark.slow
@@ -244,7 +246,7 @@ def test_an_error_of_the_particles_that_is_not_finite_shows_in_the_exit_status(m
 
 @pytest.mark.usefixtures("rough_figures")
 def test_a_run_without_a_finite_validation_says_that_it_learned_nothing(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(tune, "validate", lambda training: float("inf"))
+    monkeypatch.setattr(tune.Training, "validation", lambda training: torch.tensor(torch.inf).double())
     small = ["iterations=1", "batch=2", "validation_runs=2", "compile=false", "--quiet"]
     assert tune.main(["noise", *small, "--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err == (

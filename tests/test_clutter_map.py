@@ -147,7 +147,7 @@ def test_beside_a_map_scores_are_of_sensors_from_which_the_map_learns():
     [
         (lambda: ClutterMap(0.0), "size: expected a finite number above 0, received 0.0"),
         (lambda: ClutterMap(seconds=float("inf")), "seconds: expected a finite number above 0, received inf"),
-        (lambda: ClutterMap(frame="boat"), "frame: expected one of fixed, platform, received 'boat'"),
+        (lambda: ClutterMap(frame="boat"), r"frame: expected one of \('fixed', 'platform'\), received 'boat'"),
         (
             lambda: manager(clutter_map=ClutterMap(frame="platform"))(scans(0)),
             "u: expected the place of the platform, 2 numbers, as its map of clutter needs, received none",

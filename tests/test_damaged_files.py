@@ -1,5 +1,6 @@
 """A file that is damaged, or that holds something else, is refused in one line, and nothing good is lost."""
 
+import dataclasses
 import errno
 import json
 import os
@@ -12,10 +13,10 @@ import torch
 from torchfra import presets, state_files
 from torchfra.catalogue import learned_filter, make_scenario
 from torchfra.cli import main as cli
+from torchfra.fitting.descent import Descent
 from torchfra.hyper import hypers
-from torchfra.running import atomic_write
-from torchfra.running import checkpoints as library_checkpoints
-from train import checkpoints, tune
+from torchfra.running import atomic_write, checkpoints
+from train import tune
 from train.evolution import Evolution
 from train.runs import configured
 from train.training import Training
@@ -43,14 +44,15 @@ def prepare(*changes):
 
 
 def saved(out, iterations=2):
-    """A training after some iterations, each of which is saved."""
+    """A descent after some iterations, each of which is saved."""
     training = prepare()
+    descent = Descent(training, training.filter, torch.tensor(torch.inf), dataclasses.asdict(training.config))
     for iteration in range(1, iterations + 1):
-        training.iteration = iteration
+        descent.iteration = iteration
         row = {"iteration": iteration, "loss": 1.0, "left out": 0, "seconds": 0.0}
-        training.rows.append(row | training.learned_values())
-        checkpoints.save(training, out)
-    return training
+        descent.rows.append(row | training.natural())
+        tune.save(descent, out)
+    return descent
 
 
 # ---------------------------------------------------------------- one bit
@@ -79,13 +81,13 @@ def test_no_changed_bit_of_learned_values_is_loaded(tmp_path):
 
 
 def test_no_changed_bit_of_a_checkpoint_is_resumed_from(tmp_path, capsys):
-    training = saved(tmp_path, 1)
+    descent = saved(tmp_path, 1)
     path = tmp_path / "checkpoint.pt"
-    assert checkpoints.load(training, tmp_path)
+    assert descent.resume(path, "train")
     for data in flipped(path.read_bytes(), 100):
         path.write_bytes(data)
         with pytest.raises(ValueError, match=r"no checkpoint in .* can be read"):
-            checkpoints.load(training, tmp_path)
+            descent.resume(path, "train")
         assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
 
 
@@ -167,26 +169,27 @@ def test_other_content_than_values_is_refused(content, models, tmp_path):
 
 def others(good):
     """Checkpoints with other content."""
-    yield from ([], {}, 3, None, torch.zeros(3), {"config": 3}, good["filter"])
+    yield from ([], {}, 3, None, torch.zeros(3), {"settings": 3}, good["values"])
     yield from (good | {key: 3.5} for key in good)
     yield from ({key: value for key, value in good.items() if key != missing} for missing in good)
-    yield from (good | {key: {}} for key in ("best", "filter", "optimiser"))
+    yield from (good | {key: {}} for key in ("best", "values", "optimiser"))
     yield good | {"rows": [3, 4]}
     yield good | {"rows": []}
-    yield good | {"best": good["best"] | {"filter": {}}}
-    yield good | {"filter": {key: value.expand(3, *value.shape).clone() for key, value in good["filter"].items()}}
-    yield good | {"filter": {key: torch.full_like(value, torch.nan) for key, value in good["filter"].items()}}
+    yield good | {"scores": torch.zeros(3)}
+    for name in ("best", "values"):
+        yield good | {name: {key: value.expand(3, *value.shape).clone() for key, value in good[name].items()}}
+        yield good | {name: {key: torch.full_like(value, torch.nan) for key, value in good[name].items()}}
 
 
 def test_a_checkpoint_with_other_content_is_not_used_and_the_one_before_it_is(tmp_path, capsys):
-    training = saved(tmp_path)
+    descent = saved(tmp_path)
     newest = tmp_path / "checkpoint.pt"
     good = torch.load(newest, weights_only=True)
     for content in others(good):
         torch.save(content, newest)
-        training.iteration = 7
-        assert checkpoints.load(training, tmp_path)
-        assert training.iteration == len(training.rows) == 1
+        descent.iteration = 7
+        assert descent.resume(newest, "train")
+        assert descent.iteration == len(descent.rows) == 1
         assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
         assert (tmp_path / "checkpoint-damaged.pt").exists()
 
@@ -205,7 +208,7 @@ def test_a_search_does_not_continue_from_the_state_of_another():
 
 
 def test_a_full_disk_leaves_the_good_checkpoint_and_the_message_says_so(tmp_path, monkeypatch, capsys):
-    training, real, calls = saved(tmp_path), os.fsync, []
+    descent, real, calls = saved(tmp_path), os.fsync, []
     before = (tmp_path / "checkpoint.pt").read_bytes()
 
     def fsync(descriptor):
@@ -215,11 +218,11 @@ def test_a_full_disk_leaves_the_good_checkpoint_and_the_message_says_so(tmp_path
         real(descriptor)
 
     monkeypatch.setattr(atomic_write.os, "fsync", fsync)
-    training.iteration = 3
-    training.rows.append(training.rows[0])
+    descent.iteration = 3
+    descent.rows.append(descent.rows[0])
     message = r"No space left on device, the checkpoint before is as it was: '.*/checkpoint\.pt'"
     with pytest.raises(OSError, match=message):
-        checkpoints.save(training, tmp_path)
+        tune.save(descent, tmp_path)
     assert (tmp_path / "checkpoint.pt").read_bytes() == before
     assert (tmp_path / "checkpoint-previous.pt").read_bytes() == before
     assert not list(tmp_path.glob(".*"))
@@ -229,15 +232,15 @@ def test_a_full_disk_leaves_the_good_checkpoint_and_the_message_says_so(tmp_path
 
 
 def test_there_is_a_good_checkpoint_at_every_moment(tmp_path, monkeypatch):
-    training, moments = saved(tmp_path, 1), []
+    descent, moments = saved(tmp_path, 1), []
 
     def write(path, fill):
         moments.append((tmp_path / "checkpoint.pt").exists())
         return atomic_write.write(path, fill)
 
-    for module in (checkpoints, library_checkpoints):
+    for module in (tune, checkpoints):
         monkeypatch.setattr(module, "write", write)
-    checkpoints.save(training, tmp_path)
+    tune.save(descent, tmp_path)
     assert moments == [True] * 3
 
 

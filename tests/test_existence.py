@@ -195,7 +195,7 @@ def test_a_compiled_filter_leaves_the_same_targets():
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: Existence(0.0), "lifetime: expected finite seconds above 0, received 0.0"),
     (lambda: Existence(math.inf), "lifetime: expected finite seconds above 0, received inf"),
-    (lambda: Existence("x"), "lifetime: expected finite seconds above 0, received x"),
+    (lambda: Existence("x"), "lifetime: expected finite seconds above 0, received 'x'"),
     (lambda: Existence(birth=1e-3), "expected probabilities above 0 and below 1 in that order, received 0.001, 0.001"),
     (lambda: Existence(confirmed=1.0), "in that order, received 0.001, 0.1, 1.0"),
     (lambda: Targets(plane(clutter=Clutter(1e4)), confirmation=Existence()), "expected clutter of a Poisson rate"),

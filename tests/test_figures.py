@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from benchmarks.scaling import figure_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.text import Text
+from papers import figures
 from scipy.optimize import least_squares
 
 from torchfra import plotting, presets
@@ -175,7 +177,7 @@ def test_labels_are_pushed_apart_no_more_than_they_must(places, gap):
 
 
 def test_times_have_a_panel_for_each_size_of_a_job_whose_axis_is_logarithmic_where_sizes_are_far_apart():
-    figure = plotting.scaling({"batch": [(1, 9.0), (1000, 2.0)], "states": [(2, 3.0), (8, 5.0)]}, "title")
+    figure = figure_of({"batch": [(1, 9.0), (1000, 2.0)], "states": [(2, 3.0), (8, 5.0)]}, "title")
     assert [axes.get_xlabel() for axes in figure.axes] == ["batch", "states"]
     assert [axes.get_xscale() for axes in figure.axes] == ["log", "linear"]
     assert all(axes.get_yscale() == "log" for axes in figure.axes)
@@ -327,13 +329,13 @@ def plain_figures():
     curve, state = np.geomspace(1, 9, 30).tolist(), torch.rand(30, 2).double()
     rows = [{"iteration": k, "loss": 1.0, "validation": 2.0} | dict.fromkeys(NAMES, 1.0 + k) for k in (1, 2, 3)]
     errors = {"rmse_range": [curve], "rmse_azimuth": [curve], "rmse_elevation": [curve]}
-    yield plotting.rmse_curves({name: {"rmse_position": curve} for name in NAMES}, "position", 1.0, "")
-    yield plotting.against([1, 2, 3], {name: [1.0, 2.0, 3.0] for name in NAMES}, "", "", "")
-    yield plotting.innovations(dict.fromkeys(NAMES, torch.rand(30)), 9.0, 1.0, "")
-    yield plotting.by_coordinate({name: {"rmse_x": curve, "rmse_y": curve} for name in NAMES}, "rmse", 0.0, 1.0, "")
+    yield figures.rmse_curves({name: {"rmse_position": curve} for name in NAMES}, "position", 1.0, "")
+    yield figures.against([1, 2, 3], {name: [1.0, 2.0, 3.0] for name in NAMES}, "", "", "")
+    yield figures.innovations(dict.fromkeys(NAMES, torch.rand(30)), 9.0, 1.0, "")
+    yield figures.by_coordinate({name: {"rmse_x": curve, "rmse_y": curve} for name in NAMES}, "rmse", 0.0, 1.0, "")
     yield plotting.tracks(state, {name: state + i for i, name in enumerate(NAMES)}, "")
-    yield plotting.probabilities({"imm": np.full((30, 3), 1 / 3)}, NAMES, 0.0, 1.0, "")
-    yield plotting.by_target(dict.fromkeys(NAMES, errors), 1.0, "")
+    yield figures.probabilities({"imm": np.full((30, 3), 1 / 3)}, NAMES, 0.0, 1.0, "")
+    yield figures.by_target(dict.fromkeys(NAMES, errors), 1.0, "")
     yield plotting.learning_curve(rows, dict.fromkeys(NAMES, 1.0), "")
 
 
@@ -350,7 +352,7 @@ def test_names_are_beside_lines_of_colours_of_their_own_and_no_legend_covers_dat
 
 def test_an_error_far_beyond_the_others_leaves_them_room_and_its_name_at_the_edge():
     curves = {"ukf": np.full(30, 20.0), "fra": np.full(30, 30.0), "iaukf": np.geomspace(30, 1e9, 30)}
-    figure = plotting.rmse_curves({n: {"rmse_position": c.tolist()} for n, c in curves.items()}, "position", 1.0, "")
+    figure = figures.rmse_curves({n: {"rmse_position": c.tolist()} for n, c in curves.items()}, "position", 1.0, "")
     (axes,) = figure.axes
     assert axes.get_ylim()[1] < 1e5
     assert {"ukf", "fra", "iaukf"} == set(texts(axes))

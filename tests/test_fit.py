@@ -9,9 +9,12 @@ from torch.utils.data import DataLoader, TensorDataset
 
 import torchfra
 from torchfra import Gaussian, presets, scenarios
+from torchfra.catalogue import scenario_filter
 from torchfra.fitting import Sweep, sweep
 from torchfra.fitting.data import batch_of
 from torchfra.fitting.judging import judged
+from torchfra.fitting.objective import objective_of
+from torchfra.fitting.vector import Vector, copied
 from torchfra.motion import ConstantVelocity
 from torchfra.readers import Recording
 from torchfra.sensors import Bearings, Position
@@ -259,10 +262,10 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     ({"learn": None}, "learn: expected names of hyperparameters"),
     ({"held_out": 1.0}, "held_out: expected a share"),
     ({"restarts": 0}, "restarts: expected a whole number of at least 1"),
-    ({"lr": 0.0}, "lr: expected a number above 0"),
+    ({"lr": 0.0}, "lr: expected a finite number above 0"),
     ({"skip": 99}, "skip: expected less than"),
     ({"scale": -1.0, "loss": "robust", "data": {"z": torch.ones(5, 4, 2).double(), "truth": torch.ones(5, 4, 4)}},
-     "scale: expected a number above 0"),
+     "scale: expected a finite number above 0"),
     ({"errors": "guess"}, "errors: expected one of"),
     ({"data": {"z": torch.zeros(5, 4, 2).double(), "dt": torch.ones(3)}},
      r"dt: expected a shape that broadcasts to \(N, T\)"),
@@ -274,7 +277,7 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     ({"loss": lambda estimate, batch: 1.0}, "loss: expected one number for each track, .*received float"),
     ({"loss": 3}, "loss: expected one of"),
     ({"learn": 3}, "learn: expected names"),
-    ({"lr": "fast"}, "lr: expected a number above 0"),
+    ({"lr": "fast"}, "lr: expected a finite number above 0"),
     ({"iterations": True}, "iterations: expected a whole number"),
     ({"resume": True}, "checkpoint: expected the name of a file"),
 ])  # fmt: skip
@@ -288,7 +291,7 @@ def test_settings_are_checked_before_data_are_simulated():
     def simulator(seed):
         raise AssertionError("simulated")
 
-    with pytest.raises(ValueError, match="clip: expected a number above 0"):
+    with pytest.raises(ValueError, match="clip: expected a finite number above 0"):
         torchfra.fit(start(), simulator, learn=("q",), clip=-1.0)
 
 
@@ -343,8 +346,10 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
     monkeypatch.setattr(Descent, "advance", advance)
     with pytest.raises(ValueError, match="holds a fit already"):
         torchfra.fit(start(), z, checkpoint=path, **options)
-    with pytest.raises(ValueError, match="resume: expected the data and settings"):
+    with pytest.raises(ValueError, match=r"resume: expected the settings of .*fit\.pt, these differ: lr$"):
         torchfra.fit(start(), z, checkpoint=path, resume=True, **options | {"lr": 0.2})
+    with pytest.raises(ValueError, match=r"these differ: data$"):
+        torchfra.fit(start(), {**z, "z": z["z"] + 1.0}, checkpoint=path, resume=True, **options)
     resumed = torchfra.fit(start(), z, checkpoint=path, resume=True, **options)
     assert resumed.learned == unbroken.learned
     assert resumed.rows == unbroken.rows
@@ -389,6 +394,16 @@ def test_other_filters_are_compared_on_the_held_out_tracks(fitted):
     assert table.rows["start"].change.low > 0
     assert table.rows["itself"].change.value == 0
     assert "held-out" in str(table)
+
+
+@pytest.mark.parametrize("loss", ["likelihood", "mse"])
+def test_another_filter_has_one_loss_for_each_scene_of_several_targets(loss):
+    scenario = scenarios.clutter_straight(counts="poisson")
+    f = copied(scenario_filter("iaukf_jpda", scenario), ("std",))
+    tracks, vector = batch_of(f, scenario, runs=3, seed=0), Vector(f)
+    objective = objective_of(f, vector, scenario, tracks, loss, None, 0)
+    (own,) = objective.losses(vector.raw()[None, None], tracks)
+    torch.testing.assert_close(objective.of_filter(f, tracks), own)
 
 
 def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of():

@@ -119,7 +119,7 @@ CAMERA = presets.jpda(
     ("linkage", "said"),
     [
         ({"radar": 5.0}, "linkage: expected some of None, camera, received 'radar'"),
-        (5.0, "linkage: expected a dict of metres by the name of a sensor, received 5.0"),
+        (5.0, "linkage: expected a dict by the name of a sensor, received 5.0"),
         ({None: 0.0}, "linkage: expected finite metres above 0 of None, received 0.0"),
         ({None: True}, "linkage: expected finite metres above 0 of None, received True"),
         ({"camera": 5.0}, "linkage: expected a sensor that measures where a target is, received bearings"),

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import regret
 import torch
-from regrets import cells, ratios, tuning
+from regrets import cells, figures, ratios, tuning
 from short_tracks import short
 
-from torchfra import metrics, plotting, presets, scenarios
+from torchfra import metrics, presets, scenarios
 from torchfra.catalogue import filters_for, learned_filter, make_scenario
 from torchfra.evaluation import evaluate
 
@@ -307,7 +307,7 @@ def test_of_all_others_those_that_are_named_compete(tmp_path):
 
 def test_the_picture_has_every_ratio_in_its_place_and_leaves_what_is_missing_empty():
     panels = {"filtered": (["a", "b"], [[1.0, 0.87], [math.nan, 123.4]]), "lagged": (["a"], [[math.inf], [4567890.0]])}
-    figure = plotting.ratios(panels, ["first", "second"], "title")
+    figure = figures.ratios(panels, ["first", "second"], "title")
     filtered, lagged, _ = figure.axes
     written = {(text.get_position(), text.get_text()) for text in filtered.texts}
     assert written == {((0, 0), "1.00"), ((1, 0), "0.87"), ((1, 1), "123")}

@@ -169,7 +169,7 @@ def test_gradients_do_not_mind():
     [
         (lambda: Stitching(0.0, 5.0), "seconds: expected a finite number above 0, received 0.0"),
         (lambda: Stitching(5.0, math.inf), "metres: expected a finite number above 0, received inf"),
-        (lambda: Stitching(5.0, 5.0, probability=1.0), "probability: expected a number above 0 and below 1"),
+        (lambda: Stitching(5.0, 5.0, probability=1.0), "probability: expected a probability above 0 and below 1"),
         (lambda: manager(3.0), "stitching: expected a Stitching of torchfra.targets, received float"),
         (
             lambda: manager(Stitching(5.0, 5.0)).step(manager().init(), scans(ONE)[0]),

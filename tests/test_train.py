@@ -1,6 +1,7 @@
 """Training learns, survives what goes wrong, and several processes do what one does."""
 
 import csv
+import dataclasses
 import json
 import os
 import signal
@@ -12,11 +13,11 @@ from short_tracks import short
 from two_processes import forked, run_in_two
 
 import torchfra
-from torchfra import presets, scenarios
+from torchfra import losses, presets, scenarios
 from torchfra.cli import main as cli
-from torchfra.types import Gaussian
-from train import checkpoints, tune
-from train.batches import Batch, simulate
+from torchfra.fitting.descent import Descent
+from train import tune
+from train.batches import simulate
 from train.runs import RUNS, configured
 from train.training import Training
 
@@ -26,7 +27,6 @@ SMALL = (
     "batch=8",
     "iterations=4",
     "validate_every=2",
-    "checkpoint_every=2",
     "validation_runs=8",
     "test_runs=8",
     "skip=0",
@@ -46,9 +46,9 @@ def prepare(name, *changes):
     return Training(configured(name, changes))
 
 
-def iterate(training, out):
-    """The training loop, with nothing printed."""
-    tune.train(training, out, tune.Log(training.config, out, begin=training.iteration, quiet=True))
+def descent_of(training, score=torch.inf):
+    """A descent of which nothing is done yet."""
+    return Descent(training, training.filter, torch.tensor(score).double(), dataclasses.asdict(training.config))
 
 
 def learned(out):
@@ -104,14 +104,14 @@ def test_the_learned_values_load_into_a_fixed_filter(unbroken):
 
 def train_until_killed(out):
     """Ends this process like ``kill -9`` in the fourth iteration, where the last checkpoint is that of the second."""
-    iteration = tune.iteration
+    step = Training.step
 
-    def killed_in_the_fourth(training, *rate_and_temperature):
-        if training.iteration == 3:
+    def killed_in_the_fourth(training, iteration):
+        if iteration == 3:
             os.kill(os.getpid(), signal.SIGKILL)
-        return iteration(training, *rate_and_temperature)
+        return step(training, iteration)
 
-    tune.iteration = killed_in_the_fourth
+    Training.step = killed_in_the_fourth
     return train(out)
 
 
@@ -127,16 +127,16 @@ def test_a_run_that_is_killed_resumes_to_the_same_values(unbroken, tmp_path):
 
 def stop_after_four(out, monkeypatch):
     """A run that is interrupted when its last checkpoints are those of iterations 4 and 2."""
-    save = checkpoints.save
+    save = tune.save
 
-    def save_until_four(training, folder):
-        save(training, folder)
-        if training.iteration == 4:
+    def save_until_four(descent, folder):
+        save(descent, folder)
+        if descent.iteration == 4:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(checkpoints, "save", save_until_four)
+    monkeypatch.setattr(tune, "save", save_until_four)
     assert train(out, "test_runs=0") == 130
-    monkeypatch.setattr(checkpoints, "save", save)
+    monkeypatch.setattr(tune, "save", save)
 
 
 @pytest.mark.slow
@@ -147,7 +147,9 @@ def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken
     assert train(tmp_path, "--resume", "test_runs=0") == 0
     assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
     assert equal(learned(tmp_path), learned(unbroken))
-    assert torch.load(tmp_path / "checkpoint-previous.pt", weights_only=True)["iteration"] >= 4
+    kept = [torch.load(tmp_path / name, weights_only=True)["iteration"]
+            for name in ("checkpoint-previous.pt", "checkpoint.pt")]  # fmt: skip
+    assert kept == [2, 4]
 
 
 def test_when_no_checkpoint_can_be_read_the_run_says_so_and_changes_nothing(tmp_path, capsys):
@@ -175,11 +177,8 @@ def test_a_track_that_diverges_to_nan_is_left_out_and_counted():
     batch = simulate(training.scenarios, first=0, runs=8, seed=0)
     mean = batch.prior.mean.clone()
     mean[3] = torch.nan
-    keep = [0, 1, 2, 4, 5, 6, 7]
-    prior = Gaussian(batch.prior.mean[keep], batch.prior.scale_tril[keep])
-    kept = [batch.z[keep], batch.truth[keep], batch.u[keep], prior, batch.dt[keep], batch.task[keep]]
-    loss, gradient, left_out = means(training, batch._replace(prior=batch.prior._replace(mean=mean)))
-    expected_loss, expected_gradient, _ = means(training, Batch(*kept))
+    loss, gradient, left_out = training.task_means(batch._replace(prior=batch.prior._replace(mean=mean)))
+    expected_loss, expected_gradient, _ = training.task_means(batch.rows(torch.tensor([0, 1, 2, 4, 5, 6, 7])))
     assert left_out == 1
     assert gradient.isfinite().all()
     torch.testing.assert_close(gradient, expected_gradient, rtol=1e-10, atol=1e-12)
@@ -190,8 +189,11 @@ def test_a_track_that_diverges_to_nan_is_left_out_and_counted():
 def test_the_gradient_of_a_batch_is_that_of_its_mean_loss():
     training = prepare("fra_bearings", *SMALL, "clip=1e9")
     batch = simulate(training.scenarios, first=0, runs=4, seed=0)
-    loss, gradient, _ = means(training, batch)
-    each = training.losses(training.parameters, batch, 1.0).unflatten(0, (len(training.scenarios), 4))
+    loss, gradient, _ = training.task_means(batch)
+    f, first = training.filter, training.scenarios[0]
+    estimate = f(batch.z, batch.prior, u=batch.u, dt=batch.dt)
+    each = losses.robust_mse(estimate.mean, batch.truth, first.truth_position, training.config.scale)
+    each = each.unflatten(0, (len(training.scenarios), 4))
     expected = torch.autograd.grad(training.task_weights @ each.mean(1), list(training.parameters.values()))
     torch.testing.assert_close(training.task_weights @ gradient, torch.stack(expected), rtol=1e-8, atol=1e-10)
     torch.testing.assert_close(loss, each.detach().mean(1))
@@ -199,18 +201,14 @@ def test_the_gradient_of_a_batch_is_that_of_its_mean_loss():
 
 def test_the_gradient_of_one_track_moves_the_values_no_further_than_the_clip():
     training = prepare("fra_bearings", *SMALL, SHORT, "clip=1e-3")
-    _, gradient, _ = means(training, simulate(training.scenarios, first=0, runs=8, seed=0))
+    _, gradient, _ = training.task_means(simulate(training.scenarios, first=0, runs=8, seed=0))
     assert 0 < gradient.norm() <= 1e-3
-
-
-def means(training, batch):
-    return tune.task_means(training, batch, *tune.track_gradients(training, batch, temperature=1.0))
 
 
 @pytest.mark.slow
 def test_training_stops_when_validation_no_longer_improves(tmp_path, monkeypatch):
     scores = iter([1.0, 0.9, 0.95, 0.96, 0.5])
-    monkeypatch.setattr(tune, "validate", lambda training: next(scores))
+    monkeypatch.setattr(Training, "validation", lambda training: torch.tensor(next(scores)).double())
     assert train(tmp_path, "validate_every=1", "patience=2", "iterations=20", "test_runs=0") == 0
     result = json.loads((tmp_path / "results.json").read_text())
     assert (result["iterations"], result["best"]) == (4, 2)
@@ -224,7 +222,6 @@ def test_shorter_tracks_of_another_task_end_in_missing_data():
     assert batch.z[:3, 60:].isnan().all()
     assert batch.truth[:3, 60:].isnan().all()
     assert not batch.z[3:].isnan().any()
-    assert batch.task.tolist() == [0, 0, 0, 1, 1, 1]
 
 
 def _cut(tracks):
@@ -270,30 +267,30 @@ test_train_gpb.py; a step of fra_bearings is a command line of a document."""
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEPPED)
-def test_a_named_run_takes_a_step(name, tmp_path):
+def test_a_named_run_takes_a_step(name):
     with short():
         training = prepare(name, "batch=4", "iterations=1", "validation_runs=1", "compile=false", *STEPPED[name])
-        before = training.learned_values()
-        iterate(training, tmp_path)
-    assert training.rows[0]["left out"] == 0
-    after, searched = training.learned_values(), set(training.config.search)
+        before = training.natural()
+        row = descent_of(training).advance()
+    assert row["left out"] == 0
+    after, searched = training.natural(), set(training.config.search)
     assert all(after[path] != value for path, value in before.items() if path.rpartition(".")[2] not in searched)
 
 
 def test_what_no_gradient_reaches_is_searched_on_validation_tracks(monkeypatch):
     training = prepare("switching", "batch=1", "validation_runs=1", "compile=false")
-    training.best["score"] = 10.0
+    descent = descent_of(training, score=10.0)
 
     def score(training):
         f = training.filter
-        return abs(f.subset.unlikely().item() - 0.1) + abs(f.subset.principal().item() - 0.3)
+        return (f.subset.unlikely() - 0.1).abs() + (f.subset.principal() - 0.3).abs()
 
-    monkeypatch.setattr(tune, "validate", score)
-    tune.search(training)
-    training.filter.load_state_dict(training.best["filter"])
+    monkeypatch.setattr(Training, "validation", score)
+    tune.search(training, descent)
+    training.filter.load_state_dict(descent.best)
     assert training.filter.subset.unlikely().item() == pytest.approx(0.1)
     assert training.filter.subset.principal().item() == pytest.approx(0.3)
-    assert training.best["score"] == pytest.approx(0.0, abs=1e-12)
+    assert descent.scores.item() == pytest.approx(0.0, abs=1e-12)
 
 
 def all_learned(result):

@@ -8,7 +8,7 @@ from short_tracks import STEPS, short
 
 from torchfra import metrics, presets, scenarios
 from torchfra.running import distributed
-from train import checkpoints, tune
+from train import tune
 from train.batches import simulate
 from train.evolution import Evolution
 from train.regimes import regimes
@@ -24,8 +24,8 @@ TASKS = [
 ]
 PLAIN = [{**task, "models": "motion"} for task in TASKS]
 """The same for filters of one motion, which take less time."""
-SMALL = ("batch=2", "iterations=2", "validate_every=2", "validation_runs=2", "test_runs=2", "rivals=srckf,imm_srckf",
-         "checkpoint_every=1", "compile=false", "population=4")  # fmt: skip
+SMALL = ("batch=2", "iterations=2", "validate_every=1", "validation_runs=2", "test_runs=2", "rivals=srckf,imm_srckf",
+         "compile=false", "population=4")  # fmt: skip
 
 
 def settings(*changes, tasks=TASKS[:2]):
@@ -103,7 +103,7 @@ def test_only_what_is_named_learns():
     training = Regrets(settings("learn=self_transition,prior_outlier", "rivals=srckf"))
     assert sorted(training.parameters) == ["prior_outlier.raw", "self_transition.raw"]
     before = training.preset()
-    training.generation()
+    training.iterate(0)
     assert {name for name, value in training.preset().items() if value != before[name]} == {
         "self_transition",
         "prior_outlier",
@@ -114,7 +114,7 @@ def test_only_what_is_named_learns():
 @pytest.mark.usefixtures("short_tracks")
 def test_a_level_of_one_stays_one():
     training = Regrets(settings("rivals=srckf", tasks=TASKS[:1]))
-    training.generation()
+    training.iterate(0)
     levels, start = training.preset()["noise_levels"], training.config.start["noise_levels"]
     assert levels[1] == pytest.approx(1.0, rel=1e-12)
     assert all(levels[i] != pytest.approx(start[i], rel=1e-6) for i in (0, 2, 3))
@@ -241,16 +241,16 @@ def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, monkeypatch):
-    save = checkpoints.save
+    save = tune.save
 
-    def save_and_stop(training, out):
-        save(training, out)
+    def save_and_stop(descent, out):
+        save(descent, out)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(checkpoints, "save", save_and_stop)
+    monkeypatch.setattr(tune, "save", save_and_stop)
     with pytest.raises(KeyboardInterrupt):
         tune.tune(settings(tasks=PLAIN[::2]), tmp_path, quiet=True)
-    monkeypatch.setattr(checkpoints, "save", save)
+    monkeypatch.setattr(tune, "save", save)
     resumed = tune.tune(settings(tasks=PLAIN[::2]), tmp_path, resume=True, quiet=True)
     assert resumed["iterations"] == 2
     assert resumed["values"] == run[0]["values"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from numbers import Integral, Real
 from typing import Any
 
@@ -14,6 +15,30 @@ def as_number(value: Any) -> float:
     if isinstance(value, Real) or (isinstance(value, Tensor) and value.numel() == 1):
         return float(value)
     return float("nan")
+
+
+def positive(name: str, value: Any, what: str = "a finite number") -> float:
+    """A finite number above 0; ``what`` says in the error what the argument of this name is.
+
+    Raises:
+        ValueError: it is not.
+    """
+    number = as_number(value)
+    if not 0 < number < math.inf:
+        raise ValueError(f"{name}: expected {what} above 0, received {value!r}")
+    return number
+
+
+def fraction(name: str, value: Any) -> float:
+    """A probability above 0 and below 1.
+
+    Raises:
+        ValueError: it is not.
+    """
+    number = as_number(value)
+    if not 0 < number < 1:
+        raise ValueError(f"{name}: expected a probability above 0 and below 1, received {value!r}")
+    return number
 
 
 def is_integer(value: object, least: int) -> bool:

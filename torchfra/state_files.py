@@ -34,8 +34,8 @@ def pack(state: Any) -> bytes:
     return body + _digest(body)
 
 
-def read(path: str | Path, device: str = "cpu") -> Any:
-    """The tensors of a file that ``pack`` or ``torch.save`` made.
+def read(path: str | Path) -> Any:
+    """The tensors of a file that ``pack`` or ``torch.save`` made, on the CPU.
 
     Raises:
         OSError: it cannot be read.
@@ -45,7 +45,7 @@ def read(path: str | Path, device: str = "cpu") -> Any:
     if data[-_LENGTH:] != _digest(data[:-_LENGTH]):
         _check_archive(data)
     try:
-        return torch.load(io.BytesIO(data), map_location=device, weights_only=True)
+        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # the reader of torch raises errors of many types
         raise ValueError(f"no tensors can be read ({_first_line(error)})") from None
 

@@ -7,37 +7,18 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from torchfra import readers, scenarios
 from torchfra.catalogue import make_scenario
 from torchfra.cli.loading import is_place, load_scenario
-from torchfra.fitting.data import lengthened
+from torchfra.fitting.data import Batch, lengthened
 from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
 from train.config import Config, Task
 from train.regimes import regimes
-
-
-class Batch(NamedTuple):
-    """Tracks of all tasks; those with fewer steps than the longest end in NaN."""
-
-    z: Tensor
-    """``(B, T, m)`` measurements, or scans ``(B, T, J, m)``."""
-    truth: Tensor
-    """``(B, T, n)`` states, of several targets ``(B, N, T, n)``."""
-    u: Tensor | None
-    """``(B, T, k)`` inputs of the models."""
-    prior: Gaussian
-    """Each track's belief one step before the first."""
-    dt: Tensor
-    """``(B, 1)`` seconds per step."""
-    task: Tensor
-    """``(B,)`` index of the task that each track belongs to."""
 
 
 def task_scenario(task: Task, config: Config, *, held_out: bool) -> Scenario:
@@ -81,7 +62,7 @@ def _mended(files: tuple[str, ...], held_out: bool, max_gap: float | None) -> li
 
 
 def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, device: str = "cpu") -> Batch:
-    """This process's share of ``runs`` tracks of each task.
+    """This process's share of ``runs`` tracks of each task, those of a task one after the other; ``dt`` is ``(N, 1)``.
 
     Args:
         tasks: the scenario of each.
@@ -101,5 +82,4 @@ def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, dev
         u=torch.cat([lengthened(u, steps, 0.0, -2) for u in us]).to(device) if us else None,
         prior=Gaussian(torch.cat([part.prior.mean for part in parts]).to(device), torch.cat(roots).to(device)),
         dt=torch.cat([torch.full((count, 1), scenario.dt, dtype=torch.float64) for scenario in tasks]).to(device),
-        task=torch.arange(len(tasks)).repeat_interleave(count).to(device),
     )

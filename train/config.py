@@ -92,7 +92,6 @@ class Config:
     validation_runs: int = 128
     patience: int = 5
     """Validations without improvement after which training stops."""
-    checkpoint_every: int = 10
     test_runs: int = 500
     """Unseen tracks of each task for the figures before and after; 0 for none."""
     seed: int = 0
@@ -159,7 +158,7 @@ def check(config: Config) -> Config:
     for task in config.tasks:
         one_of(models=(task.models, MODELS))
     for low, keys in ((4, ("population",)),
-                      (1, ("batch", "iterations", "validate_every", "validation_runs", "patience", "checkpoint_every")),
+                      (1, ("batch", "iterations", "validate_every", "validation_runs", "patience")),
                       (0, ("skip", "truncate", "test_runs", "seed", "validation_seed", "test_seed"))):  # fmt: skip
         for key in keys:
             if getattr(config, key) < low:

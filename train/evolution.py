@@ -84,7 +84,7 @@ class Evolution:
             value = state[key]
             if type(value) is not type(own) or (isinstance(own, Tensor) and value.shape != own.shape):
                 raise TypeError(f"{key}: expected what state_dict gives, received {value!s:.100}")
-            setattr(self, key, value)
+            setattr(self, key, value.to(own.device) if isinstance(own, Tensor) else value)
 
 
 def _followed(path: Tensor, move: Tensor, rate: float, mass: float) -> Tensor:

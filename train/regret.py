@@ -14,12 +14,13 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torchfra.catalogue import filters_for, scenario_filter
 from torchfra.evaluation import evaluate
 from torchfra.filters import Filter
+from torchfra.fitting.data import Batch
 from torchfra.hyper import Hyper, named
 from torchfra.motion.bank import Bank
 from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
-from train.batches import Batch, simulate, task_scenario
+from train.batches import simulate, task_scenario
 from train.config import Config
 from train.evolution import Evolution
 from train.training import Training
@@ -147,8 +148,8 @@ class Regrets(Training):
         return best, errors[best]
 
     @torch.no_grad()
-    def generation(self) -> tuple[Tensor, dict[str, float]]:
-        """An iteration: the best losses ``(tasks,)`` of a candidate, and further columns of the log."""
+    def iterate(self, iteration: int) -> tuple[Tensor, dict[str, float]]:
+        """A generation of the search: the best losses ``(tasks,)`` of a candidate, and further columns of the log."""
         search, losses = cast(Evolution, self.optimiser), []
         for candidate in search.ask():
             self._take(candidate)
@@ -160,9 +161,9 @@ class Regrets(Training):
         return best, {"median": float(totals.median()), "step": search.step, "left out": 0}
 
     @torch.no_grad()
-    def validation(self) -> float:
+    def validation(self) -> Tensor:
         """The weighted loss on tracks that are never trained on."""
-        return float(self.task_weights @ self.losses_of(self.unseen))
+        return self.task_weights @ self.losses_of(self.unseen)
 
     def losses_of(self, cases: Cases) -> Tensor:
         """``(tasks,)`` losses; 0 of tasks that do not count."""
@@ -178,7 +179,8 @@ class Regrets(Training):
         scenario, f, skip = self.scenarios[tasks[0]], self.filters[tasks[0]], self.config.skip
         for own, stated in zip(_models(f), _models(scenario), strict=True):
             own.load_state_dict(stated.state_dict())
-        estimate = f(batch.z, batch.prior, u=batch.u, dt=scenario.dt)
+        assert batch.truth is not None
+        estimate = f(batch.z, batch.belief(f), u=batch.u, dt=scenario.dt)
         means = torch.stack([estimate.info.filtered.mean, estimate.info.lagged.mean])
         square = (means - batch.truth)[..., skip:, scenario.truth_position].square().sum(-1)
         rmse: Tensor = square.unflatten(1, (len(tasks), -1)).nanmean(2).sqrt().nanmean(-1)

@@ -13,6 +13,7 @@ import torch
 
 from torchfra.evaluation import evaluate
 from torchfra.filters import Filter
+from torchfra.fitting.descent import Descent
 from torchfra.hyper import natural_values
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import versions
@@ -22,25 +23,26 @@ from train.regret import Regrets
 from train.training import Training, make_filter, set_temperature
 
 
-def report(training: Training, start: dict[str, float], *, quiet: bool = True) -> dict[str, Any]:
+def report(training: Training, descent: Descent, start: dict[str, float], *, quiet: bool = True) -> dict[str, Any]:
     """The contents of results.json.
 
     Args:
-        training: at its end; its filter gets the best values.
+        training: its filter gets the best values.
+        descent: at its end.
         start: the values before the first iteration.
         quiet: whether to show no progress bar.
     """
-    training.filter.load_state_dict(training.best["filter"])
+    training.filter.load_state_dict(descent.best)
     set_temperature(training.filter, 0.0)
-    values = {"start": start, "learned": training.learned_values()}
+    values = {"start": start, "learned": training.natural()}
     if training.teacher is not None:
         values["known"] = {path: v for path, v in natural_values(training.teacher).items() if path in start}
     result = {
         "config": dataclasses.asdict(training.config),
-        "iterations": training.iteration,
-        "best": training.best["iteration"],
-        "left_out": sum(int(row["left out"]) for row in training.rows),
-        "seconds": sum(row["seconds"] for row in training.rows),
+        "iterations": descent.iteration,
+        "best": descent.improved,
+        "left_out": sum(int(row["left out"]) for row in descent.rows),
+        "seconds": sum(row["seconds"] for row in descent.rows),
         "values": values,
         "tasks": [],
         "versions": versions(),

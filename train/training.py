@@ -1,9 +1,10 @@
-"""The filter of a run, its losses, and the state of training."""
+"""The filter of a run, its losses, its iterations and validation."""
 
 from __future__ import annotations
 
 import copy
 import math
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,16 +15,20 @@ from torchfra import losses
 from torchfra.catalogue import FILTERS, scenario_filter
 from torchfra.filters import Filter
 from torchfra.filters.soft import Soft
+from torchfra.fitting.data import Batch
+from torchfra.fitting.descent import falling, follow, means, summands
+from torchfra.fitting.objective import LossFunction, Objective
+from torchfra.fitting.vector import Vector
 from torchfra.hyper import named, natural_values, one_of
 from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Estimate
-from train.batches import Batch, task_scenario
+from train.batches import simulate, task_scenario
 from train.config import Config
 
 
 class Training:
-    """A filter with its optimiser, the tracks it learns from, and the progress so far.
+    """A filter with its optimiser, and the tracks it learns from: a ``Learner`` of ``torchfra.fitting.descent``.
 
     Raises:
         ValueError: settings that do not fit each other, or fewer tracks than processes.
@@ -37,14 +42,8 @@ class Training:
         self.filter = self.make()
         self.parameters = dict(self.filter.named_parameters())
         self.optimiser: Any = torch.optim.Adam(self.parameters.values(), lr=config.lr)
-        weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64, device=config.device)
+        weights = torch.tensor([task.weight for task in config.tasks], dtype=torch.float64)
         self.task_weights = weights / weights.sum()
-        self.iteration, self.stopped = 0, False
-        self.rows: list[dict[str, float]] = []
-        """Rows of the log, one for each iteration."""
-        self.best: dict[str, Any] = {}
-        """Score, iteration and state_dict of the best validation."""
-        self.keep(math.inf)
 
     def make(self) -> nn.Module:
         """The module whose parameters learn."""
@@ -54,43 +53,66 @@ class Training:
         check_candidates(f, config)
         if config.loss == "teacher":
             self.teacher = make_filter(config, first, config.teacher, learn=False)
+        self.objective = _objective(config, f, self.teacher, first)
         return f
 
-    def losses(self, values: Mapping[str, Tensor], batch: Batch, temperature: float) -> Tensor:
-        """``(B,)`` loss of each track; of several targets in scans their mean.
+    def step(self, iteration: int) -> dict[str, float]:
+        """Changes the values once; what the log has of it."""
+        begun = time.perf_counter()
+        losses, columns = self.iterate(iteration)
+        row = {"loss": float(self.task_weights @ losses)}
+        if len(losses) > 1:
+            row |= {f"loss {i + 1}": value for i, value in enumerate(losses.tolist())}
+        return row | columns | {"seconds": time.perf_counter() - begun}
 
-        Args:
-            values: parameters to use instead of the filter's, by name, each with or without a batch of tracks.
-            batch: of tracks.
-            temperature: of the filter's decisions, 0 for hard ones.
+    def iterate(self, iteration: int) -> tuple[Tensor, dict[str, float]]:
+        """Changes the values once; the losses ``(tasks,)`` and further columns of the log."""
+        # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
+        c, progress = self.config, iteration / self.config.iterations
+        batch = simulate(self.scenarios, first=iteration * c.batch, runs=c.batch, seed=c.seed, device=c.device)
+        temperature = c.temperature and c.temperature * (c.cold / c.temperature) ** progress
+        self.decide(temperature)
+        losses, gradients, left_out = self.task_means(batch)
+        gradient, rate = self.task_weights @ gradients, falling(c.lr, progress)
+        follow(self.optimiser, gradient, rate)
+        return losses, {
+            "gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature
+        }  # fmt: skip
+
+    def task_means(self, batch: Batch) -> tuple[Tensor, Tensor, int]:
+        """The mean loss ``(tasks,)`` and mean clipped gradient ``(tasks, P)`` of each task, over all processes.
+
+        Tracks whose loss or gradient is NaN or infinite do not count; their number is the third that is returned.
         """
-        options: dict[str, Any] = {"u": batch.u, "dt": batch.dt, "truncate": self.config.truncate or None}
-        set_temperature(self.filter, temperature)
-        estimate = torch.func.functional_call(self.filter, dict(values), (batch.z, batch.prior), options)
-        skip = self.config.skip
-        mean, root, nis, log_likelihood, *_ = estimate
-        mean, root = mean[..., skip:, :], root[..., skip:, :, :]
-        counted = Estimate(mean, root, nis[..., skip:], log_likelihood[..., skip:], None)
-        if self.teacher is None:
-            target, states = batch.truth, self.scenarios[0].truth_position
-            counted = self.scenarios[0].cartesian(counted)
-        else:  # both estimates are in the coordinates of the motion
-            set_temperature(self.teacher, temperature)
-            states = self.teacher.motion.position
-            with torch.no_grad():
-                target = self.teacher(batch.z, batch.prior, **options).mean
-        loss = _loss(self.config, counted, target[..., skip:, :], states)
-        return loss.flatten(1).mean(-1) if loss.dim() > 1 else loss
+        each, gradient = self.objective.gradients(self.objective.vector.raw()[None, None], batch)
+        losses, gradients, used = means(self._by_task(summands(each[0], gradient[0], self.config.clip)))
+        return losses, gradients, len(self.scenarios) * self.config.batch - used
 
-    def learned_values(self) -> dict[str, float]:
-        """The values that learn or are searched, in natural units."""
+    def validation(self) -> Tensor:
+        """The weighted loss on tracks that are never trained on, with hard decisions; infinite if one is NaN."""
+        c = self.config
+        batch = simulate(self.held_out, first=0, runs=c.validation_runs, seed=c.validation_seed, device=c.device)
+        # A teacher that decides softly is compared with a filter that does so too.
+        self.decide(c.temperature if c.loss == "teacher" else 0.0)
+        losses = self.objective.of_filter(self.objective.filter, batch).nan_to_num(nan=math.inf)
+        return self.task_weights @ distributed.summed(self._by_task(losses)) / c.validation_runs
+
+    def _by_task(self, x: Tensor) -> Tensor:
+        """Sums ``(tasks, ...)`` of ``x (N, ...)`` over the tracks of each task."""
+        count = len(self.scenarios)
+        task = torch.arange(count).repeat_interleave(len(x) // count)
+        return x.new_zeros(count, *x.shape[1:]).index_add(0, task, x)
+
+    def decide(self, temperature: float) -> None:
+        """Makes the decisions of the filter and of its teacher soft, or hard at 0."""
+        set_temperature(self.filter, temperature)
+        if self.teacher is not None:
+            set_temperature(self.teacher, temperature)
+
+    def natural(self, start: int = 0) -> dict[str, float]:
+        """The values that learn or are searched, in natural units; there is one start."""
         paths = {name.removesuffix(".raw") for name in self.parameters} | set(named(self.filter, self.config.search))
         return {path: value for path, value in natural_values(self.filter).items() if path.partition("[")[0] in paths}
-
-    def keep(self, score: float) -> None:
-        """Makes the present values the best so far."""
-        state = copy.deepcopy(self.filter.state_dict())
-        self.best = {"score": score, "iteration": self.iteration, "filter": state}
 
 
 def _check(config: Config, scenarios: list[Scenario]) -> None:
@@ -100,15 +122,25 @@ def _check(config: Config, scenarios: list[Scenario]) -> None:
         raise ValueError(f"batch, validation_runs: expected at least {distributed.size()}, one for each process")
 
 
-def _loss(config: Config, estimate: Estimate, target: Tensor, states: slice) -> Tensor:
-    """The loss of a run, ``(...)`` over tracks."""
-    if config.loss == "innovation":
-        return losses.innovation_nll(estimate)
-    if config.loss == "nll":
-        return losses.nll(estimate, target, states)
-    if config.loss == "mse":
-        return losses.mse(estimate.mean, target, states)
-    return losses.robust_mse(estimate.mean, target, states, config.scale)  # "robust", "teacher"
+def _objective(config: Config, f: Filter, teacher: Filter | None, scenario: Scenario) -> Objective:
+    """The loss of each track of a run, and its gradient."""
+
+    def innovation(estimate: Estimate, batch: Batch) -> Tensor:
+        loss = losses.innovation_nll(estimate)
+        return loss.mean(-1) if f.scans else loss  # over the targets of a scene
+
+    def taught(estimate: Estimate, batch: Batch) -> Tensor:
+        assert teacher is not None
+        with torch.no_grad():
+            target = teacher(batch.z, batch.belief(teacher), u=batch.u, dt=batch.dt).mean[..., config.skip :, :]
+        return losses.robust_mse(estimate.mean, target, teacher.motion.position, config.scale)
+
+    own: dict[str, LossFunction] = {"innovation": innovation, "teacher": taught}
+    convert = scenario.cartesian if teacher is None else None  # a teacher is in the coordinates of the motion
+    return Objective(
+        f, Vector(f), own.get(config.loss, config.loss), scale=config.scale, states=scenario.truth_position,
+        skip=config.skip, convert=convert, truncate=config.truncate or None,
+    )  # fmt: skip
 
 
 def make_filter(config: Config, scenario: Scenario, values: Mapping[str, float], *, learn: bool) -> Filter:

@@ -19,180 +19,83 @@ with the errors on unseen tracks before and after.  To use the learned values:
 
 from __future__ import annotations
 
-import copy
+import csv
 import dataclasses
+import io
 import math
 import sys
-import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
-
-from torchfra import plotting
-from torchfra.catalogue import FILTERS
+from torchfra import plotting, state_files
 from torchfra.cli.command import Failures, add_quiet_option, check_files, check_folder, exit_status, make_parser
-from torchfra.fitting.descent import bounded, falling
-from torchfra.hyper import hypers, named
-from torchfra.running import distributed
-from torchfra.running.atomic_write import write_json
+from torchfra.fitting.descent import Descent
+from torchfra.hyper import named
+from torchfra.running import checkpoints, distributed
+from torchfra.running.atomic_write import write, write_json, write_text
 from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 from torchfra.types import CompileError
-from train import checkpoints
-from train.batches import Batch, simulate
 from train.config import Config
 from train.regret import Regrets
 from train.report import not_finite, report, report_text
 from train.runs import RUNS, configured
 from train.training import Training
 
-WRITTEN = (*checkpoints.FILES, "config.json", "results.json", "learning.png")
+NEWEST, BEST, LOG = "checkpoint.pt", "state_dict.pt", "log.csv"
+WRITTEN = (NEWEST, checkpoints.previous(Path(NEWEST)).name, BEST, LOG, "config.json", "results.json", "learning.png")
 
 
-def train(training: Training, out: Path, log: Log) -> None:
-    """The training loop: until the last iteration, or until validation has long not improved."""
-    config = training.config
-    for _ in log.bar:
-        if training.stopped:
-            break
-        begun = time.perf_counter()
-        rate, temperature = schedule(config, training.iteration / config.iterations)
-        losses, columns = iteration(training, rate, temperature)
-        training.iteration += 1
+def train(descent: Descent, out: Path, name: str, *, board: Any = None, quiet: bool = False) -> None:
+    """Iterates until the end, and saves at each validation before it.
 
-        row = {"iteration": training.iteration, "loss": float(training.task_weights @ losses)}
-        if len(config.tasks) > 1:
-            row |= {f"loss {i + 1}": value for i, value in enumerate(losses.tolist())}
-        row |= columns | training.learned_values() | {"seconds": time.perf_counter() - begun}
-        if training.iteration % config.validate_every == 0 or training.iteration == config.iterations:
-            row["validation"] = validate(training)
-            if row["validation"] < training.best["score"]:
-                training.keep(row["validation"])
-            unimproved = (training.iteration - training.best["iteration"]) / config.validate_every
-            training.stopped = unimproved >= config.patience
-        training.rows.append(row)
-        log.show(row)
-        if training.iteration % config.checkpoint_every == 0 and distributed.rank() == 0:
-            checkpoints.save(training, out)
-
-
-def iteration(training: Training, rate: float, temperature: float) -> tuple[Tensor, dict[str, float]]:
-    """Changes the values once; the losses ``(tasks,)`` and further columns of the log."""
-    # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
-    if isinstance(training, Regrets):
-        return training.generation()
-    c, first = training.config, training.iteration * training.config.batch
-    batch = simulate(training.scenarios, first=first, runs=c.batch, seed=c.seed, device=c.device)
-    losses, gradients, left_out = task_means(training, batch, *track_gradients(training, batch, temperature))
-    gradient = training.task_weights @ gradients
-    parameters = list(training.parameters.values())
-    for parameter, part in zip(parameters, gradient.split([p.numel() for p in parameters]), strict=True):
-        parameter.grad = part.reshape(parameter.shape).clone()
-    training.optimiser.param_groups[0]["lr"] = rate
-    training.optimiser.step()
-    return losses, {"gradient": gradient.norm().item(), "left out": left_out, "lr": rate, "temperature": temperature}
-
-
-def schedule(config: Config, progress: float) -> tuple[float, float]:
-    """Learning rate and temperature after this share of all iterations."""
-    temperature = config.temperature and config.temperature * (config.cold / config.temperature) ** progress
-    return falling(config.lr, progress), temperature
-
-
-def track_gradients(training: Training, batch: Batch, temperature: float) -> tuple[Tensor, Tensor]:
-    """The loss of each track, ``(B,)``, and its gradient with respect to the parameters, ``(B, P)``."""
-    # Every track gets its own copy of the hyperparameters, all with the same values.  The gradient of the sum of all
-    # losses with respect to one copy is then the gradient of that track alone.  So one backward pass gives the
-    # gradients of all tracks, which can be clipped one by one, and NaN from a track that diverged stays with it.
-    count = len(batch.task)
-    copies = {name: _copies(training, name, count) for name in training.parameters}
-    losses = training.losses(copies, batch, temperature)
-    gradients = torch.autograd.grad(losses.sum(), list(copies.values()), allow_unused=True, materialize_grads=True)
-    return losses.detach(), torch.cat([gradient.reshape(count, -1) for gradient in gradients], 1)
-
-
-def _copies(training: Training, name: str, count: int) -> Tensor:
-    """A parameter for each track; in scans for each scene, whose targets share it unless they have one each."""
-    value = training.parameters[name].detach()
-    shared = (
-        FILTERS[training.config.filter].scans and hypers(training.filter)[name.removesuffix(".raw")].batch_rank == 0
-    )
-    batch = (count, 1) if shared else (count,)
-    return value.expand(*batch, *value.shape).clone().requires_grad_()
-
-
-def task_means(training: Training, batch: Batch, losses: Tensor, gradients: Tensor) -> tuple[Tensor, Tensor, int]:
-    """The mean loss ``(tasks,)`` and mean clipped gradient ``(tasks, P)`` of each task, over all processes.
-
-    Tracks whose loss or gradient is NaN or infinite do not count; their number is the third that is returned.
+    Args:
+        descent: of a training.
+        out: where it is saved.
+        name: of the run.
+        board: the TensorBoard log, if there is one.
+        quiet: whether to show nothing: neither a progress bar nor, where there is none, a line for each validation.
     """
-    clipped, finite = bounded(losses, gradients, training.config.clip)
-    table = torch.cat([clipped, torch.stack([torch.where(finite, losses, 0.0), finite.to(losses)], 1)], 1)
-    count = len(training.scenarios)
-    sums = distributed.summed(table.new_zeros(count, table.shape[1]).index_add(0, batch.task, table))
-    means = sums[:, :-1] / sums[:, -1:].clamp_min(1)
-    return means[:, -1], means[:, :-1], int(count * training.config.batch - sums[:, -1].sum())
+    bar = progress_bar(descent.ahead, name, not quiet)
+    for row in descent.run(bar):
+        iteration, loss = row["iteration"], row["loss"]
+        if "validation" in row and not quiet and not hasattr(bar, "set_postfix"):
+            print(f"{name} {iteration}: loss {loss:.4f}, validation {row['validation']:.4f}", flush=True)
+        if "validation" in row and not descent.done:
+            save(descent, out)
+        if board is not None:
+            for key, value in row.items():
+                board.add_scalar(key, value, iteration)
 
 
-@torch.no_grad()
-def validate(training: Training) -> float:
-    """The weighted loss on tracks that are never trained on, with hard decisions; infinite if it is NaN for one."""
-    c = training.config
-    if isinstance(training, Regrets):
-        return training.validation()
-    batch = simulate(training.held_out, first=0, runs=c.validation_runs, seed=c.validation_seed, device=c.device)
-    # A teacher that decides softly is compared with a filter that does so too.
-    losses = training.losses({}, batch, c.temperature if c.loss == "teacher" else 0.0).nan_to_num(nan=math.inf)
-    sums = losses.new_zeros(len(training.held_out)).index_add(0, batch.task, losses)
-    return float(training.task_weights @ distributed.summed(sums) / c.validation_runs)
+def save(descent: Descent, out: Path) -> None:
+    """The first process writes checkpoint.pt, the best values as state_dict.pt, and log.csv.
+
+    Raises:
+        OSError: a file cannot be written; of a checkpoint the message says what is left.
+    """
+    if distributed.rank() > 0:
+        return
+    descent.save(out / NEWEST)
+    write(out / BEST, lambda file: file.write(state_files.pack(descent.best)))
+    text = io.StringIO()
+    columns = dict.fromkeys(key for row in descent.rows for key in row)
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(descent.rows)
+    write_text(out / LOG, text.getvalue())
 
 
-def search(training: Training) -> None:
+def search(training: Training, descent: Descent) -> None:
     """Coordinate search over values that no gradient reaches: each in turn takes the one of the best validation."""
     f = training.filter
-    f.load_state_dict(training.best["filter"])
+    f.load_state_dict(descent.best)
     for name, values in training.config.search.items():
         for hyper in named(f, (name,)).values():
             for value in values:
                 hyper.set(value, name)
-                score = validate(training)
-                if score < training.best["score"]:
-                    training.best |= {"score": score, "filter": copy.deepcopy(f.state_dict())}
-            f.load_state_dict(training.best["filter"])
-
-
-class Log:
-    """Shows each iteration.
-
-    Args:
-        config: of the run.
-        out: folder of the TensorBoard log, if ``config.tensorboard``.
-        begin: the first iteration.
-        quiet: whether to print nothing.
-
-    Raises:
-        ImportError: TensorBoard is asked for and not installed.
-    """
-
-    def __init__(self, config: Config, out: Path, *, begin: int, quiet: bool) -> None:
-        self.name, self.quiet = printable(config.name), quiet
-        self.board = _tensorboard(out) if config.tensorboard and distributed.rank() == 0 else None
-        self.bar = progress_bar(range(begin, config.iterations), self.name, not quiet)
-        """The numbers of the iterations, behind a progress bar on a terminal."""
-
-    def show(self, row: Mapping[str, float]) -> None:
-        """One iteration: in the bar, or without one a line for each validation."""
-        iteration, loss = row["iteration"], row["loss"]
-        if hasattr(self.bar, "set_postfix"):
-            self.bar.set_postfix(loss=f"{loss:.4f}", left_out=row["left out"])
-        elif not self.quiet and "validation" in row:
-            print(f"{self.name} {iteration}: loss {loss:.4f}, validation {row['validation']:.4f}", flush=True)
-        if self.board is not None:
-            for key, value in row.items():
-                self.board.add_scalar(key, value, iteration)
+                descent.keep(training.validation())
+            f.load_state_dict(descent.best)
 
 
 def _tensorboard(out: Path) -> Any:
@@ -213,42 +116,44 @@ def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False
     """
     first = distributed.rank() == 0
     quiet = quiet or not first
-    if not resume and checkpoints.found(out):
+    if not resume and checkpoints.found(out / NEWEST):
         raise ValueError(f"out: {out} holds a run already: --resume continues it, --out DIR writes elsewhere")
     check_folder("out", out)
     check_files({f"out, {name}": out / name for name in WRITTEN})
     training = Regrets(config, quiet=quiet) if config.loss == "regret" else Training(config)
-    start = training.learned_values()
-    if resume and checkpoints.load(training, out) and not quiet:
-        print(f"resumed after iteration {training.iteration}")
-    log = Log(config, out, begin=training.iteration, quiet=quiet)
+    start, name = training.natural(), printable(config.name)
+    no_score = training.task_weights.new_tensor(math.inf)  # any validation improves on the start
+    descent = Descent(training, training.filter, no_score, dataclasses.asdict(config))
+    if resume and descent.resume(out / NEWEST, "train") and not quiet:
+        print(f"resumed after iteration {descent.iteration}")
+    board = _tensorboard(out) if config.tensorboard and first else None
     if first:
         write_json(out / "config.json", dataclasses.asdict(config))
-    train(training, out, log)
-    search(training)
-    if first:
-        checkpoints.save(training, out)
-    result = report(training, start, quiet=quiet)
+    train(descent, out, name, board=board, quiet=quiet)
+    search(training, descent)
+    save(descent, out)
+    result = report(training, descent, start, quiet=quiet)
     if not quiet:
         print(f"{report_text(result)}\nwritten to {printable(str(out))}", flush=True)
     if first:
-        _write(training, start, result, out)
+        _write(descent, start, result, out)
     return result
 
 
-def _write(training: Training, start: dict[str, float], result: dict[str, Any], out: Path) -> None:
+def _write(descent: Descent, start: dict[str, float], result: dict[str, Any], out: Path) -> None:
     """The results and the figure.
 
     Raises:
         IncompleteError: one of them cannot be written, or there is nothing finite to report.
     """
-    config, failures = training.config, Failures()
+    failures = Failures()
     with failures.of("results.json"):
         write_json(out / "results.json", result)
     with failures.of("learning.png"):
-        figure = plotting.learning_curve(training.rows, start, f"{config.name}, seed {config.seed}")
+        title = f"{descent.settings['name']}, seed {descent.settings['seed']}"
+        figure = plotting.learning_curve(descent.rows, start, title)
         plotting.save(figure, out / "learning.png")
-    if not math.isfinite(training.best["score"]):
+    if not descent.scores.isfinite():
         failures.messages.append("no validation was finite: state_dict.pt has the values of the start")
     failures.messages += not_finite(result)
     failures.end()

@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from benchmarks.timing import Row, calls, timed
 from torchfra import plotting, presets
 from torchfra.association import Clutter
 from torchfra.catalogue import make_scenario
+from torchfra.cleaning.outputs.colours import BLUE
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
+from torchfra.plotting.style import TITLE, finish, words
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
@@ -137,5 +141,29 @@ def standard(states: int) -> Gaussian:
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Writes the figure of the series."""
     panels = {key: [(row[key], row["median"]) for row in rows if key in row] for key in SIZES}
-    plotting.save(plotting.scaling(panels, "compiled filters, float64"), path)
+    plotting.save(figure_of(panels, "compiled filters, float64"), path)
     print(f"figure: {path}")
+
+
+def figure_of(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
+    """Time per track and step over the size of the job.
+
+    Args:
+        panels: one for each size, such as ``"batch"``: pairs of the size and microseconds.
+        title: of the figure.
+    """
+    columns, rows = min(len(panels), 3), -(-len(panels) // 3)
+    figure = Figure(figsize=(4 * columns, 3.1 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    grid[0, 0].set(yscale="log")
+    figure.supylabel("microseconds per track and step", fontsize="medium")
+    for axes, (size, pairs) in zip(grid.flat, panels.items(), strict=False):
+        axes.plot(*zip(*pairs, strict=True), marker="o", color=BLUE)
+        axes.set(xlabel=size)
+        if max(pairs)[0] > 100:
+            axes.set_xscale("log")
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        finish(axes)
+    figure.suptitle(words(title, TITLE))
+    return figure

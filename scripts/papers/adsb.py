@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
+from papers.figures import by_coordinate, probabilities
 from torchfra import plotting, presets
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
@@ -63,10 +64,10 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     start = FIRST * scenario.dt
     figures = {"tracks": plotting.tracks(one.truth[0], paths, f"{scenario.name}, first run")}
     for quantity in ("mean_error", "rmse", "mape"):
-        figures[quantity] = plotting.by_coordinate(results, quantity, start, scenario.dt, study.title)
+        figures[quantity] = by_coordinate(results, quantity, start, scenario.dt, study.title)
     of = {name: result["probabilities"] for name, result in results.items() if "probabilities" in result}
     if of and scenario.bank is not None:
-        figures["probabilities"] = plotting.probabilities(of, scenario.bank.names, start, scenario.dt, study.title)
+        figures["probabilities"] = probabilities(of, scenario.bank.names, start, scenario.dt, study.title)
     return {f"adsb-{name}": figure for name, figure in figures.items()}
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import torch
 
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
-from torchfra import plotting, presets
+from papers.figures import by_coordinate, probabilities
+from torchfra import presets
 from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, gains
 from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
@@ -79,8 +80,7 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     """Errors by coordinate over time, and how often each level is in use along x."""
     scenario = study.scenario
     figures = {
-        f"alpha-beta-{q}": plotting.by_coordinate(results, q, 1.0, scenario.dt, study.title)
-        for q in ("mean_error", "rmse")
+        f"alpha-beta-{q}": by_coordinate(results, q, 1.0, scenario.dt, study.title) for q in ("mean_error", "rmse")
     }
     tracks, shares = scenario.simulate(min(study.runs, 1000), study.seed), {}
     for name, f in study.filters.items():
@@ -88,7 +88,7 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
             level = filtered(f, scenario, tracks).info.level[..., 0].round().long()
             shares[name] = torch.nn.functional.one_hot(level, len(LEVELS)).double().mean(0)
     if shares:
-        figures["alpha-beta-levels"] = plotting.probabilities(shares, LEVELS, 1.0, scenario.dt, study.title)
+        figures["alpha-beta-levels"] = probabilities(shares, LEVELS, 1.0, scenario.dt, study.title)
     return figures
 
 

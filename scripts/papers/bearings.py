@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from papers.experiment import Experiment, Figures, Results, Study, catalogue_filters, filtered
+from papers.figures import innovations, rmse_curves
 from torchfra import plotting
 from torchfra.evaluation import table
 
@@ -32,9 +33,9 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     title = f"{scenario.name}, first run"
     figures = {
         "tracks": plotting.tracks(first.truth[0], paths, title, stations),
-        "innovations": plotting.innovations(nis, GATE, scenario.dt, title),
-        "position": plotting.rmse_curves(results, "position", scenario.dt, study.title),
-        "velocity": plotting.rmse_curves(results, "velocity", scenario.dt, study.title),
+        "innovations": innovations(nis, GATE, scenario.dt, title),
+        "position": rmse_curves(results, "position", scenario.dt, study.title),
+        "velocity": rmse_curves(results, "velocity", scenario.dt, study.title),
     }
     return {f"figure-{n}-{kind}": f for n, (kind, f) in zip(NUMBERS[scenario.name], figures.items(), strict=True)}
 

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters
-from torchfra import metrics, plotting
+from papers.figures import by_target, in_space, raw_and_filtered
+from torchfra import metrics
 from torchfra.angles import wrap
 from torchfra.association import Euclidean
 from torchfra.catalogue import scenario_filter
@@ -119,7 +120,7 @@ def _association_text(of: dict[str, dict[str, Any]]) -> str:
 def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     """Errors of each target over time; in clutter also range errors and a picture in space of the first run."""
     scenario = study.scenario
-    figures = {f"{scenario.name}-errors": plotting.by_target(summary["scans"], scenario.dt, study.title)}
+    figures = {f"{scenario.name}-errors": by_target(summary["scans"], scenario.dt, study.title)}
     if scenario.clutter is None:
         return figures
     last = list(study.filters)[-1]
@@ -136,8 +137,8 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     measured = scenario.sensor.locate(tracks.z[0]).flatten(0, 1)
     paths = scenario.cartesian(estimate).mean[0]
     return figures | {
-        f"{scenario.name}-ranges": plotting.raw_and_filtered(ranges, scenario.dt, title),
-        f"{scenario.name}-space": plotting.in_space(tracks.truth[0], paths, measured, title),
+        f"{scenario.name}-ranges": raw_and_filtered(ranges, scenario.dt, title),
+        f"{scenario.name}-space": in_space(tracks.truth[0], paths, measured, title),
     }
 
 

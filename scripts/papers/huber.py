@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from papers.experiment import Experiment, Figures, Results, Study, catalogue_filters
-from torchfra import plotting
+from papers.figures import against, rmse_curves
 from torchfra.catalogue import make_scenario
 from torchfra.evaluation import evaluate
 from torchfra.scenarios import Scenario
@@ -67,14 +67,11 @@ def _table(scenario: Scenario, results: Results) -> str:
 def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     """Errors over time, and the mean square error of the position over the size of the contamination."""
     scenario, sizes = study.scenario, summary["by_size"]
-    figures = {
-        f"{scenario.name}-{q}": plotting.rmse_curves(results, q, scenario.dt, study.title)
-        for q in _quantities(scenario)
-    }
+    figures = {f"{scenario.name}-{q}": rmse_curves(results, q, scenario.dt, study.title) for q in _quantities(scenario)}
     if sizes:
         curves = {name: [of[name]["mmse"] for of in sizes.values()] for name in study.filters}
         axes = "times the noise grows", "mean square error of the position"
-        figures[f"{scenario.name}-mmse"] = plotting.against(list(map(float, sizes)), curves, *axes, study.title)
+        figures[f"{scenario.name}-mmse"] = against(list(map(float, sizes)), curves, *axes, study.title)
     return figures
 
 

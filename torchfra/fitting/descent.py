@@ -1,179 +1,161 @@
-"""Gradient descent on minibatches from several starts at once, with early stopping and checkpoints."""
+"""Descent: iterations of whatever learns, with validation, early stopping and checkpoints.
+
+``torchfra.fit`` and ``train.tune`` both learn by it.
+"""
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
 
-from torchfra.fitting.data import Batch
-from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
-from torchfra.fitting.objective import Objective
-from torchfra.hyper import one_of
-from torchfra.numbers import is_integer
-from torchfra.running import distributed
+from torchfra import state_files
+from torchfra.running import checkpoints, distributed
 
-KINDS: dict[str, type] = {"key": str, "iteration": int, "raw": torch.Tensor, "optimiser": dict, "best": torch.Tensor,
-                          "scores": torch.Tensor, "since": int, "rows": list}  # fmt: skip
+KINDS: dict[str, type] = {"settings": dict, "iteration": int, "values": dict, "optimiser": dict, "best": dict,
+                          "scores": Tensor, "improved": int, "rows": list}  # fmt: skip
 """Fields of a checkpoint, and their types."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Settings of a fit: see ``torchfra.fit``.
+class Learner(Protocol):
+    """What a descent iterates: it changes values, of one start or of R starts side by side."""
 
-    Raises:
-        ValueError: a setting is out of its range.
-    """
+    optimiser: Any
+    """Has ``state_dict`` and ``load_state_dict``, as an optimiser of torch."""
 
-    loss: str
-    iterations: int = 200
-    batch: int = 64
-    lr: float = 0.1
-    clip: float = 10.0
-    validate_every: int = 10
-    patience: int = 5
-    held_out: float = 0.3
-    restarts: int = 1
-    spread: float = 1.0
-    polish: bool = True
-    errors: str = "hessian"
-    scale: float = math.nan
-    skip: int = 0
-    runs: int = 400
-    seed: int = 0
+    def step(self, iteration: int) -> dict[str, float]:
+        """Changes the values once; columns of the learning curve, of which ``"loss"`` and ``"left out"`` are shown.
 
-    def __post_init__(self) -> None:
-        positive = dict.fromkeys(("batch", "validate_every", "patience", "restarts", "runs"), 1)
-        for name, least in {**positive, **dict.fromkeys(("iterations", "skip", "seed"), 0)}.items():
-            value = getattr(self, name)
-            if not is_integer(value, least):
-                raise ValueError(f"{name}: expected a whole number of at least {least}, received {value!r}")
-            object.__setattr__(self, name, int(value))  # torch's generators take no integers of numpy
-        for name in ("lr", "clip", "spread"):
-            value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise ValueError(f"{name}: expected a number above 0, received {value!r}")
-        one_of(errors=(self.errors, KINDS_OF_ERRORS))
-        if not isinstance(self.held_out, float) or not 0 < self.held_out < 1:
-            raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out!r}")
+        All that is random follows from the number of the iteration, from 0, so that a resumed descent sees the same.
+        """
+        ...
 
-    def of(self, objective: Objective, errors: str | None) -> Settings:
-        """The settings with the chosen loss, and the kind of standard errors, by default the one for that loss."""
-        kind = errors or ("hessian" if objective.name == "likelihood" else "sandwich")
-        return replace(self, loss=objective.name, scale=objective.scale, errors=kind)
+    def validation(self) -> Tensor:
+        """Losses ``()`` or ``(R,)``, on the CPU, of the values on tracks that are not learned from."""
+        ...
+
+    def natural(self, start: int) -> dict[str, float]:
+        """The values of one of the starts in natural units, columns of the learning curve."""
+        ...
 
 
 class Descent:
-    """Gradient descents from R starts, side by side.
+    """Iterations until the last, or until validation has not improved for long.
 
     Args:
-        objective: the loss.
-        train: tracks to learn from.
-        valid: tracks for validation, by which the descent stops.
-        starts: ``(R, P)`` unconstrained values.
-        settings: of the fit.
+        learner: what learns.
+        values: the module whose state the learner changes; of R starts each tensor is ``(R, ...)``.
+        scores: losses ``()`` or ``(R,)`` at the start, on the CPU, which validation has to improve on.
+        settings: all that identifies the descent; ``iterations``, ``validate_every`` (iterations between validations)
+            and ``patience`` (validations without improvement after which it stops) among them.
     """
 
-    def __init__(self, objective: Objective, train: Batch, valid: Batch, starts: Tensor, settings: Settings) -> None:
-        self.objective, self.train, self.valid, self.settings = objective, train, valid, settings
-        self.raw = nn.Parameter(starts.clone())
-        self.optimiser: Any = torch.optim.Adam([self.raw], lr=settings.lr)
-        self.iteration, self.since = 0, 0
-        """``since``: validations in which no start has improved."""
-        self.best, self.scores = starts.clone(), self.validation(starts)
-        """``(R, P)`` the values of each start's best validation, and ``(R,)`` its loss."""
+    def __init__(self, learner: Learner, values: nn.Module, scores: Tensor, settings: Mapping[str, Any]) -> None:
+        self.learner, self.values, self.settings = learner, values, dict(settings)
+        self.iterations, self.validate_every, self.patience = (
+            int(settings[name]) for name in ("iterations", "validate_every", "patience")
+        )
+        self.iteration, self.improved = 0, 0
+        """Iterations that are done, and how many were when a validation last improved."""
+        self.best, self.scores = self._state(), scores
+        """The state of ``values`` at each start's best validation, and its loss; both on the CPU."""
         self.rows: list[dict[str, float]] = []
-        """Rows of the learning curve."""
+        """Rows of the learning curve, one for each iteration."""
 
     @property
     def done(self) -> bool:
         """Whether the last iteration is done, or validation has not improved for long."""
-        return self.iteration >= self.settings.iterations or self.since >= self.settings.patience
+        unimproved = (self.iteration - self.improved) / self.validate_every
+        return self.iteration >= self.iterations or unimproved >= self.patience
 
-    def validation(self, raw: Tensor) -> Tensor:
-        """``(R,)`` mean losses per track on the validation tracks, infinite where one is NaN."""
-        return self.objective.losses(raw.unsqueeze(1), self.valid).mean(1).nan_to_num(nan=math.inf)
+    @property
+    def ahead(self) -> range:
+        """The iterations that are left."""
+        return range(self.iteration, self.iterations)
+
+    def run(self, bar: Iterable[int]) -> Iterator[dict[str, float]]:
+        """Iterates until it is done; the row of each iteration.
+
+        Args:
+            bar: ``ahead``, behind a progress bar or not.
+        """
+        for _ in bar:
+            if self.done:
+                return
+            row = self.advance()
+            if hasattr(bar, "set_postfix"):
+                bar.set_postfix(loss=f"{row['loss']:.4f}", left_out=row["left out"])
+            yield row
 
     def advance(self) -> dict[str, float]:
         """One iteration; its row of the learning curve."""
-        loss, gradient, left_out = self._gradient()
-        self.raw.grad = gradient
-        self.optimiser.param_groups[0]["lr"] = falling(self.settings.lr, self.iteration / self.settings.iterations)
-        self.optimiser.step()
+        columns = self.learner.step(self.iteration)
         self.iteration += 1
-        row = {"iteration": self.iteration, "loss": float(loss.min()), "left out": left_out}
-        if self.iteration % self.settings.validate_every == 0 or self.iteration == self.settings.iterations:
-            raw = self.raw.detach()
-            scores = self.validation(raw)
-            better = scores < self.scores
-            self.scores = torch.where(better, scores, self.scores)
-            self.best = torch.where(better.unsqueeze(-1), raw, self.best)
-            self.since = 0 if bool(better.any()) else self.since + 1
-            row["validation"] = float(self.scores.min())
-        leader = self.raw.detach()[int(self.scores.argmin())]
-        natural = self.objective.vector.natural(leader).tolist()
-        row |= zip(self.objective.vector.names, natural, strict=True)
+        row = {"iteration": self.iteration, **columns}
+        if self.iteration % self.validate_every == 0 or self.iteration == self.iterations:
+            scores = self.learner.validation()
+            row["validation"] = float(scores.min())
+            if self.keep(scores):
+                self.improved = self.iteration
+        row |= self.learner.natural(int(self.scores.argmin()))
         self.rows.append(row)
         return row
 
-    def _gradient(self) -> tuple[Tensor, Tensor, int]:
-        """Mean losses ``(R,)`` and mean bounded gradients ``(R, P)`` of a minibatch, over all processes."""
-        chosen = self._minibatch()
-        share = distributed.share(len(chosen))
-        part = self.train.rows(chosen[share.start : share.stop])
-        losses, gradients = self.objective.gradients(self.raw.detach().unsqueeze(1), part)
-        norms = torch.cat(distributed.gathered(torch.linalg.vector_norm(gradients, dim=-1)), 1)
-        norms = norms.nanmedian(1, keepdim=True).values
-        clipped, finite = bounded(losses, gradients, self.settings.clip * norms)
-        table = torch.cat(
-            [clipped, torch.where(finite, losses, 0.0).unsqueeze(-1), finite.to(losses).unsqueeze(-1)], -1
-        )
-        sums = distributed.summed(table.sum(1))
-        means = sums[:, :-1] / sums[:, -1:].clamp_min(1)
-        return means[:, -1], means[:, :-1], int(len(self.raw) * len(chosen) - sums[:, -1].sum())
+    def keep(self, scores: Tensor) -> bool:
+        """Keeps the values of the starts for which these losses are the least so far; whether there are any."""
+        better = scores < self.scores
+        self.scores = torch.where(better, scores, self.scores)
+        for name, x in self._state().items():
+            which = better.reshape(better.shape + (1,) * (x.dim() - better.dim()))
+            self.best[name] = torch.where(which, x, self.best[name])
+        return bool(better.any())
 
-    def _minibatch(self) -> Tensor:
-        """Numbers of the next tracks; they follow from seed and iteration, so that a resumed fit sees the same ones."""
-        count, size = len(self.train.z), min(self.settings.batch, len(self.train.z))
-        epoch, place = divmod(self.iteration, max(1, count // size))
-        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + epoch)
-        return torch.randperm(count, generator=generator)[place * size : (place + 1) * size]
+    def _state(self) -> dict[str, Tensor]:
+        return {name: x.detach().to("cpu", copy=True) for name, x in self.values.state_dict().items()}
 
-    def state(self, key: str) -> dict[str, Any]:
-        """Contents of a checkpoint; ``key`` identifies its tracks and settings."""
-        return {"key": key, "iteration": self.iteration, "raw": self.raw.detach(), "best": self.best,
-                "optimiser": self.optimiser.state_dict(), "scores": self.scores, "since": self.since,
-                "rows": copy.deepcopy(self.rows)}  # fmt: skip
+    def save(self, path: Path) -> None:
+        """Writes a checkpoint; the one before stays: see ``checkpoints.save``."""
+        state = {"settings": self.settings, "iteration": self.iteration, "values": self._state(),
+                 "optimiser": self.learner.optimiser.state_dict(), "best": self.best, "scores": self.scores,
+                 "improved": self.improved, "rows": self.rows}  # fmt: skip
+        checkpoints.save(state, path)
 
-    def resume(self, state: Mapping[str, Any]) -> None:
-        """Continues from ``state``.
+    def resume(self, path: Path, program: str) -> bool:
+        """Continues from the newest checkpoint that can be read; whether there was one: see ``checkpoints.load``."""
+        return checkpoints.load(path, self._take, program)
+
+    def _take(self, path: Path) -> None:
+        """Continues from a checkpoint.
 
         Raises:
-            ValueError: it does not fit.
+            OtherSettingsError: it has other settings.
+            ValueError: it is damaged, or something else.
         """
-        if not all(isinstance(state.get(name), kind) for name, kind in KINDS.items()):
+        state = state_files.read(path)
+        if not isinstance(state, dict) or not all(isinstance(state.get(name), kind) for name, kind in KINDS.items()):
             raise ValueError(f"expected {', '.join(KINDS)}, received something else")
-        if state["raw"].shape != self.raw.shape:
-            raise ValueError(f"expected {tuple(self.raw.shape)} values, received {tuple(state['raw'].shape)}")
-        with torch.no_grad():
-            self.raw.copy_(state["raw"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.iteration, self.since, self.rows = state["iteration"], state["since"], list(state["rows"])
+        settings, rows = state["settings"], state["rows"]
+        other = [key for key, value in self.settings.items() if key not in settings or settings[key] != value]
+        if other:
+            raise checkpoints.OtherSettingsError(
+                f"resume: expected the settings of {path}, these differ: {', '.join(other)}"
+            )
+        if len(rows) != state["iteration"] or not all(isinstance(row, dict) for row in rows):
+            raise ValueError(f"rows: expected one for each of {state['iteration']} iterations, received something else")
+        if state["scores"].shape != self.scores.shape:
+            raise ValueError(f"scores: expected {tuple(self.scores.shape)}, received {tuple(state['scores'].shape)}")
+        for values in (state["best"], state["values"]):
+            state_files.load_values(self.values, values)
+        try:
+            self.learner.optimiser.load_state_dict(state["optimiser"])
+        except Exception as error:  # torch raises errors of many types
+            raise ValueError(f"expected the state of the optimiser, received something else ({error})") from None
+        self.iteration, self.improved, self.rows = state["iteration"], state["improved"], rows
         self.best, self.scores = state["best"], state["scores"]
-
-
-def starting_points(raw: Tensor, directions: Tensor, settings: Settings) -> Tensor:
-    """``(R, P)``: the values as they are, and others around them, normal in unconstrained values."""
-    generator = torch.Generator().manual_seed(settings.seed)
-    noise = torch.randn(settings.restarts, directions.shape[1], generator=generator, dtype=torch.float64)
-    noise[0] = 0.0
-    return raw + settings.spread * noise @ directions.mT
 
 
 def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Tensor, Tensor]:
@@ -192,6 +174,33 @@ def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Te
     norm = torch.linalg.vector_norm(gradients, dim=-1)
     shorter = (clip / norm).clamp_max(1.0).unsqueeze(-1)
     return torch.where(finite.unsqueeze(-1), gradients * shorter, 0.0), finite
+
+
+def summands(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> Tensor:
+    """Of each track ``(..., N, P + 2)``: its bounded gradient, its loss, and a 1; all 0 where one is not finite."""
+    clipped, finite = bounded(losses, gradients, clip)
+    return torch.cat([clipped, torch.stack([torch.where(finite, losses, 0.0), finite.to(losses)], -1)], -1)
+
+
+def means(sums: Tensor) -> tuple[Tensor, Tensor, int]:
+    """Mean losses ``(G,)``, mean gradients ``(G, P)`` and the number of tracks in them, over all processes.
+
+    Args:
+        sums: ``(G, P + 2)`` of the ``summands`` of this process's tracks, in G groups.
+    """
+    sums = distributed.summed(sums)
+    mean = sums[:, :-1] / sums[:, -1:].clamp_min(1)
+    return mean[:, -1], mean[:, :-1], int(sums[:, -1].sum())
+
+
+def follow(optimiser: torch.optim.Optimizer, gradient: Tensor, rate: float) -> None:
+    """One step of an optimiser, at this learning rate, along the gradient of all its parameters, one after another."""
+    (group,) = optimiser.param_groups
+    parts = gradient.flatten().split([parameter.numel() for parameter in group["params"]])
+    for parameter, part in zip(group["params"], parts, strict=True):
+        parameter.grad = part.reshape(parameter.shape).to(parameter, copy=True)
+    group["lr"] = rate
+    optimiser.step()
 
 
 def falling(rate: float, progress: float) -> float:

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from torchfra.filters import Filter
 from torchfra.fitting.data import Batch
-from torchfra.fitting.descent import Settings
 from torchfra.fitting.errors import Bootstrap, Certainty, Profile, bootstrap, profile
 from torchfra.fitting.judging import HeldOutComparison, Judged, judged
+from torchfra.fitting.minibatches import Settings
 from torchfra.fitting.newton import Sums
 from torchfra.fitting.objective import Objective
 from torchfra.running.atomic_write import write_json

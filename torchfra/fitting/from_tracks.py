@@ -10,13 +10,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchfra import losses, state_files
+from torchfra import losses
 from torchfra.filters import Filter
 from torchfra.fitting.data import Batch, Source, batch_of
-from torchfra.fitting.descent import Descent, Settings, starting_points
+from torchfra.fitting.descent import Descent
 from torchfra.fitting.errors import certainty
 from torchfra.fitting.fitted import Fitted, FitTracks
 from torchfra.fitting.judging import Judged, judged
+from torchfra.fitting.minibatches import Minibatches, Settings, starting_points
 from torchfra.fitting.newton import Sums, minimised
 from torchfra.fitting.objective import LossFunction, Objective, compiled, objective_of
 from torchfra.fitting.vector import Vector, copied
@@ -97,10 +98,15 @@ def fit(
     notes += [f"{lost} tracks have no finite loss at the start and are left out"] if lost else []
     train, valid, test = _split(used, settings)
 
-    descent = Descent(objective, train, valid, starting_points(start, vector.directions, settings), settings)
-    key = f"{asdict(settings)} {vector.names} {start.tolist()} {used.digest()}"
-    _descend(descent, path, resume, key, quiet)
-    best = descent.best[int(descent.scores.argmin())]
+    learner = Minibatches(objective, train, valid, starting_points(start, vector.directions, settings), settings)
+    same = {"learn": vector.names, "start": start.tolist(), "data": used.digest()}  # as must be what is resumed
+    descent = Descent(learner, learner.values, learner.validation(), asdict(settings) | same)
+    if path is not None and resume:
+        descent.resume(path, "fit")
+    for row in descent.run(progress_bar(descent.ahead, "fit", not quiet)):
+        if path is not None and "validation" in row and distributed.rank() == 0:
+            descent.save(path)
+    best = descent.best["raw"][int(descent.scores.argmin())]
     sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
     known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
     vector.store(raw)
@@ -108,15 +114,11 @@ def fit(
     held = _judged(own := FitTracks(objective, sums, test), start, raw, settings.seed)
     lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
     return Fitted(
-        f, _named(vector, start), _named(vector, raw), known, held, descent.rows,
+        f, vector.named(start), vector.named(raw), known, held, descent.rows,
         descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),
         {"train": len(train.z), "validation": len(valid.z), "test": len(test.z), "left out": lost},
         time.perf_counter() - begun, lines, own, raw,
     )  # fmt: skip
-
-
-def _named(vector: Vector, raw: Tensor) -> dict[str, float]:
-    return dict(zip(vector.names, vector.natural(raw).tolist(), strict=True))
 
 
 def _finite(objective: Objective, tracks: Batch, raw: Tensor) -> tuple[Batch, int]:
@@ -152,32 +154,6 @@ def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
     if path is not None and not resume and checkpoints.found(path):
         raise ValueError(f"checkpoint: {path} holds a fit already: resume=True continues it")
     return path
-
-
-def _descend(descent: Descent, path: Path | None, resume: bool, key: str, quiet: bool) -> None:
-    """Descends until the last iteration, or until validation has not improved for ``patience`` times.
-
-    Raises:
-        ValueError: the checkpoint is of another fit.
-    """
-
-    def take(source: Path) -> None:
-        state = state_files.read(source)
-        if isinstance(state, dict) and state.get("key", key) != key:
-            raise checkpoints.OtherSettingsError(f"resume: expected the data and settings of {source}, these differ")
-        descent.resume(state if isinstance(state, dict) else {})
-
-    if path is not None and resume:
-        checkpoints.load(path, take, "fit")
-    shown = progress_bar(range(descent.iteration, descent.settings.iterations), "fit", not quiet)
-    for _ in shown:
-        if descent.done:
-            break
-        row = descent.advance()
-        if hasattr(shown, "set_postfix"):
-            shown.set_postfix(loss=f"{row['loss']:.4f}")
-        if path is not None and "validation" in row and distributed.rank() == 0:
-            checkpoints.save(descent.state(key), path)
 
 
 def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tuple[Sums, Tensor, list[str]]:

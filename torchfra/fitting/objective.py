@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,7 +18,7 @@ from torchfra.fitting.data import Batch, Source
 from torchfra.fitting.vector import Vector
 from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
-from torchfra.numbers import is_integer
+from torchfra.numbers import is_integer, positive
 from torchfra.scenarios.base import Scenario
 from torchfra.types import CompileError, Estimate, Gaussian
 
@@ -44,6 +43,7 @@ class Objective:
         states: components of state and truth in the loss.
         convert: from estimates to the coordinates of the truth.
         skip: number of steps at the start of each track that the loss leaves out.
+        truncate: steps after which backpropagation through time is cut; None for never.
 
     Raises:
         ValueError: an unknown loss.
@@ -51,12 +51,12 @@ class Objective:
 
     def __init__(
         self, f: Filter, vector: Vector, loss: str | LossFunction, *, scale: float, states: slice, skip: int = 0,
-        convert: Callable[[Estimate], Estimate] | None = None,
+        convert: Callable[[Estimate], Estimate] | None = None, truncate: int | None = None,
     ) -> None:  # fmt: skip
         if not callable(loss):
             one_of(loss=(loss, LOSSES))
         self.filter, self.vector, self.loss, self.scale, self.states = f, vector, loss, scale, states
-        self.skip, self.convert = skip, convert
+        self.skip, self.convert, self.truncate = skip, convert, truncate
         if loss == "smoothed" and f.scans:
             raise ValueError("loss: expected another than 'smoothed' for scans of several targets")
         self.call = _Call(f, loss == "smoothed")
@@ -125,7 +125,8 @@ class Objective:
         return loss, copies
 
     def _estimate(self, batch: Batch) -> Estimate:
-        estimate: Estimate = self.filter(batch.z, batch.belief(self.filter), dt=batch.dt, u=batch.u)
+        options: dict[str, Any] = {"dt": batch.dt, "u": batch.u, "truncate": self.truncate}
+        estimate: Estimate = self.filter(batch.z, batch.belief(self.filter), **options)
         return estimate if self.convert is None else self.convert(estimate)
 
     def _measured(self, batch: Batch) -> Tensor:
@@ -139,7 +140,7 @@ class Objective:
             return _of_tracks(self.loss(counted, batch), batch)
         if self.loss == "likelihood":  # the sum over a track, not its mean, so that long tracks weigh more
             total = losses.innovation_nll(counted) * counted.log_likelihood.shape[-1]
-            return total.flatten(2).sum(-1) if total.dim() > 2 else total
+            return total.sum(-1) if self.filter.scans else total
         assert batch.truth is not None
         truth = batch.truth[..., skip:, :]
         if self.loss == "nll":
@@ -148,7 +149,7 @@ class Objective:
             each = losses.mse(counted.mean, truth, self.states)
         else:
             each = losses.robust_mse(counted.mean, truth, self.states, self.scale)
-        return each.flatten(2).mean(-1) if each.dim() > 2 else each
+        return each.mean(-1) if self.filter.scans else each
 
     def _hidden(self, batch: Batch) -> Tensor:
         """Minus the log density of each measurement given those before and after it; every fifth is hidden in turn."""
@@ -212,9 +213,7 @@ def objective_of(
     if kind == "robust" and scale is None:
         scale = _error(f, tracks, states, convert)
     scale = 1.0 if scale is None else scale
-    if not isinstance(scale, int | float) or not 0 < scale < math.inf:
-        raise ValueError(f"scale: expected a number above 0, received {scale!r}")
-    return Objective(f, vector, kind, scale=scale, skip=skip, states=states, convert=convert)
+    return Objective(f, vector, kind, scale=positive("scale", scale), skip=skip, states=states, convert=convert)
 
 
 @torch.no_grad()

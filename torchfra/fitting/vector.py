@@ -78,6 +78,10 @@ class Vector:
         ]
         return torch.cat(parts, -1)
 
+    def named(self, raw: Tensor) -> dict[str, float]:
+        """``raw (P,)`` in natural units, by name."""
+        return dict(zip(self.names, self.natural(raw).tolist(), strict=True))
+
     def unconstrained(self, name: str, values: Sequence[float]) -> Tensor:
         """One number's natural values as unconstrained ones ``(K,)``.
 

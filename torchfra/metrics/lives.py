@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchfra.metrics.sets import linear_sum_assignment
+from torchfra.running.optional import optional
 
 
 class Lives(NamedTuple):
@@ -88,7 +88,7 @@ def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) 
 
 def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cutoff: float) -> NDArray[np.int64]:
     """The track ``(M, T)`` that follows each target in each scan; -1 for none."""
-    assign = linear_sum_assignment()
+    assign = optional("scipy.optimize", "assignment", "assignment").linear_sum_assignment
     follower = np.full(targets.shape[:2], -1)
     last: NDArray[np.int64] = np.full(len(targets), -1)
     for t in range(targets.shape[1]):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+from torchfra.running.optional import optional
 
 
 class OSPA(NamedTuple):
@@ -139,29 +141,15 @@ def _assigned(pairs: Tensor, limit: float, within: bool = False) -> tuple[Tensor
 
     With ``within`` pairs at the limit do not count.
     """
-    assign = linear_sum_assignment()
+    assign = optional("scipy.optimize", "assignment", "assignment").linear_sum_assignment
     flat = pairs.detach().cpu().reshape(math.prod(pairs.shape[:-2]), *pairs.shape[-2:])
     totals, counts = torch.zeros(len(flat), dtype=flat.dtype), torch.zeros(len(flat), dtype=flat.dtype)
     for i, cost in enumerate(flat):
         finite = cost[cost.isfinite().any(-1)][:, cost.isfinite().any(-2)].clamp_max(limit)
         if finite.numel():
-            rows: Any
             rows, columns = assign(finite.numpy())
             chosen = finite[rows, columns]
             chosen = chosen[chosen < limit] if within else chosen
             totals[i], counts[i] = chosen.sum(), len(chosen)
     shape = pairs.shape[:-2]
     return totals.to(pairs).reshape(shape), counts.to(pairs).reshape(shape)
-
-
-def linear_sum_assignment() -> Any:
-    """``scipy.optimize.linear_sum_assignment``, imported when it is first needed.
-
-    Raises:
-        ImportError: scipy is not installed.
-    """
-    try:
-        from scipy.optimize import linear_sum_assignment as function
-    except ImportError:
-        raise ImportError("assignments need scipy: pip install torchfra[assignment]") from None
-    return function

@@ -1,239 +1,46 @@
-"""Curves: errors, innovations, probabilities and learned values over time, or over a setting."""
+"""A path in the plane, and what was learned over the iterations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import cycle
-from typing import Any
-
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
-from torchfra.cleaning.outputs.colours import BLACK, BLUE, PALE_BLUE, RED, REGIMES
-from torchfra.plotting.labels import beside, name_lines
-from torchfra.plotting.style import TITLE, finish, line_styles, without_box, words
+from torchfra.cleaning.outputs.colours import BLACK, BLUE, DARK, RED
+from torchfra.plotting.labels import in_free_places, named
+from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, words
 
-_ROOM = 30.0
-"""Upper limit of errors, as a factor on their median over all lines; a name at the upper edge is beyond."""
+WIDE = {"color": BLACK, "linewidth": 4, "alpha": 0.25, "solid_capstyle": "round"}
+"""Style of a true path, under the estimates."""
 _ROW = 0.18
-"""Height of a name beside the values, inches."""
-_QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
+"""Height of a name beside learned values, inches."""
 
 
-def rmse_curves(results: dict[str, dict[str, Any]], quantity: str, dt: float, title: str) -> Figure:
-    """Root mean square error over time of every filter.
-
-    Args:
-        results: from ``torchfra.evaluation.evaluate``.
-        quantity: ``"position"`` (m), ``"velocity"`` (m/s) or another of ``Scenario.quantities``.
-        dt: seconds per step.
-        title: of the figure.
-    """
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    axes, styles = figure.subplots(), line_styles(results)
-    curves = {name: np.array(result[f"rmse_{quantity}"], dtype=float) for name, result in results.items()}
-    lines = {name: _line(axes, dt * np.arange(1, len(of) + 1), of, styles[name]) for name, of in curves.items()}
-    unit = {"position": ", m", "velocity": ", m/s"}.get(quantity, "")
-    axes.set(xlabel="time, s", ylabel=f"RMSE of {quantity}{unit}", yscale="log", title=words(title, TITLE))
-    values = np.concatenate(list(curves.values()))
-    known = values[np.isfinite(values) & (values > 0)]
-    if len(known):
-        axes.set_ylim(known.min() / 1.15, min(known.max(), _ROOM * float(np.median(known))) * 1.15)
-    return _finished(figure, {axes: lines})
-
-
-def against(x: Sequence[float], curves: dict[str, list[float]], xlabel: str, ylabel: str, title: str) -> Figure:
-    """One number of every filter over a setting.
+def tracks(truth: Tensor, estimates: dict[str, Tensor], title: str, stations: Tensor | None = None) -> Figure:
+    """One target's true path and what filters made of it, in the plane.
 
     Args:
-        x: the settings.
-        curves: by name of the filter, one number for each.
-        xlabel: what is set.
-        ylabel: what came out.
+        truth: ``(T, n)``, m.
+        estimates: by name, ``(T, n)`` each, m.
         title: of the figure.
+        stations: ``(T, 2 k)`` positions of the stations, m.
     """
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes, styles = figure.subplots(), line_styles(curves)
-    lines = {name: _line(axes, x, y, styles[name] | {"marker": "o", "markersize": 3}) for name, y in curves.items()}
-    axes.set(xlabel=xlabel, ylabel=ylabel, title=words(title, TITLE))
-    return _finished(figure, {axes: lines})
-
-
-def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> Figure:
-    """Normalised innovation squared over time, with the gate.
-
-    Args:
-        nis: by name, ``(T,)`` each.
-        gate: above which an innovation is abnormal.
-        dt: seconds per step.
-        title: of the figure.
-    """
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    axes, styles = figure.subplots(), line_styles(nis)
-    lines = {
-        name: _line(axes, dt * np.arange(1, len(of) + 1), of.clamp_min(1e-3), styles[name]) for name, of in nis.items()
-    }
-    lines[f"gate {gate:g}"] = axes.axhline(gate, color=BLACK, linestyle="--", linewidth=1)
-    axes.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log", title=words(title, TITLE))
-    return _finished(figure, {axes: lines})
-
-
-def by_coordinate(results: dict[str, dict[str, Any]], quantity: str, start: float, dt: float, title: str) -> Figure:
-    """An error of the position over time, one panel for each coordinate.
-
-    Args:
-        results: from ``torchfra.evaluation.evaluate``.
-        quantity: ``"mean_error"``, ``"rmse"`` (m) or ``"mape"`` (%).
-        start: seconds at the first step.
-        dt: seconds per step.
-        title: of the figure.
-    """
-    axes_of = [axis for axis in "xyz" if all(f"{quantity}_{axis}" in of for of in results.values())]
-    figure = Figure(figsize=(5.5 * len(axes_of), 3.6), layout="constrained")
-    label = {"mean_error": "mean error, m", "rmse": "RMSE, m", "mape": "mean relative error, %"}[quantity]
-    panels, styles = figure.subplots(1, len(axes_of), squeeze=False)[0], line_styles(results)
-    lines = {}
-    for axis, axes in zip(axes_of, panels, strict=True):
-        curves = {name: np.array(of[f"{quantity}_{axis}"], dtype=float) for name, of in results.items()}
-        lines[axes] = {
-            name: _line(axes, start + dt * np.arange(len(of)), of, styles[name]) for name, of in curves.items()
-        }
-        axes.set(xlabel="time, s", ylabel=f"{label}, {axis}")
-    figure.suptitle(words(title, TITLE))
-    return _finished(figure, lines)
-
-
-def scaling(panels: dict[str, list[tuple[float, float]]], title: str) -> Figure:
-    """Time per track and step over the size of the job.
-
-    Args:
-        panels: one for each size, such as ``"batch"``: pairs of the size and microseconds.
-        title: of the figure.
-    """
-    columns, rows = min(len(panels), 3), -(-len(panels) // 3)
-    figure = Figure(figsize=(4 * columns, 3.1 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    grid[0, 0].set(yscale="log")
-    figure.supylabel("microseconds per track and step", fontsize="medium")
-    for axes, (size, pairs) in zip(grid.flat, panels.items(), strict=False):
-        axes.plot(*zip(*pairs, strict=True), marker="o", color=BLUE)
-        axes.set(xlabel=size)
-        if max(pairs)[0] > 100:
-            axes.set_xscale("log")
-        else:
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        finish(axes)
-    figure.suptitle(words(title, TITLE))
+    figure = Figure(figsize=(7, 6), layout="constrained")
+    axes, styles = figure.subplots(), line_styles(estimates)
+    shown = {"truth": truth[:, :2].numpy() / 1000} | {name: of[:, :2].numpy() / 1000 for name, of in estimates.items()}
+    for name, path in shown.items():
+        axes.plot(*path.T, **(WIDE if name == "truth" else styles[name]))
+    if stations is not None:
+        paths = stations.unflatten(-1, (-1, 2)).movedim(-2, 0).numpy() / 1000
+        for path in paths:
+            axes.plot(*path.T, color=DARK, linestyle=":", linewidth=1)
+        shown["stations"] = paths.reshape(-1, 2)
+    axes.set(xlabel="x, km", ylabel="y, km", title=words(title, TITLE), aspect="equal", adjustable="datalim")
+    finish(axes)
+    lay_out(figure)  # labels are put where there is room, which the layout decides
+    colours = {"truth": DARK, "stations": DARK} | {name: style["color"] for name, style in styles.items()}
+    in_free_places(axes, {name: path[np.isfinite(path).all(1)] for name, path in shown.items()}, colours)
     return figure
-
-
-def _line(axes: Axes, x: Any, y: Any, style: Mapping[str, Any]) -> Line2D:
-    (line,) = axes.plot(x, y, **style)
-    return line
-
-
-def _finished(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> Figure:
-    """The figure with a grid in its axes and a name at each line."""
-    for axes in lines:
-        finish(axes)
-    name_lines(figure, lines)
-    return figure
-
-
-def bands(errors: Mapping[str, tuple[Tensor, Tensor]], dt: float, ylabel: str, title: str) -> Figure:
-    """Errors over time and bands of two standard deviations, a panel for each kind of estimate.
-
-    Args:
-        errors: by kind, the errors ``(T,)`` of one coordinate and their standard deviations ``(T,)``.
-        dt: seconds per step.
-        ylabel: what the errors are of, with the unit.
-        title: of the figure.
-    """
-    figure = Figure(figsize=(8, 2 * len(errors)), layout="constrained")
-    panels = figure.subplots(len(errors), sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, (kind, (error, std)) in zip(panels, errors.items(), strict=True):
-        time, wide = dt * np.arange(1, len(error) + 1), 2 * std.numpy()
-        axes.fill_between(time, -wide, wide, color=PALE_BLUE, linewidth=0)
-        axes.plot(time, error.numpy(), color=BLUE, linewidth=1)
-        axes.set(ylabel=f"{kind}\n{ylabel}")
-    panels[0].set_title(words(title, TITLE))
-    panels[-1].set_xlabel("time, s")
-    return figure
-
-
-def probabilities(of: dict[str, Any], models: Sequence[str], start: float, dt: float, title: str) -> Figure:
-    """Probabilities of models over time, stacked, one panel for each filter.
-
-    Args:
-        of: by name of the filter ``(T, K)``.
-        models: their names, K or more; a filter of fewer has the first of them.
-        start: seconds at the first step.
-        dt: seconds per step.
-        title: of the figure.
-    """
-    figure = Figure(figsize=(9, 2.2 * len(of) + 0.6), layout="constrained")
-    rows = figure.subplots(len(of), 1, squeeze=False, sharex=True)[:, 0]
-    for (name, values), axes in zip(of.items(), rows, strict=True):
-        values = np.asarray(values, dtype=float)
-        time = start + dt * np.arange(len(values))
-        axes.stackplot(time, values.T, colors=REGIMES, linewidth=0)
-        axes.set(ylabel=words(name), ylim=(0, 1), xlim=(time[0], time[-1]))
-        beside(axes, dict(zip(models[: values.shape[1]], cycle(REGIMES), strict=False)))
-        without_box(axes)
-    rows[-1].set(xlabel="time, s")
-    figure.suptitle(words(title, TITLE))
-    return figure
-
-
-def by_target(results: dict[str, dict[str, Any]], dt: float, title: str) -> Figure:
-    """Root mean square errors of range, azimuth and elevation over time, one row for each target.
-
-    Args:
-        results: by name of the filter, ``"rmse_range"`` (m), ``"rmse_azimuth"`` and ``"rmse_elevation"`` (rad),
-            ``[N][T]``.
-        dt: seconds per step.
-        title: of the figure.
-    """
-    targets = len(next(iter(results.values()))["rmse_range"])
-    figure = Figure(figsize=(15, 3 * targets), layout="constrained")
-    grid = figure.subplots(targets, len(_QUANTITIES), squeeze=False, sharex=True)
-    lines, styles = {}, line_styles(results)
-    for i, row in enumerate(grid):
-        for axes, (key, unit, scale) in zip(row, _QUANTITIES, strict=True):
-            curves = {name: scale * np.array(values[f"rmse_{key}"][i], dtype=float) for name, values in results.items()}
-            lines[axes] = {
-                name: _line(axes, dt * np.arange(1, len(of) + 1), of, styles[name]) for name, of in curves.items()
-            }
-            axes.set(ylabel=f"target {i + 1}: {key}, {unit}", yscale="log")
-    for axes in grid[-1]:
-        axes.set(xlabel="time, s")
-    figure.suptitle(f"root mean square error, {words(title, TITLE)}")
-    return _finished(figure, lines)
-
-
-def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title: str) -> Figure:
-    """Range errors of measurements and of estimates, one panel for each target.
-
-    Args:
-        ranges: by name of the target, measured and filtered errors ``(T,)``, m; NaN where missed.
-        dt: seconds per step.
-        title: of the figure.
-    """
-    figure = Figure(figsize=(8, 2.6 * len(ranges)), layout="constrained")
-    panels = figure.subplots(len(ranges), 1, squeeze=False, sharex=True)[:, 0]
-    lines = {}
-    for axes, (name, (raw, filtered)) in zip(panels, ranges.items(), strict=True):
-        time = dt * np.arange(1, len(raw) + 1)
-        (dots,) = axes.plot(time, raw, ".", color=BLACK, markersize=4)
-        (line,) = axes.plot(time, filtered, color=RED, linewidth=1.4)
-        lines[axes] = {"measured": dots, "filtered": line}
-        axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
-    figure.suptitle(words(title, TITLE))
-    return _finished(figure, lines)
 
 
 def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title: str) -> Figure:
@@ -259,4 +66,4 @@ def learning_curve(rows: list[dict[str, float]], start: dict[str, float], title:
         (learned[label],) = values.plot([0, *time], [1.0, *change], **styles[name])
     loss.set(ylabel="loss", title=words(title, TITLE))
     values.set(xlabel="iteration", ylabel="times the start", yscale="log")
-    return _finished(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})
+    return named(figure, {loss: {"training batch": batch, "validation, hard decision": valid}, values: learned})

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from torchfra.plotting.style import lay_out, words
+from torchfra.plotting.style import finish, lay_out, words
 
 Array = NDArray[np.float64]
 
@@ -83,18 +83,21 @@ def show(axes: Axes, low: Array, high: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def name_lines(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> None:
-    """Names to the right of each of some axes, in the colour of the line they belong to; gives the figure its layout.
+def named(figure: Figure, lines: Mapping[Axes, Mapping[str, Line2D]]) -> Figure:
+    """The figure with a grid in some axes, and to the right of each the names of its lines, in their colours.
 
     Args:
-        figure: finished except for these.
-        lines: of each of its axes, by name.
+        figure: finished except for these; it gets its layout.
+        lines: of each of the axes, by name.
     """
+    for axes in lines:
+        finish(axes)
     lay_out(figure)  # labels are put where there is room, which the layout decides
-    for axes, named in lines.items():
-        ends = {name: _end(line) for name, line in named.items()}
-        at_ends(axes, ends, {name: str(line.get_color()) for name, line in named.items()})
+    for axes, of in lines.items():
+        ends = {name: _end(line) for name, line in of.items()}
+        at_ends(axes, ends, {name: str(line.get_color()) for name, line in of.items()})
     lay_out(figure)
+    return figure
 
 
 def beside(axes: Axes, colours: Mapping[str, str]) -> None:

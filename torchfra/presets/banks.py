@@ -17,7 +17,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_number
+from torchfra.numbers import as_number, fraction
 from torchfra.presets.feedback import fra
 from torchfra.presets.learning import with_learning
 from torchfra.presets.single import Share, States, srckf
@@ -188,8 +188,7 @@ def _bank(models: Models) -> Bank:
 
 def _transition(count: int, stay: float, transition: Value | None) -> Value:
     """The matrix ``(count, count)`` of the argument, or one with the same self-transition probability for all."""
-    if not 0 < as_number(stay) < 1:
-        raise ValueError(f"stay: expected a probability above 0 and below 1, received {stay!r}")
+    fraction("stay", stay)
     if transition is not None:
         return transition
     eye = torch.eye(count, dtype=torch.float64)

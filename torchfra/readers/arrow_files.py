@@ -10,7 +10,8 @@ from typing import Any
 
 from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
 from torchfra.readers.columns import Cells
-from torchfra.readers.sheets import Sheet, needs
+from torchfra.readers.sheets import Sheet
+from torchfra.running.optional import optional
 
 _ROWS = 2**16
 """Of a batch of Parquet."""
@@ -32,10 +33,7 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
         ValueError: it is damaged or holds too much.
         ImportError: pyarrow is not installed.
     """
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise needs("pyarrow", "Parquet and Feather") from error
+    pyarrow = optional("pyarrow", "Parquet and Feather", "formats")
     try:
         schema, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
     except (pyarrow.ArrowException, OSError, struct.error, IndexError) as error:

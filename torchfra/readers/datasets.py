@@ -17,8 +17,9 @@ from torchfra.readers.columns import grouped, text
 from torchfra.readers.reading import SheetReader
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import TooFewError, dropped
-from torchfra.readers.sheets import listed, needs
+from torchfra.readers.sheets import listed
 from torchfra.readers.tables import naming
+from torchfra.running.optional import optional
 
 _ROWS = 2**18
 """Of a file that are in memory at a time."""
@@ -140,11 +141,7 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
             which target a row is of; or a column is of numbers in one file and of text in another.
         ImportError: pyarrow is not installed.
     """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise needs("pyarrow", "Parquet") from error
+    pyarrow, parquet = (optional(name, "Parquet", "formats") for name in ("pyarrow", "pyarrow.parquet"))
     path = Path(path)
     files, schemas = [], []
     for file in _paths(path):

@@ -13,7 +13,8 @@ import numpy as np
 
 from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
 from torchfra.readers.columns import number
-from torchfra.readers.sheets import Sheet, needs
+from torchfra.readers.sheets import Sheet
+from torchfra.running.optional import optional
 
 _LONGEST = 1024
 """Bytes of a line; a sentence has 82, and may have a time in front."""
@@ -37,10 +38,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
         ValueError: no fixes, or too many.
         ImportError: pynmea2 is not installed.
     """
-    try:
-        import pynmea2
-    except ImportError as error:
-        raise needs("pynmea2", "NMEA 0183") from error
+    pynmea2 = optional("pynmea2", "NMEA 0183", "formats")
     fixes, lines = _Fixes(), Counter[str]()
     for line in _lines(file, max_bytes):
         sentence = line[line.find("$") :]

@@ -59,8 +59,3 @@ def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:
     full = {name: cells for name, cells in columns.items() if any(cell not in (None, "") for cell in cells)}
     rows = len(next(iter(columns.values()), []))
     return Sheet(list(full), [(rows, full.__getitem__)], said)
-
-
-def needs(package: str, what: str) -> ImportError:
-    """The error for a format whose package is not installed."""
-    return ImportError(f'{what} needs the package {package}: pip install "torchfra[formats]"')

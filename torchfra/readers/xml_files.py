@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from torchfra.readers.columns import DECIMAL, short
-from torchfra.readers.sheets import Sheet, needs, points_sheet, whole_text
+from torchfra.readers.sheets import Sheet, points_sheet, whole_text
+from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
 """Those of a GPX file, which gpxpy reads as Python does."""
@@ -68,10 +69,7 @@ def _checked_root(text: str) -> str:
 
 
 def _gpx_sheet(text: str) -> Sheet:
-    try:
-        import gpxpy
-    except ImportError as error:
-        raise needs("gpxpy", "GPX") from error
+    gpxpy = optional("gpxpy", "GPX", "formats")
     for found in _NUMBERS.finditer(text):
         value = found[2] if found[1] else found[4]
         if (bare := value.strip()) and not DECIMAL.fullmatch(bare):

@@ -8,9 +8,8 @@ from torchfra.targets.clutter_map import ClutterMap
 from torchfra.targets.manager import Targets
 from torchfra.targets.merging import Merging
 from torchfra.targets.poisson import PoissonBirths
-from torchfra.targets.records import collect
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
-from torchfra.targets.state import TargetsEstimate, TargetsState, Track
+from torchfra.targets.state import TargetsEstimate, TargetsState, Track, collect
 from torchfra.targets.stitching import Stitching
 from torchfra.targets.triangulation import Triangulation
 from torchfra.targets.views import FieldOfView

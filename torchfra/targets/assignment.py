@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import torch
@@ -10,6 +9,7 @@ from torch import Tensor
 
 from torchfra.linalg.triangular import hstack, tria, whiten
 from torchfra.motion.base import Motion
+from torchfra.running.optional import optional
 from torchfra.types import Gaussian
 
 
@@ -19,10 +19,7 @@ def scipy(part: str) -> Any:
     Raises:
         ImportError: scipy is not installed.
     """
-    try:
-        return import_module(f"scipy.{part}")
-    except ImportError:
-        raise ImportError("managing targets needs scipy: pip install torchfra[assignment]") from None
+    return optional(f"scipy.{part}", "a manager of targets", "assignment")
 
 
 def assigned(cost: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:

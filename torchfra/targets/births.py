@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -11,7 +10,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_number
+from torchfra.numbers import positive
 from torchfra.targets.assignment import assigned
 from torchfra.targets.places import from_cartesian, known_components
 from torchfra.targets.state import Unassociated, joined, rows
@@ -51,7 +50,7 @@ class Birth(nn.Module):
 
     def __init__(self, more: float) -> None:
         super().__init__()
-        self.more = _positive("more", more)
+        self.more = positive("more", more)
 
     def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """The newborn targets, and the measurements that the next scan's births may use.
@@ -88,7 +87,7 @@ class OnePoint(Birth):
 
     def __init__(self, velocity: float = 30.0, more: float = 1.0) -> None:
         super().__init__(more)
-        self.velocity = _positive("velocity", velocity)
+        self.velocity = positive("velocity", velocity)
 
     def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """A target for each measurement; none is left."""
@@ -123,7 +122,7 @@ class TwoPoint(Birth):
 
     def __init__(self, speed: float = 100.0, more: float = 1.0) -> None:
         super().__init__(more)
-        self.speed = _positive("speed", speed)
+        self.speed = positive("speed", speed)
 
     def forward(self, motion: Motion, now: Unassociated, before: Unassociated) -> tuple[Newborn, Unassociated]:
         """A target for each pair; measurements in no pair are left."""
@@ -159,9 +158,3 @@ class TwoPoint(Birth):
     def extra_repr(self) -> str:
         """The highest speed."""
         return f"speed={self.speed:g}"
-
-
-def _positive(name: str, value: float) -> float:
-    if not 0 < as_number(value) < math.inf:
-        raise ValueError(f"{name}: expected a number above 0, received {value}")
-    return float(value)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +18,7 @@ from torchfra.targets.places import known_components
 from torchfra.targets.scan import SceneScan
 from torchfra.targets.state import TargetsState
 
+T = TypeVar("T")
 _DTYPES = torch.float32, torch.float64
 
 
@@ -70,6 +73,24 @@ def check_parts(**parts: tuple[object, type]) -> None:
         if part is not None and not isinstance(part, kind):
             expected = f"a {kind.__name__} of torchfra.targets"
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
+
+
+def by_sensor(
+    name: str, given: Mapping[str | None, T] | None, sensors: Collection[str], kind: Any
+) -> dict[str | None, T]:
+    """An argument that has values of a kind for some sensors, by their names, None for the filter's own.
+
+    Raises:
+        ValueError: it is no dictionary, or has a name of no sensor or a value of another kind.
+    """
+    if not isinstance(given, Mapping | None):
+        raise ValueError(f"{name}: expected a dict by the name of a sensor, received {given!r}")
+    for sensor, value in (given or {}).items():
+        if sensor is not None and sensor not in sensors:
+            raise ValueError(f"{name}: expected some of {', '.join(['None', *sensors])}, received {sensor!r}")
+        if not isinstance(value, kind):
+            raise ValueError(f"{name}: expected a {kind.__name__} of {sensor!r}, received {type(value).__name__}")
+    return dict(given or {})
 
 
 def check_scan(

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchfra.numbers import as_number
+from torchfra.hyper import one_of
+from torchfra.numbers import positive
 from torchfra.targets.state import Track, joined, renamed, rows
 
 FRAMES = "fixed", "platform"
@@ -88,12 +89,9 @@ class ClutterMap(nn.Module):
 
     def __init__(self, size: float = 10.0, seconds: float = 60.0, scans: float = 2.0, *, frame: str = "fixed") -> None:
         super().__init__()
-        for name, value in (("size", size), ("seconds", seconds), ("scans", scans)):
-            if not 0 < as_number(value) < math.inf:
-                raise ValueError(f"{name}: expected a finite number above 0, received {value}")
-        if frame not in FRAMES:
-            raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, received {frame!r}")
-        self.size, self.seconds, self.scans, self.frame = float(size), float(seconds), float(scans), frame
+        one_of(frame=(frame, FRAMES))
+        self.size, self.seconds = positive("size", size), positive("seconds", seconds)
+        self.scans, self.frame = positive("scans", scans), frame
 
     def begin(self, scenes: int, sensors: int, position: Tensor) -> Mapped:
         """An empty map; ``position (0, dims)`` sets the dimensions and the dtype."""

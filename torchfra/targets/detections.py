@@ -14,6 +14,7 @@ from torchfra.linalg.triangular import tria
 from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
 from torchfra.targets.assignment import scipy
+from torchfra.targets.checks import by_sensor
 from torchfra.targets.scan import SceneScan
 
 
@@ -64,20 +65,15 @@ def check_linkage(
     Raises:
         ValueError: one of no sensor, or of one that does not locate, or no metres.
     """
-    if not isinstance(linkage, Mapping | None):
-        raise ValueError(f"linkage: expected a dict of metres by the name of a sensor, received {linkage!r}")
-    filters: dict[str | None, JPDA] = {None: own}
-    filters.update(others)
-    for name, metres in (linkage or {}).items():
-        if name not in filters:
-            expected = ", ".join(str(known) for known in filters)
-            raise ValueError(f"linkage: expected some of {expected}, received {name!r}")
-        if not filters[name].sensor.locates:
-            received = filters[name].sensor.describe()
-            raise ValueError(f"linkage: expected a sensor that measures where a target is, received {received}")
+    checked = by_sensor("linkage", linkage, others, object)
+    for name, metres in checked.items():
+        sensor = own.sensor if name is None else others[name].sensor
+        if not sensor.locates:
+            expected = "a sensor that measures where a target is"
+            raise ValueError(f"linkage: expected {expected}, received {sensor.describe()}")
         if isinstance(metres, bool) or not 0 < as_number(metres) < math.inf:
             raise ValueError(f"linkage: expected finite metres above 0 of {name!r}, received {metres}")
-    return dict(linkage or {})
+    return checked
 
 
 def _components(x: Tensor, scene: Tensor, metres: float) -> Tensor:

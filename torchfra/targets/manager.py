@@ -16,7 +16,7 @@ from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Measurements, Time
-from torchfra.numbers import as_number, is_integer
+from torchfra.numbers import as_number, fraction, is_integer
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
@@ -24,11 +24,10 @@ from torchfra.targets.clutter_map import ClutterMap, Mapped
 from torchfra.targets.detections import check_linkage, linked
 from torchfra.targets.late import Passed, kept, put_in
 from torchfra.targets.merging import Merging
-from torchfra.targets.places import known_components, place, to_cartesian
-from torchfra.targets.records import collect
+from torchfra.targets.places import place, positions
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
-from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, joined, rows
+from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, collect, joined, rows
 from torchfra.targets.stitching import Parts, Stitching, lost
 from torchfra.targets.triangulation import Lines, Triangulation, check_triangulation, sights
 from torchfra.targets.views import FieldOfView, check_place, check_views
@@ -96,8 +95,6 @@ class Targets(nn.Module):
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
                     merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap),
                     stitching=(stitching, Stitching), triangulation=(triangulation, Triangulation))  # fmt: skip
-        if not 0 < as_number(birth_threshold) < 1:
-            raise ValueError(f"birth_threshold: expected a probability above 0 and below 1, received {birth_threshold}")
         if not 0 <= as_number(lag) < math.inf:
             raise ValueError(f"lag: expected finite seconds of 0 or more, received {lag}")
         self.filter = copy.deepcopy(filter)
@@ -105,7 +102,7 @@ class Targets(nn.Module):
         self.confirmation = SPRT() if confirmation is None else confirmation
         self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
         self.merging, self.clutter_map, self.lag = merging, clutter_map, float(lag)
-        self.birth_threshold = birth_threshold
+        self.birth_threshold = fraction("birth_threshold", birth_threshold)
         self.stitching, self.triangulation = stitching, triangulation
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
@@ -356,7 +353,7 @@ class Targets(nn.Module):
     ) -> tuple[Track, Any]:
         """Restores age and misses of targets outside the sensor's field of view."""
         motion, scene = self.filter.motion, state.track.scene
-        position = to_cartesian(motion, after.belief).mean[:, known_components(motion)[: motion.dims]]
+        position = positions(motion, after.belief).mean
         counts = view(position, None if scan.u is None else scan.u[scene]) | (track.misses == 0)
         kept: Track = tree.map_tensors(lambda now, was: _where(counts, now, was), track, state.track)
         missed = torch.where(counts, after.missed, state.filter.missed)
@@ -391,9 +388,8 @@ class Targets(nn.Module):
     def _deleted(self, belief: Gaussian, track: Track, groups: list[Group]) -> tuple[Tensor, Tensor]:
         """Two ``(N,)`` bool: targets that the rule of deletion ends, and those that are merged with another."""
         motion = self.filter.motion
-        position = to_cartesian(motion, belief).scale_tril[:, known_components(motion)[: motion.dims]]
         none = torch.zeros_like(track.confirmed)
-        gone = none if self.deletion is None else self.deletion(track, position)
+        gone = none if self.deletion is None else self.deletion(track, positions(motion, belief).scale_tril)
         return gone, none if self.merging is None else self.merging(motion, belief, track, groups)
 
     def _births(

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
 
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_number
+from torchfra.numbers import positive
 from torchfra.targets.assignment import squared_distance
 from torchfra.targets.clusters import Group
-from torchfra.targets.places import known_components, to_cartesian
+from torchfra.targets.places import positions
 from torchfra.targets.state import Track, rows
 from torchfra.types import Gaussian
 
@@ -40,11 +38,8 @@ class Merging(nn.Module):
 
     def __init__(self, distance: float = 0.3, *, extent: float | None = None) -> None:
         super().__init__()
-        if not 0 < as_number(distance) < math.inf:
-            raise ValueError(f"distance: expected a number above 0, received {distance}")
-        if extent is not None and not 0 < as_number(extent) < math.inf:
-            raise ValueError(f"extent: expected finite metres above 0, received {extent}")
-        self.distance, self.extent = float(distance), extent
+        self.distance = positive("distance", distance)
+        self.extent = None if extent is None else positive("extent", extent, "finite metres")
 
     def forward(self, motion: Motion, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are deleted as duplicates of another.
@@ -77,7 +72,7 @@ class Merging(nn.Module):
         """
         if self.extent is None or not bool(track.confirmed.any()):
             return torch.zeros_like(track.confirmed)
-        position = to_cartesian(motion, belief).mean[:, known_components(motion)[: motion.dims]]
+        position = positions(motion, belief).mean
         gap = position.unsqueeze(1) - position[track.confirmed]
         same = track.scene.unsqueeze(1) == track.scene[track.confirmed]
         near: Tensor = (same & (gap.norm(dim=-1) <= self.extent)).any(-1)

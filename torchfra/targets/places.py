@@ -70,6 +70,8 @@ def from_cartesian(motion: Motion, belief: Gaussian) -> Gaussian:
     return belief_from_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
 
 
-def to_cartesian(motion: Motion, belief: Gaussian) -> Gaussian:
-    """Beliefs in the coordinates of a motion, as those of Cartesian ``[position, velocity, ...]``."""
-    return belief_to_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
+def positions(motion: Motion, belief: Gaussian) -> Gaussian:
+    """Cartesian positions ``(..., dims)`` of beliefs in the coordinates of a motion; roots are ``(..., dims, n)``."""
+    mean, root = belief_to_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
+    at = known_components(motion)[: motion.dims]
+    return Gaussian(mean[..., at], root[..., at, :])

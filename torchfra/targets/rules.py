@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchfra.numbers import as_number, is_integer
+from torchfra.numbers import as_number, fraction, is_integer, positive
 from torchfra.targets.state import Track
 
 
@@ -135,12 +135,10 @@ class Existence(Confirmation):
         self, lifetime: float = 300.0, birth: float = 0.1, *, confirmed: float = 0.99, deleted: float = 1e-3
     ) -> None:
         super().__init__()
-        if not 0 < as_number(lifetime) < math.inf:
-            raise ValueError(f"lifetime: expected finite seconds above 0, received {lifetime}")
         if not 0 < as_number(deleted) < as_number(birth) < as_number(confirmed) < 1:
             raise ValueError("deleted, birth, confirmed: expected probabilities above 0 and below 1 in that order, "
                              f"received {deleted}, {birth}, {confirmed}")  # fmt: skip
-        self.lifetime, self.birth = float(lifetime), float(birth)
+        self.lifetime, self.birth = positive("lifetime", lifetime, "finite seconds"), float(birth)
         self.upper, self.lower = (math.log(x / (1 - x)) for x in (confirmed, deleted))
 
     def first(self, new: Tensor) -> Tensor:
@@ -189,11 +187,9 @@ class Deletion(nn.Module):
             raise ValueError("misses, score_drop, spread: expected at least one of them, received none")
         if misses is not None and not is_integer(misses, 1):
             raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
-        if score_drop is not None and not 0 < as_number(score_drop) < 1:
-            raise ValueError(f"score_drop: expected a probability above 0 and below 1, received {score_drop}")
-        if spread is not None and not as_number(spread) > 0:
-            raise ValueError(f"spread: expected metres above 0, received {spread}")
-        self.misses, self.score_drop, self.spread = misses, score_drop, spread
+        self.misses = misses
+        self.score_drop = None if score_drop is None else fraction("score_drop", score_drop)
+        self.spread = None if spread is None else positive("spread", spread, "finite metres")
 
     def forward(self, track: Track, position: Tensor) -> Tensor:
         """Which targets ``(N,)`` are deleted.

@@ -1,7 +1,9 @@
-"""The state of the manager of targets: tensors with one row for each existing target."""
+"""The state of the manager of targets, tensors with one row for each existing target; and estimates of sequences."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -139,3 +141,46 @@ def renamed(of: Any, scene: Tensor, new: Tensor, old: Tensor) -> Any:
     """Rows with a ``scene`` and an ``identity``, where ``new (S,)`` ones of scenes ``(S,)`` have become ``old``."""
     same = (of.scene[:, None] == scene) & (of.identity[:, None] == new)
     return of._replace(identity=torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, of.identity))
+
+
+def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:
+    """The estimate of a sequence of scans: all targets that were confirmed, each with its own index in a dimension.
+
+    Args:
+        states: after each scan of a stream, from the first on.
+        batch: of the scenes, their number split up; none for one scene.
+
+    Raises:
+        ValueError: no state, or another number of scenes.
+    """
+    if not all(isinstance(state, TargetsState) for state in states):
+        received = ", ".join(sorted({type(state).__name__ for state in states}))
+        raise ValueError(f"states: expected what step has returned, received {received}")
+    if not states or math.prod(batch) != len(states[0].next_identity):
+        received = f"{len(states)} of {len(states[0].next_identity) if states else 0} scenes"
+        raise ValueError(f"states: expected one or more, of {math.prod(batch)} scenes, received {received}")
+    track: Track = joined(*(rows(s.track, s.track.confirmed) for s in states))
+    belief: Gaussian = joined(*(s.confirmed for s in states))
+    number = torch.arange(len(states), device=track.scene.device)
+    step = number.repeat_interleave(torch.stack([s.track.confirmed.sum() for s in states]))
+    R, T = len(states[0].next_identity), len(states)
+    pairs, row = torch.unique(torch.stack([track.scene, track.identity], -1), dim=0, return_inverse=True)
+    count = torch.bincount(pairs[:, 0], minlength=R)
+    K, rank = int(count.amax()), torch.arange(len(pairs), device=row.device) - (count.cumsum(0) - count)[pairs[:, 0]]
+    place = track.scene, rank[row], step
+
+    def placed(values: Tensor, empty: float) -> Tensor:
+        whole = values.new_full((R, K, T, *values.shape[1:]), empty)
+        return whole.index_put(place, values).reshape(*batch, K, T, *values.shape[1:])
+
+    identity = torch.full((R, K), -1, device=row.device).index_put(place[:2], track.identity)
+    mean, root = placed(belief.mean, torch.nan), placed(belief.scale_tril, torch.nan)
+    gone = _deleted(placed((track.misses == 0).to(belief.mean), 0.0) > 0, ~mean[..., 0].isnan())
+    density = torch.where(gone, 0.0, placed(track.density, 0.0))
+    return TargetsEstimate(mean, root, identity.reshape(*batch, K), density)
+
+
+def _deleted(measured: Tensor, there: Tensor) -> Tensor:
+    """Which scans ``(..., K, T)`` come after the last measurement of a target that was deleted."""
+    later = measured.flip(-1).cumsum(-1).flip(-1) > 0
+    return ~later & ~there[..., -1:]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_number
+from torchfra.numbers import fraction, positive
 from torchfra.targets.assignment import assigned, chi_square, squared_distance
-from torchfra.targets.places import known_components, to_cartesian
+from torchfra.targets.places import positions
 from torchfra.targets.state import Ended, Track, rows
 from torchfra.types import Gaussian
 
@@ -48,18 +47,14 @@ class Stitching(nn.Module):
 
     def __init__(self, seconds: float, metres: float, *, probability: float = 0.99) -> None:
         super().__init__()
-        for name, value in (("seconds", seconds), ("metres", metres)):
-            if not 0 < as_number(value) < math.inf:
-                raise ValueError(f"{name}: expected a finite number above 0, received {value}")
-        if not 0 < as_number(probability) < 1:
-            raise ValueError(f"probability: expected a number above 0 and below 1, received {probability}")
-        self.seconds, self.metres, self.probability = float(seconds), float(metres), float(probability)
+        self.seconds, self.metres = positive("seconds", seconds), positive("metres", metres)
+        self.probability = fraction("probability", probability)
 
     def forward(self, motion: Motion, lost: Parts, found: Parts) -> tuple[Tensor, Tensor]:
         """Numbers ``(S,)`` of lost parts and of found ones that are of one target each."""
         pairs = Gaussian(*(x.unsqueeze(1) for x in lost.belief)), Gaussian(*(x.unsqueeze(0) for x in found.belief))
-        squared, where = squared_distance(motion, *pairs), known_components(motion)[: motion.dims]
-        one, other = (to_cartesian(motion, x).mean[..., where] for x in pairs)
+        squared = squared_distance(motion, *pairs)
+        one, other = (positions(motion, x).mean for x in pairs)
         distance = (one - other).norm(dim=-1)
         between = lost.seconds[:, None] - found.seconds
         allowed = (lost.scene[:, None] == found.scene) & (between > 0) & (between <= self.seconds)

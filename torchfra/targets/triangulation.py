@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.linalg.triangular import tria
-from torchfra.numbers import as_number
+from torchfra.numbers import positive
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.direction import Bearings
 from torchfra.sensors.places import from_u
@@ -75,12 +75,10 @@ class Triangulation(nn.Module):
 
     def __init__(self, speed: float = 30.0, *, seconds: float = 1.0, angle: float = 0.2) -> None:
         super().__init__()
-        for name, value in (("speed", speed), ("seconds", seconds), ("angle", angle)):
-            if not 0 < as_number(value) < math.inf:
-                raise ValueError(f"{name}: expected a finite number above 0, received {value}")
+        self.speed, self.seconds = positive("speed", speed), positive("seconds", seconds)
+        self.angle = positive("angle", angle)
         if angle >= math.pi / 2:
             raise ValueError(f"angle: expected less than a right angle, received {angle}")
-        self.speed, self.seconds, self.angle = float(speed), float(seconds), float(angle)
 
     def begin(self, like: Tensor) -> Lines:
         """No lines; ``like`` has the dtype."""

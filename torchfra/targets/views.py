@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.numbers import as_number
+from torchfra.targets.checks import by_sensor
 
 
 class FieldOfView:
@@ -57,14 +58,11 @@ def check_views(
     Raises:
         ValueError: one of no sensor, what is no field of view, or a place in other dimensions.
     """
-    for name, view in (views or {}).items():
-        if name is not None and name not in names:
-            raise ValueError(f"views: expected some of {', '.join(['None', *names])}, received {name!r}")
-        if not isinstance(view, FieldOfView):
-            raise ValueError(f"views: expected a FieldOfView of {name!r}, received {type(view).__name__}")
+    checked = by_sensor("views", views, names, FieldOfView)
+    for name, view in checked.items():
         if view.place is not None and len(view.place) != dims:
             raise ValueError(f"views: expected a place of {dims} dimensions of {name!r}, received {len(view.place)}")
-    return dict(views or {})
+    return checked
 
 
 def check_place(view: FieldOfView | None, u: Tensor | None, dims: int) -> None:

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from torchfra.linalg.safe import safe_divide
-from torchfra.numbers import as_number
+from torchfra.numbers import as_number, positive
+from torchfra.targets.checks import by_sensor
 
 
 class Visibility:
@@ -34,9 +35,7 @@ class Visibility:
     def __init__(self, seen: float, hidden: float) -> None:
         if not as_number(seen) > 0:
             raise ValueError(f"seen: expected seconds above 0, received {seen}")
-        if not 0 < as_number(hidden) < math.inf:
-            raise ValueError(f"hidden: expected finite seconds above 0, received {hidden}")
-        self.seen, self.hidden = float(seen), float(hidden)
+        self.seen, self.hidden = float(seen), positive("hidden", hidden, "finite seconds")
 
     @property
     def share(self) -> float:
@@ -87,14 +86,5 @@ def check_visibility(visibility: Mapping[str | None, Visibility] | None, names: 
     Raises:
         ValueError: one of no sensor, or what is no visibility.
     """
-    if not isinstance(visibility, Mapping | None):
-        raise ValueError(f"visibility: expected a dict by the name of a sensor, received {visibility!r}")
-    if not visibility:
-        return None
-    for name, chain in visibility.items():
-        if name is not None and name not in names:
-            raise ValueError(f"visibility: expected some of {', '.join(['None', *names])}, received {name!r}")
-        if not isinstance(chain, Visibility):
-            raise ValueError(f"visibility: expected a Visibility of {name!r}, received {type(chain).__name__}")
-    always = Visibility(math.inf, 1.0)
-    return Chains(tuple(visibility.get(name, always) for name in (None, *names)))
+    chains, always = by_sensor("visibility", visibility, names, Visibility), Visibility(math.inf, 1.0)
+    return Chains(tuple(chains.get(name, always) for name in (None, *names))) if chains else None
