@@ -33,6 +33,9 @@ def test_known_gains():
     one, small = gains.kalata(1.0), gains.kalata(0.05)
     assert (one.alpha.item(), one.beta.item()) == pytest.approx((0.75, 0.5))
     assert (small.alpha.item(), small.beta.item()) == pytest.approx((0.2708671190, 0.0426946390), abs=1e-10)
+    assert gains.benedict_bordner(0.5).beta.item() == pytest.approx(1 / 6)
+    damped = gains.critically_damped(0.6)
+    assert damped.beta.item() == pytest.approx(2 - 0.64 - 2 * (1 - 0.64) ** 0.5)
 
 
 @pytest.mark.parametrize("orders", [2, 3])
@@ -311,6 +314,7 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, period=0.0), "period"),
         (lambda: AlphaBetaBank(LINE, SENSOR, temperature=-1.0), "temperature"),
         (lambda: gains.kalata(0.0), "index"),
+        (lambda: gains.critically_damped(1.5), "theta"),
         (lambda: level_then_weave("many"), "outliers"),
     ],
 )
