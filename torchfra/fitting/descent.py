@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from torchfra.fitting.data import Batch
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
+from torchfra.fitting.newton import median_of_nonzero
 from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
 from torchfra.numbers import is_integer
@@ -129,8 +130,8 @@ class Descent:
         part = self.train.rows(chosen[share.start : share.stop])
         losses, gradients = self.objective.gradients(self.raw.detach().unsqueeze(1), part)
         norms = torch.cat(distributed.gathered(torch.linalg.vector_norm(gradients, dim=-1)), 1)
-        norms = norms.nanmedian(1, keepdim=True).values
-        clipped, finite = bounded(losses, gradients, self.settings.clip * norms)
+        usual = median_of_nonzero(norms, 1).unsqueeze(1)
+        clipped, finite = bounded(losses, gradients, self.settings.clip * usual)
         table = torch.cat(
             [clipped, torch.where(finite, losses, 0.0).unsqueeze(-1), finite.to(losses).unsqueeze(-1)], -1
         )
@@ -190,7 +191,7 @@ def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Te
     """
     finite = losses.isfinite() & gradients.isfinite().all(-1)
     norm = torch.linalg.vector_norm(gradients, dim=-1)
-    shorter = (clip / norm).clamp_max(1.0).unsqueeze(-1)
+    shorter = torch.where(norm > clip, clip / norm, 1.0).unsqueeze(-1)
     return torch.where(finite.unsqueeze(-1), gradients * shorter, 0.0), finite
 
 
