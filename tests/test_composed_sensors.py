@@ -131,6 +131,14 @@ def test_a_root_of_its_noise_is_that_of_its_parts_also_of_biased_ones():
     np.testing.assert_allclose(root @ root.mT, expected, rtol=1e-14)
 
 
+def test_one_part_may_have_a_batch_of_values_and_the_others_one():
+    stds = tensor([1, 1], [2, 2], [5, 1])
+    every, *alone = [Stacked(Position(std), RANGES) for std in (stds, *stds)]
+    z = every(TRUTH) + noise(20, 6)
+    means = presets.ekf(MOTION, every)(z, PRIOR).mean
+    torch.testing.assert_close(means, torch.stack([presets.ekf(MOTION, each)(z, PRIOR).mean for each in alone]))
+
+
 def test_one_stacked_measurement_is_as_good_as_one_after_the_other():
     sensors = Position(2.0), Ranges(ANCHORS, 0.5)
     z = Stacked(*sensors)(TRUTH) + noise(20, 6)

@@ -3,6 +3,7 @@
 import math
 from itertools import product
 
+import mpmath
 import numpy as np
 import oracles
 import pytest
@@ -15,6 +16,7 @@ from torchfra.angles import near, wrap
 from torchfra.gaussian import first_order, third_degree, unscented
 from torchfra.hyper import Hyper, learnable
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion
+from torchfra.motion.blocks import arc
 from torchfra.presets import fra
 from torchfra.sensors import Bearings, Position, RangeBearing, Sensor
 from torchfra.types import Estimate, Gaussian
@@ -130,6 +132,14 @@ def test_a_turn_of_rate_zero_is_straight_and_has_a_gradient():
     )
     matrix[0, 3].backward()
     assert motion.rate.raw.grad.item() == pytest.approx(-2.0)  # of -(1 - cos(w t)) / w at w = 0
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 0.5, -2.0])
+def test_the_second_derivatives_of_an_arc_are_right_at_a_rate_of_zero_and_near_it(angle):
+    along, across = (torch.func.grad(torch.func.grad(lambda a, i=i: arc(a)[i]))(tensor(angle)[0]) for i in (0, 1))
+    with mpmath.workdps(40):
+        expected = [float(mpmath.diff(f, angle, 2)) for f in (mpmath.sinc, lambda a: a / 2 * mpmath.sinc(a / 2) ** 2)]
+    torch.testing.assert_close(torch.stack([along, across]), tensor(*expected), rtol=1e-12, atol=1e-12)
 
 
 def test_motions_of_several_values_and_steps_broadcast():

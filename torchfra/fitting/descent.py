@@ -172,7 +172,7 @@ def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Te
     """
     finite = losses.isfinite() & gradients.isfinite().all(-1)
     norm = torch.linalg.vector_norm(gradients, dim=-1)
-    shorter = (clip / norm).clamp_max(1.0).unsqueeze(-1)
+    shorter = torch.where(norm > clip, clip / norm, 1.0).unsqueeze(-1)
     return torch.where(finite.unsqueeze(-1), gradients * shorter, 0.0), finite
 
 

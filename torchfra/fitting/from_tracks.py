@@ -63,7 +63,7 @@ def fit(
         iterations: of Adam, at most.
         batch: tracks of an iteration, over all processes of ``torchrun``.
         lr: rate of Adam in unconstrained values; it falls to a tenth.
-        clip: largest norm of one track's gradient, in medians over the tracks of its minibatch.
+        clip: largest norm of one track's gradient, in medians of those of its minibatch that are not 0.
         validate_every: iterations between validations.
         patience: validations without improvement after which it stops.
         held_out: share of the tracks that are not learned from.

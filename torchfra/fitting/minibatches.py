@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torchfra.fitting.data import Batch
 from torchfra.fitting.descent import falling, follow, means, summands
 from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
+from torchfra.fitting.newton import median_of_nonzero
 from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
 from torchfra.numbers import is_integer, positive
@@ -90,7 +91,7 @@ class Minibatches:
         part = self.train.rows(chosen[share.start : share.stop])
         losses, gradients = self.objective.gradients(self.raw.unsqueeze(1), part)
         norms = torch.cat(distributed.gathered(torch.linalg.vector_norm(gradients, dim=-1)), 1)
-        typical = norms.nanmedian(1, keepdim=True).values
+        typical = median_of_nonzero(norms, 1).unsqueeze(1)
         loss, gradient, count = means(summands(losses, gradients, self.settings.clip * typical).sum(1))
         follow(self.optimiser, gradient, falling(self.settings.lr, iteration / self.settings.iterations))
         return {"loss": float(loss.min()), "left out": len(self.raw) * len(chosen) - count}

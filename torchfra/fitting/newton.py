@@ -98,9 +98,9 @@ class Sums:
         values.  A few such tracks would dominate the minimum of the sum and its curvature.
         """
         hessians = self.of_tracks(raw)[2][0]
-        scale = hessians.diagonal(dim1=-2, dim2=-1).abs().nanmedian(0).values.clamp_min(1e-300).sqrt()
+        scale = median_of_nonzero(hessians.diagonal(dim1=-2, dim2=-1).abs(), 0).clamp_min(1e-300).sqrt()
         size = torch.linalg.matrix_norm(hessians / scale / scale.unsqueeze(-1))
-        regular: Tensor = size <= CHAOTIC * size.nanmedian()
+        regular: Tensor = size <= CHAOTIC * median_of_nonzero(size, 0)
         return regular
 
     def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
@@ -110,6 +110,15 @@ class Sums:
             weights = self.weights.repeat_interleave(many, 0).unsqueeze(-1)
             x = torch.where(weights > 0, x, 0.0) * (weights.square() if squared else weights)
         return x.new_zeros(len(x), self.groups, x.shape[-1]).index_add(1, self.group, x)
+
+
+def median_of_nonzero(x: Tensor, dim: int) -> Tensor:
+    """Median along a dimension of the entries that are neither 0 nor NaN; 1 where there are none.
+
+    What a filter decides reaches few tracks: the losses of all others do not depend on its threshold.
+    """
+    median: Tensor = torch.where(x != 0, x, torch.nan).nanmedian(dim).values
+    return median.nan_to_num(nan=1.0)
 
 
 def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:

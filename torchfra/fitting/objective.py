@@ -98,6 +98,8 @@ class Objective:
             # copy is then that of this track alone, and NaN from a track that diverged stays with it.
             with torch.enable_grad():
                 loss, copies = self._values(raw, part)
+                if not loss.requires_grad:  # of thresholds of hard decisions alone, through which no gradient passes
+                    return torch.cat([loss.unsqueeze(-1), torch.zeros_like(copies)], -1)
                 (gradient,) = torch.autograd.grad(loss.sum(), [copies], materialize_grads=True, allow_unused=True)
             return torch.cat([loss.detach().unsqueeze(-1), gradient], -1)
 

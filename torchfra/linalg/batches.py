@@ -1,10 +1,11 @@
-"""Broadcasting of batch shapes."""
+"""Broadcasting of batch dimensions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 
 def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
@@ -27,3 +28,9 @@ def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
                 raise RuntimeError(f"shapes {', '.join(str(tuple(x)) for x in shapes)} do not broadcast")
             common[i] = shape[i]
     return torch.Size(common)
+
+
+def joined(parts: Sequence[Tensor]) -> Tensor:
+    """Vectors ``(..., n_i)`` as one, ``(..., n)``; their batch dimensions are broadcast."""
+    batch = broadcast_shapes(*(part.shape[:-1] for part in parts))
+    return torch.cat([part.expand(*batch, -1) for part in parts], -1)

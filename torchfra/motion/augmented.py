@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from torchfra.linalg.batches import broadcast_shapes
+from torchfra.linalg.batches import joined
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.base import Adaptation, Motion
 
@@ -58,11 +57,11 @@ class Augmented(Motion):
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` after ``dt (...)`` seconds, without process noise."""
-        return torch.cat(self._each(lambda part, own: part(own, dt, u), x), -1)
+        return self._each(lambda part, own: part(own, dt, u), x)
 
     def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``forward`` for points ``(p, ..., n)`` of one step: linear motions compute their transition once."""
-        return torch.cat(self._each(lambda part, own: part.at_points(own, dt, u), x), -1)
+        return self._each(lambda part, own: part.at_points(own, dt, u), x)
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)``, a block for each motion, if all are linear."""
@@ -74,8 +73,7 @@ class Augmented(Motion):
         if all(part is None for part in parts):
             return None
         shifts = [dt.new_zeros(n) if part is None else part for n, part in zip(self._sizes, parts, strict=True)]
-        batch = broadcast_shapes(*(shift.shape[:-1] for shift in shifts))
-        return torch.cat([shift.expand(*batch, -1) for shift in shifts], -1)
+        return joined(shifts)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
         """The adaptation of the first motion; the other motions have none."""
@@ -96,17 +94,15 @@ class Augmented(Motion):
 
     def canonical(self, mean: Tensor) -> Tensor:
         """The state ``(..., n)`` with its angles in the range that each motion uses."""
-        return torch.cat(self._each(lambda part, own: part.canonical(own), mean), -1)
+        return self._each(lambda part, own: part.canonical(own), mean)
 
     def describe(self) -> str:
         """The descriptions of all motions."""
         return " with ".join(part.describe() for part in self._parts)
 
-    def _each(self, function: Callable[[Motion, Tensor], Tensor], x: Tensor) -> list[Tensor]:
-        """Values of a function of each motion and its components of states ``(..., n)``, with broadcast batches."""
-        every = [function(part, own) for part, own in zip(self._parts, x.split(self._sizes, -1), strict=True)]
-        batch = broadcast_shapes(*(own.shape[:-1] for own in every))
-        return [own.expand(*batch, -1) for own in every]
+    def _each(self, function: Callable[[Motion, Tensor], Tensor], x: Tensor) -> Tensor:
+        """Values ``(..., n)`` of a function of each motion and its components of states ``x (..., n)``."""
+        return joined([function(part, own) for part, own in zip(self._parts, x.split(self._sizes, -1), strict=True)])
 
     @property
     def _parts(self) -> list[Motion]:

@@ -10,7 +10,7 @@ from torch.distributions import constraints
 
 from torchfra.hyper import Hyper, Value
 from torchfra.motion.base import Motion
-from torchfra.motion.blocks import arc, arc_of_rate, driven
+from torchfra.motion.blocks import arc, arc_of_rate, driven, sinc
 from torchfra.numbers import as_number
 
 
@@ -58,7 +58,7 @@ class Bicycle(Motion):
         px, py, speed, heading, steering = x.unbind(-1)
         curvature, slip, _, _ = self._rolls(steering, self.wheelbase(x))
         turn = dt * speed * curvature
-        chord = dt * speed * torch.sinc(turn / (2 * math.pi))
+        chord = dt * speed * sinc(turn / 2)
         course = heading + slip + turn / 2
         moved = [px + chord * course.cos(), py + chord * course.sin()]
         return torch.stack(torch.broadcast_tensors(*moved, speed, heading + turn, steering), -1)

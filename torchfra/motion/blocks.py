@@ -91,17 +91,33 @@ def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *
     return tria((columns * (dt * weight).sqrt()).movedim(-3, -2).flatten(-2))
 
 
+def sinc(angle: Tensor) -> Tensor:
+    """``sin(a) / a`` with all derivatives, also at 0: there the second one of ``torch.sinc`` is NaN, nearby rough."""
+    small, near, safe = _near_zero(angle)
+    return torch.where(small, _series(near, 1), safe.sin() / safe)
+
+
 def arc(angle: Tensor) -> tuple[Tensor, Tensor]:
     """``sin(a) / a`` and ``(1 - cos(a)) / a``, smooth at 0: extent of a unit arc along its start and across."""
-    return torch.sinc(angle / torch.pi), angle / 2 * torch.sinc(angle / (2 * torch.pi)).square()
+    return sinc(angle), angle / 2 * sinc(angle / 2).square()
 
 
 def arc_of_rate(angle: Tensor) -> tuple[Tensor, Tensor]:
     """``(a - sin(a)) / a^2`` and ``(1 - cos(a)) / a^2``, smooth at 0: the derivative of an arc by its turn rate."""
+    small, near, safe = _near_zero(angle)
+    along = torch.where(small, angle * _series(near, 3), (safe - safe.sin()) / safe.square())
+    return along, sinc(angle / 2).square() / 2
+
+
+def _near_zero(angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Whether an angle is small, and the angle twice: its square where it is, else 0, and itself where not, else 1."""
     small = angle.abs() < 0.5
-    near, series = torch.where(small, angle, 0.0).square(), torch.zeros_like(angle)
+    return small, torch.where(small, angle, 0.0).square(), torch.where(small, 1.0, angle)
+
+
+def _series(square: Tensor, first: int) -> Tensor:
+    """``1 / first! - square / (first + 2)! + square^2 / (first + 4)! - ...``, to rounding for squares below 1/4."""
+    series = torch.zeros_like(square)
     for k in range(7, -1, -1):
-        series = 1 / math.factorial(2 * k + 3) - near * series
-    safe = torch.where(small, 1.0, angle)
-    along = torch.where(small, angle * series, (safe - safe.sin()) / safe.square())
-    return along, torch.sinc(angle / (2 * torch.pi)).square() / 2
+        series = 1 / math.factorial(2 * k + first) - square * series
+    return series

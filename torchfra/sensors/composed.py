@@ -8,6 +8,7 @@ from itertools import accumulate, pairwise
 import torch
 from torch import Tensor, nn
 
+from torchfra.linalg.batches import joined
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.numbers import is_integer
 from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
@@ -72,12 +73,12 @@ class Stacked(Sensor):
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., m)`` of each part, one after the other."""
-        return torch.cat([part(x, own) for part, own in zip(self._parts, self._inputs(u), strict=True)], -1)
+        return joined([part(x, own) for part, own in zip(self._parts, self._inputs(u), strict=True)])
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """``a - b`` of measurements ``(..., m)``, by ``difference`` of each part."""
         each = zip(self._parts, a.split(self._sizes, -1), b.split(self._sizes, -1), strict=True)
-        return torch.cat([part.difference(x, y) for part, x, y in each], -1)
+        return joined([part.difference(x, y) for part, x, y in each])
 
     def locate(self, z: Tensor) -> Tensor:
         """Where the first part that locates targets locates this one: see ``Sensor.locate``."""
@@ -91,8 +92,8 @@ class Stacked(Sensor):
         if std is not None or root is not None:
             return super().measurement_noise(z, std, root)
         each = [part.measurement_noise(own) for part, own in zip(self._parts, z.split(self._sizes, -1), strict=True)]
-        std, scale = torch.cat([part.std for part in each], -1), torch.cat([part.scale for part in each], -1)
-        log_norm = torch.stack([part.log_norm for part in each]).sum(0)
+        std, scale = joined([part.std for part in each]), joined([part.scale for part in each])
+        log_norm = torch.stack(torch.broadcast_tensors(*(part.log_norm for part in each))).sum(0)
         if all(part.inverse_root is None for part in each):
             return MeasurementNoise(std, scale, None, None, log_norm)
         roots = [part.std.diag_embed() if part.root is None else part.root for part in each]
