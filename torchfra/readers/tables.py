@@ -22,6 +22,7 @@ from torchfra.readers.columns import Array, Cells, Head, Kind, joined, numbers, 
 from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
+from torchfra.readers.mixed_files import fit_sheet, gnss_sheet, is_fit_csv, is_gnss_log
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.plt_files import is_plt, plt_sheet
@@ -117,6 +118,10 @@ def read_table(
             return xml_sheet(file, max_bytes)
         if is_nmea(start, suffix):
             return nmea_sheet(file, max_bytes)
+        if is_fit_csv(start):
+            return fit_sheet(file, max_bytes)
+        if is_gnss_log(start):
+            return gnss_sheet(file, max_bytes)
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
