@@ -28,7 +28,7 @@ def write(tmp_path):
 
 
 def assert_in_place(track):
-    assert track.time == pytest.approx(START.timestamp() + np.arange(ROWS))
+    assert track.time - START.timestamp() == pytest.approx(np.arange(ROWS), abs=1e-3)
     assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)
     assert track.position[-1, :2] == pytest.approx([279.4, 433.8], abs=1)
 
@@ -267,3 +267,119 @@ def test_the_ship_itself_is_read_where_it_hears_others(write):
     (track,) = read(write([tagged(CLASS_A, 1_777_788_733), *own], "ais.log"))
     assert track.origin[:2] == pytest.approx((53.36133, -6.50562), abs=1e-4)
     assert any("1 AIS messages left out" in note for note in track.source.notes)
+
+
+# ---------------------------------------------------------------- apps and services
+
+
+def streams():
+    return {"latlng": [list(place) for place in PLACES], "time": [*range(ROWS)], "altitude": [408.0] * ROWS}
+
+
+@pytest.mark.parametrize("content", [
+    [{"type": name, "data": data, "series_type": "time"} for name, data in streams().items()],
+    {name: {"data": data, "series_type": "time"} for name, data in streams().items()},
+])  # fmt: skip
+def test_streams_of_an_activity_are_columns(write, content):
+    (track,) = read(write(json.dumps(content), "a.json"))
+    assert track.time.tolist() == [*range(ROWS)]
+    assert track.origin == pytest.approx((50, 7, 408))
+    assert track.position[-1, :2] == pytest.approx([279.4, 433.8], abs=1)
+
+
+def test_streams_of_other_lengths_are_refused(write):
+    content = {name: {"data": data} for name, data in (streams() | {"time": [0, 1]}).items()}
+    with pytest.raises(ValueError, match="expected streams as long as each other"):
+        read(write(json.dumps(content), "a.json"))
+
+
+def state(moment, lat, lon, name="3c6444"):
+    time = round(moment.timestamp())
+    return [name, "DLH9LF  ", "Germany", time, time + 1, lon, lat, 3000.0, False, 220.0, 0.0, 0.0, None, 3050.0, "1000"]
+
+
+def test_state_vectors_of_several_moments_are_tracks_of_aircraft(write):
+    lines = []
+    for moment, place in zip(MOMENTS, PLACES, strict=True):
+        states = [state(moment, *place), state(moment, 51, 7, "4b1806")]
+        lines.append(json.dumps({"time": round(moment.timestamp()), "states": states}))
+    track = next(one for one in read(write(lines, "states.jsonl")) if one.name == "3c6444 DLH9LF")
+    assert_in_place(track)
+    assert track.origin[2] == 3000
+
+
+def test_the_way_of_a_flight_is_a_track(write):
+    path = [[round(moment.timestamp()), lat, lon, 3000, 90, False]
+            for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    (track,) = read(write(json.dumps({"icao24": "3c6444", "callsign": "DLH9LF", "path": path}), "a.json"))
+    assert track.name == "3c6444 DLH9LF"
+    assert_in_place(track)
+
+
+def samples():
+    return [
+        {
+            "EHPE": 5,
+            "GPSAltitude": 408,
+            "Latitude": np.radians(lat),
+            "Longitude": np.radians(lon),
+            "UTC": moment.isoformat(),
+        }
+        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("content", [
+    {"DeviceLog": {"Header": {"Duration": 40}, "Samples": [{"HR": 2.3, "TimeISO8601": "x"}, *samples()]}},
+    {"Samples": [{"Attributes": {"suunto/sml": {"Sample": sample}}, "TimeISO8601": "x"} for sample in samples()]},
+])  # fmt: skip
+def test_a_watch_may_tell_radians(write, content):
+    (track,) = read(write(json.dumps(content), "a.json"))
+    assert_in_place(track)
+    assert track.origin[2] == 408
+
+
+def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
+    records = [
+        {"time": i, "Latitude": lat, "Longitude": lon, "GPSAltitude": 408} for i, (lat, lon) in enumerate(PLACES)
+    ]
+    assert read(write(json.dumps(records), "a.json"))[0].origin[0] == 50
+
+
+def test_what_a_recorder_puts_before_json_is_left_out(write):
+    lines = [f"{moment:%Y-%m-%dT%H:%M:%SZ}\t*                 \t"
+             + json.dumps({"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()})
+             for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    (track,) = read(write(['2026-05-03T08:14:00Z\tlwt\t{"_type": "lwt", "tst": 1}', *lines], "2026-05.rec"))
+    assert_in_place(track)
+    assert track.name == "m"
+    assert track.sigma == pytest.approx(8 / np.sqrt(-2 * np.log(0.32)))
+
+
+def test_altitudes_of_aeroapi_are_hundreds_of_feet(write):
+    rows = [f"{moment.isoformat()},{lat},{lon},30,C,A" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]
+    (track,) = read(write(["timestamp,latitude,longitude,altitude,altitude_change,update_type", *rows]))
+    assert track.origin[2] == pytest.approx(914.4)
+
+
+def test_a_weekday_in_front_of_a_clock_is_left_out(write):
+    rows = [f"Sun {moment:%I:%M:%S %p},{lat},{lon}" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]
+    (track,) = read(write(["Time (EDT),Latitude,Longitude", *rows]))
+    assert track.time[0] == 8 * 3600 + 15 * 60
+
+
+def test_the_time_of_a_fix_goes_before_that_of_the_device(write):
+    rows = [f"{moment + timedelta(seconds=3):%Y-%m-%dT%H:%M:%SZ},{moment:%Y-%m-%dT%H:%M:%SZ},{lat},{lon}"
+            for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    assert_in_place(read(write(["deviceTime,fixTime,latitude,longitude", *rows]))[0])
+
+
+def test_a_session_without_positions_is_refused_with_what_to_export(write):
+    rows = [
+        "Name,Sport,Date,Start time",
+        "Max,RUNNING,03-05-2026,08:12:13",
+        "Sample rate,Time,HR (bpm)",
+        "1,00:00:00,140",
+    ]
+    with pytest.raises(ValueError, match="a session of Polar, which has no positions as CSV: export it as GPX or TCX"):
+        read(write(rows))

@@ -4,8 +4,9 @@ A file is one of these, gzipped or not (but for the last):
 
 - rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
   comments (# or %); other lines before the header, units above or beneath it and the header again are left out;
-- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, or what
-  receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090);
+- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, what
+  receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090), state vectors of OpenSky,
+  streams of Strava, samples of Suunto, or messages of OwnTracks;
 - GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, FIT as FitCSVTool writes it, logs of GnssLogger, NMEA
   0183 with RMC and GGA (extra) or with ships in AIS whose receiver adds times;
 - Parquet and Feather (extra).

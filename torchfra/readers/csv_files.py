@@ -248,6 +248,8 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
             doubt = "" if known else f"; or the header is another line than that of {listed(names)}"
             if names[0] == "Grid":  # as MapSource and BaseCamp write text, where a row has as many cells as it needs
                 doubt = ": this is a text of MapSource or BaseCamp, which save tracks as GPX, too: use that"
+            if names[:2] == ["Name", "Sport"]:
+                doubt = ": this is a session of Polar, which has no positions as CSV: export it as GPX or TCX"
             raise ValueError(f"expected {len(names)} fields in data row {before + 1}, received {len(row)}{doubt}")
         repairs["rows with too many or too few fields emptied"] += 1
         return [""] * len(names)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 from torchfra.readers.columns import Cells, short
+from torchfra.readers.json_apps import app_sheet
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
 from torchfra.readers.spelling import found
 from torchfra.readers.times import seconds_of
 
+_RECORDED = re.compile(rb"[0-9TZ:.-]+\t[^\t\n]+\t\{")
+"""How lines of OwnTracks' recorder begin, of which only what follows is JSON."""
+_BEGIN = 200
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
@@ -21,6 +26,11 @@ _MINUTES = "durationMinutesOffsetFromStartTime"
 """Of a place since its segment of a phone's timeline began."""
 _TRACE = ("second", "lat", "lon", "alt_baro")
 """What a row of a trace begins with: seconds since the file's, degrees, and feet."""
+
+
+def is_json(start: bytes) -> bool:
+    """Whether a file that begins so is JSON."""
+    return start[:1] in (b"[", b"{") or _RECORDED.match(start) is not None
 
 
 def json_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -40,7 +50,7 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return _geojson_sheet(parsed)
     if (sheet := _readsb_sheet(parsed)) is not None:
         return sheet
-    if (sheet := _timeline_sheet(parsed)) is not None:
+    if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
         return sheet
     names, rows, cells = _columns(parsed)
     return Sheet(names, [(rows, cells)] if names else [], json=True)
@@ -48,6 +58,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
 
 def _parsed(content: str) -> Any:
     """What JSON says; a list where each line is an object of its own."""
+    if _RECORDED.match(content[:_BEGIN].encode()):
+        content = re.sub(r"(?m)^[^{\n]*", "", content)
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:

@@ -20,6 +20,7 @@ from torchfra.readers.placeholders import PLACEHOLDERS
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import (
+    AEROAPI,
     AIRCRAFT,
     ANIMALS,
     COUNTERS,
@@ -270,7 +271,7 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         return METRES[options.units] if options.units else units[0]
     if plain(columns.get("z", "")) in FLIGHT_LEVELS:
         raise ValueError(f"z: expected heights in the unit of x and y, received flight levels in {columns['z']}")
-    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
+    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS or {*map(plain, head.names)} >= AEROAPI:
         return _FLIGHT_LEVEL
     autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
     latitude = columns.get("latitude", "")

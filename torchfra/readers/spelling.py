@@ -30,8 +30,8 @@ NAMES = {
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
              "timegmt", "isotime", "tst", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
-             "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", "lcltime", "devicetime",
-             "utctimein", *APPLE,
+             "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", "lcltime", "fixtime",
+             "devicetime", "utctimein", *APPLE,
              "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
     "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "lcldate",
@@ -94,6 +94,8 @@ SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epo
 AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
 DEPTHS = {"down", "posd", "pd", "depth"}
 """Names of columns that grow downwards, as a drone's third of north, east and down does."""
+AEROAPI = {"altitudechange", "updatetype"}
+"""Names beside which FlightAware has altitudes in hundreds of feet."""
 FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
 """Names of altitudes in hundreds of feet."""
 SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}

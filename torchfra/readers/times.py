@@ -104,6 +104,9 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
     texts = [str(cell).strip() for cell in cells]
     if not texts:
         return None
+    bare = [_WEEKDAY.sub("", text, count=1) for text in texts]
+    if bare != texts and all(map(_CLOCK.fullmatch, bare)) and (found := form_of(bare)):
+        return f"%a {found[0]}", found[1]
     clocks = [_CLOCK.fullmatch(text) for text in texts]
     if all(clocks):
         halves = {"" if of is None or of["half"] is None else of["half"][:-2] + "%p" for of in clocks}
@@ -222,9 +225,9 @@ def seconds_of(text: str, form: str) -> float:
         return seconds_of(text, " ".join(re.sub("(?<=.)%", "-%", word) for word in form.split())) + part
     bare, text = _PART.sub("", form), _COMMA.sub(".", text)
     pointed = "%f" not in bare and re.search(r":[0-9]{2}\.[0-9]", text) is not None
+    if bare.startswith("%a "):
+        text, bare = _WEEKDAY.sub("", text, count=1), bare[3:]
     if _MONTH_OF_FORM.search(bare):  # as numbers: names in ``strptime`` are those of the locale
-        if bare.startswith("%a "):
-            text, bare = _WEEKDAY.sub("", text, count=1), bare[3:]
         text, bare = _MONTH.sub(_number_of_month, text), _MONTH_OF_FORM.sub("%m", bare)
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
     if is_clock(form):
