@@ -347,9 +347,10 @@ def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
 
 
 def test_what_a_recorder_puts_before_json_is_left_out(write):
-    lines = [f"{moment:%Y-%m-%dT%H:%M:%SZ}\t*                 \t"
-             + json.dumps({"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()})
-             for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    lines = []
+    for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True):
+        fix = {"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()}
+        lines.append(f"{moment:%Y-%m-%dT%H:%M:%SZ}\t*                 \t{json.dumps(fix)}")
     (track,) = read(write(['2026-05-03T08:14:00Z\tlwt\t{"_type": "lwt", "tst": 1}', *lines], "2026-05.rec"))
     assert_in_place(track)
     assert track.name == "m"
