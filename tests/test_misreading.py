@@ -95,7 +95,7 @@ def test_times_of_the_day_go_on_after_midnight(write):
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    ("time,lat,lon\nnoon,1,2\n", "expected a number in data row 1, column time, received 'noon'"),
+    ("time,lat,lon\nnoon,1,2\n", "expected times in data row 1, column time, received 'noon': say how"),
     ("utc,lat,lon\nnoon,1,2\n", "expected ms since 1970 or ISO text in data row 1, column utc, received 'noon'"),
     (csv().replace("47.0", "x", 1), "expected degrees within .* in data row 1, column lat, received 'x"),
     (csv() + "2020-09-31T00:00:00Z,47,8,1\n", "ISO text in data row 7, column time, received '2020-09-31T00:00:00Z'"),

@@ -305,7 +305,7 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.csv", "t,x,y\n0,1,2\n1,2,3,4\n", "expected 3 fields in data row 2, received 4"),
         ("a.csv", "t,x,y\n0,1,2\n1,two,3\n", "expected a number in data row 2, column x, received 'two'"),
         ("a.csv", "t,x,y\n0,1,2\n1,inf,3\n", "expected a number in data row 2, column x, received 'inf'"),
-        ("a.csv", "t,x,y\nnoon,1,2\n", "expected a number in data row 1, column t, received 'noon'"),
+        ("a.csv", "t,x,y\nnoon,1,2\n", "expected times in data row 1, column t, received 'noon': say how"),
         (
             "a.json",
             [record(0), record(1, timestamp="noon")],

@@ -3,10 +3,12 @@
 A file is one of these, gzipped or not (except for the last):
 
 - rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
-  comments (# or %); other lines before the header, lines of units beneath it and the header again are left out;
-- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, or what
-  receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090);
-- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, NMEA 0183 with RMC and GGA (extra);
+  comments (# or %); other lines before the header, units above or beneath it and the header again are left out;
+- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, what
+  receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090), state vectors of OpenSky,
+  streams of Strava, samples of Suunto, or messages of OwnTracks;
+- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, FIT as FitCSVTool writes it, logs of GnssLogger, NMEA
+  0183 with RMC and GGA (extra) or with ships in AIS whose receiver adds times;
 - Parquet and Feather (extra).
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
@@ -16,8 +18,8 @@ This covers the state vectors of OpenSky, the tracks of ``traffic``, logs of shi
 of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
 size, weeks of GPS with what of them has passed, days of the year with seconds of the day, seconds since 2001 of phones
-that count so, seconds with their parts in another column, or seconds (minutes, hours, days by their names) since any
-start.
+that count so and since 1989 of FIT, seconds with their parts in another column, or seconds (minutes, hours, days by
+their names) since any start.  A local date and time may have their offset from UTC in a column of its own.
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
 (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
 degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
@@ -27,7 +29,7 @@ Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or m
 the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
 
 A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty cells,
-N/A, null, None and NaN in any letters are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in
+N/A, null, None, NaN in any letters and - are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in
 two units or with the name of a zone, dates of which some have the day first and some the month, dates and clocks whose
 digits stand in one number (a ``time_format`` reads them), clocks of 12 hours without AM and PM, those that are put back
 at the end of summer time, columns or keys that come twice, XML with entities, tracks that no target of their kind can

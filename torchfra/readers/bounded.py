@@ -25,6 +25,8 @@ BYTES_OF_A_TEXT = 2**12
 """What each name of a target or an anchor counts for at least: about what it takes to repair and filter a target."""
 LONGEST_ROW = 2**20
 """Characters of a row of CSV: all such rows are read, and none of twice the length; about as many are in memory."""
+_LONGEST_LINE = 1024
+"""Bytes of a line of a logger; a sentence of NMEA has 82, and may have a time in front."""
 _PIECE = 2**16
 """Bytes that are read at a time."""
 _CELLS = 2**20
@@ -73,6 +75,20 @@ class _Bounded(io.RawIOBase):
             raise too_large(self.max_bytes)
         view[: len(data)] = data
         return len(data)
+
+
+def short_lines(file: IO[bytes], max_bytes: int) -> Iterator[str]:
+    """The lines of a file without blanks around them, cut off where they are long.
+
+    Raises:
+        ValueError: there are too many.
+    """
+    count = 0
+    while data := file.readline(_LONGEST_LINE):
+        count += 1
+        if count * BYTES_OF_A_ROW > max_bytes:
+            raise too_large(max_bytes, f"of text, of which a line counts for {BYTES_OF_A_ROW} or more")
+        yield data.decode("ascii", "replace").strip()
 
 
 class Rows:

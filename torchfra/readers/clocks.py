@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, is_missing, joined, number
+from torchfra.readers.columns import INSTANT, SECONDS, Head, Kind, is_missing, joined, number, short
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.packed import packed
 from torchfra.readers.sheets import listed
@@ -31,12 +31,17 @@ from torchfra.readers.times import (
     is_clock,
     per_second,
     seconds_of,
+    states_zone,
     written,
 )
 
 YEAR_1980 = 315_532_800.0
 """Seconds since 1970; nothing was recorded before."""
 _YEAR_2001, _YEAR_2286 = 978_307_200.0, 1e10
+_YEAR_2037 = 1.5e9
+"""Seconds of FIT; since 1970 they are of 2017."""
+_OF_FIT = ["record", "timestamp"]
+"""Words of the name that times of FIT have as CSV."""
 _DAY = 86_400.0
 _COUNTER, _LATE = 2.0**32, 3.0
 """Units that 32 bits count, and how many usual steps the first time after that may be late."""
@@ -49,7 +54,8 @@ _FINER = 2
 _SAID = {"us": "microseconds", "ns": "nanoseconds"}
 _DAYS_SAID = {"excel": "days of Excel", "mjd": "modified Julian days", "matlab": "days of Matlab",
               "jd": "Julian days"}  # fmt: skip
-_SECONDS_SAID = {"apple": "seconds since 2001, as Apple counts", "gps_seconds": "seconds of GPS since 1980"}
+_SECONDS_SAID = {"apple": "seconds since 2001, as Apple counts", "fit": "seconds since 1989-12-31, as FIT counts",
+                 "gps_seconds": "seconds of GPS since 1980"}  # fmt: skip
 _OF_A_PHONE = {"horizontalaccuracy", "verticalaccuracy"}
 """Plain names of columns in what Apple's phones say of where they are."""
 _OF_THE_DAY = {"sod", "secondsofday", "secondofday", "secofday", "secsofday"}
@@ -62,6 +68,9 @@ _OF_A_SECOND = re.compile(r"(?:hundred|thousand|ten)ths?|1/10+|centi-?sec|milli-
 _HALF_DAY = 43_200.0
 _OF_THE_WEEK = {"tow", "itow", "timeofweek", "sow", "secondsofweek"}
 """Names of what of the week of GPS has passed."""
+_OFFSETS = {"utcoffset", "utcofst", "gmtoffset", "timezoneoffset", "tzoffset"}
+"""Names of how far local times are ahead of UTC."""
+_OFFSET = re.compile("[+-][0-9]{2}(?::?[0-9]{2})?")
 _UTC = re.compile("utc|gmt|zulu", re.IGNORECASE)
 """In the name of a column of times."""
 _SECONDS = {"s", "sec", "secs", "second", "seconds"}
@@ -80,7 +89,7 @@ class Clock:
     """How a column tells the time."""
 
     columns: tuple[str, ...]
-    """One column, or two: the date and the time of the day; three with the year of a day of the year."""
+    """One column, or two: the date and the time of the day; three with the year of a day of the year, or an offset."""
     kind: Kind
     form: str
     """How it is written: ``Source.time``."""
@@ -110,8 +119,15 @@ class Clock:
     @property
     def is_local(self) -> bool:
         """Whether it may be put forward and back with the seasons: text that names no zone."""
-        utc = any(_UTC.search(column) for column in self.columns) or self.form.endswith(("Z", "UTC", "GMT"))
-        return "%" in self.form and not utc and not re.search(r"[+-][0-9]{2}:?(?:[0-9]{2})?$", self.form)
+        utc = any(_UTC.search(column) for column in self.columns) or states_zone(self.form)
+        return "%" in self.form and not utc
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """The columns by what they hold."""
+        offset = plain(self.columns[-1]) in _OFFSETS
+        roles = ("year", "date", "time", "offset") if offset else ("year", "date", "time")
+        return dict(zip(roles[-len(self.columns) :], self.columns, strict=True))
 
     @property
     def column(self) -> str:
@@ -278,8 +294,8 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     if (split := _split_clock(name, head)) is not None:
         return split
     values = _values(some)
-    if _counts_since_another(values, name, head):
-        return _clock_of_form(name, "gps_seconds" if name_words(name)[0] == "gps" else "apple", head)
+    if other := _counted_since_another(values, name, head):
+        return _clock_of_form(name, other, head)
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
     minutes = len(some) and all(isinstance(cell, str) and _MINUTE.fullmatch(cell.strip()) for cell in some)
@@ -295,6 +311,12 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
         return clock
     if len(some) and not len(values) and plain(name) in DATED:
         return Clock((name,), INSTANT, "iso", True)  # which names the cell that is no time, as a number does
+    if len(some) and not len(values):
+        row = list(column).index(some[0]) + 1
+        raise ValueError(
+            f"expected times in data row {row}, column {name}, received {short(some[0])}: say how they are written by "
+            "--time-format, such as '%d.%m.%Y %H:%M:%S', or name another column by --time"
+        )
     dates = [_values(head.cells(date)) for date in found(head.names, "date") if date != name]
     if said := packed(values, dates):
         raise ValueError(f"column {name}: expected times, received {values[0]:.15g}, which looks like {said}")
@@ -367,12 +389,17 @@ def _split_clock(name: str, head: Head) -> Clock | None:
     return None
 
 
-def _counts_since_another(values: NDArray[np.float64], name: str, head: Head) -> bool:
-    """Whether numbers are seconds since 2001 or 1980, by their name or by what stands beside them."""
+def _counted_since_another(values: NDArray[np.float64], name: str, head: Head) -> str:
+    """One of ``SINCE_OTHERS`` where numbers are such seconds, by their name or by what stands beside them; or ""."""
+    middle = np.sort(values)[len(values) // 2] if len(values) else math.nan
+    if name_words(name)[:2] == _OF_FIT and YEAR_1980 / 2 < middle < _YEAR_2037:
+        return "fit"
     apple = plain(name) in APPLE or {*map(plain, head.names)} >= _OF_A_PHONE
     if not apple and not (name_words(name)[:1] == ["gps"] and {*name_words(name)[1:]} <= _SECONDS):
-        return False
-    return len(values) > 0 and bool(YEAR_1980 / 2 < np.median(values) < (_YEAR_2001 if apple else _YEAR_2286))
+        return ""
+    if not YEAR_1980 / 2 < middle < (_YEAR_2001 if apple else _YEAR_2286):
+        return ""
+    return "apple" if apple else "gps_seconds"
 
 
 def _numeric(name: str, values: NDArray[np.float64], options: ReadOptions) -> Clock:
@@ -441,12 +468,12 @@ def _unit_kind(form: str, since_1970: bool) -> Kind:
 def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
     """A clock of the day together with the column of its date, if there is one."""
     if not is_clock(clock.form):
-        return clock
+        return _ahead(clock, head)
     for date in found(head.names, "date"):
         columns = (date, *clock.columns)
         together = [*filter(None, joined(head.cells, columns))]
         if date not in clock.columns and (dated := _text_clock(columns, together, _is_danish(head))):
-            return dated
+            return _ahead(dated, head)
     unread = [date for date in found(head.names, "date") if "dat" in plain(date) and date not in clock.columns]
     text = next((cell for date in unread for cell in head.cells(date) if isinstance(cell, str) and cell.strip()), "")
     if text and options.time is None:
@@ -454,6 +481,17 @@ def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
             f"column {unread[0]}: expected dates such as 2024-05-06, received {text[:40]!r} beside times of the day in "
             f"{clock.column}: --time {clock.column} takes these alone, which must be less than a day apart"
         )
+    return clock
+
+
+def _ahead(clock: Clock, head: Head) -> Clock:
+    """A clock of local times together with the column of how far they are ahead of UTC, if there is one."""
+    offsets = [name for name in head.names if plain(name) in _OFFSETS]
+    local = any({"lcl", "local"} & {*name_words(column)} for column in clock.columns)
+    for offset in offsets if local and not clock.stated else []:
+        columns, cells = (*clock.columns, offset), [str(cell).strip() for cell in head.cells(offset)]
+        if all(_OFFSET.fullmatch(cell) for cell in cells if cell):
+            return _text_clock(columns, [*filter(None, joined(head.cells, columns))], False) or clock
     return clock
 
 

@@ -22,7 +22,7 @@ Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-_MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none"}
+_MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none", "-", "--"}
 """Words for nothing, in small letters, as tables, data bases and spreadsheets write it."""
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
@@ -286,7 +286,7 @@ def joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
     """The cells of several columns, one after the other; "" where all are empty."""
 
     def text(part: Any) -> str:
-        return "" if part is None or part != part or is_missing(str(part)) else str(part)
+        return "" if part is None or part != part or is_missing(str(part)) else str(part).strip()
 
     lines = zip(*map(cells, columns), strict=True)
     return [" ".join(map(text, parts)).strip() for parts in lines]

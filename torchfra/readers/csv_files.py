@@ -54,7 +54,7 @@ def csv_sheet(
     """
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
     above = _leave_out_above(rows, options) if options else 0
-    sign = _begin(rows, options or ReadOptions())
+    sign, units = _begin(rows, options or ReadOptions())
     said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
     said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     said += [f"lines before the header left out: {above}"] if above else []
@@ -66,8 +66,9 @@ def csv_sheet(
         names = _header(rows.first(), headers)
     except csv.Error as error:
         raise _no_csv(error) from error
+    units = beneath[0] if beneath else units if len(units) == len(names) else []
+    names = _with_units(names, units) if units else names
     if beneath:
-        names = _with_units(names, beneath[0])
         said.append(f"lines of units beneath the header: {len(beneath)}")
     return Sheet(names, _parts(rows, names, repairs), tuple(said), commas=sign != ",")
 
@@ -83,10 +84,13 @@ def _wide(head: bytes) -> str:
     return ""
 
 
-def _begin(rows: Rows, options: ReadOptions) -> str:
+def _begin(rows: Rows, options: ReadOptions) -> tuple[str, list[str]]:
     """Leaves out the comments in front of the header, and finds out what separates cells.
 
     A comment with the names of columns is the header where the line after it is not one.
+
+    Returns:
+        What separates cells, and the cells of the last comment, which may be units.
     """
     text, comments, start = rows.head, list[str](), 0
     while (line := _LINE.match(text, start)) and _is_comment(line[0]):
@@ -106,9 +110,10 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
                 comment = sign.join(names) + "\n"
             if is_header(names) and not is_header(first_row) and len(names) == len(first_row):
                 rows.head = comment.lstrip(" \t#%/") + text
-                return sign
+                return sign, []
     rows.head = text
-    return next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])
+    sign = next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])
+    return sign, _split(comments[-1].lstrip(' \t"#%/'), sign) if comments else []
 
 
 def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
@@ -188,10 +193,10 @@ def _is_word(cell: str) -> bool:
 
 
 def _with_units(names: list[str], units: list[str]) -> list[str]:
-    """Names with the units beneath them, where these are some."""
+    """Names with the units beneath or above them, where these are some."""
     known = {*UNITS, *RARER_UNITS}
-    return [f"{name} ({unit})" if name and unit.strip("[]()").lower() in known else name
-            for name, unit in zip(names, units, strict=True)]  # fmt: skip
+    bare = [unit.strip("[]()").lower().removesuffix(" msl") for unit in units]  # altitudes above the sea
+    return [f"{name} ({unit})" if name and unit in known else name for name, unit in zip(names, bare, strict=True)]
 
 
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
@@ -243,6 +248,8 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
             doubt = "" if known else f"; or the header is another line than that of {listed(names)}"
             if names[0] == "Grid":  # as MapSource and BaseCamp write text, where a row has as many cells as it needs
                 doubt = ": this is a text of MapSource or BaseCamp, which save tracks as GPX, too: use that"
+            if names[:2] == ["Name", "Sport"]:
+                doubt = ": this is a session of Polar, which has no positions as CSV: export it as GPX or TCX"
             raise ValueError(f"expected {len(names)} fields in data row {before + 1}, received {len(row)}{doubt}")
         repairs["rows with too many or too few fields emptied"] += 1
         return [""] * len(names)

@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 from torchfra.readers.columns import Cells, short
+from torchfra.readers.json_apps import app_sheet
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
 from torchfra.readers.spelling import found
 from torchfra.readers.times import seconds_of
 
+_RECORDED = re.compile(rb"[0-9TZ:.-]+\t[^\t\n]+\t\{")
+"""How lines of OwnTracks' recorder begin, of which only what follows is JSON."""
+_BEGIN = 200
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
 _AXES = ("latitude", "longitude")
+_RAW = {"time": "timestamp", "altitude": "altitudeMeters", "accuracy": "accuracyMeters"}
+"""Columns by what a fix of a phone calls them."""
 _MINUTES = "durationMinutesOffsetFromStartTime"
 """Of a place since its segment of a phone's timeline began."""
 _TRACE = ("second", "lat", "lon", "alt_baro")
 """What a row of a trace begins with: seconds since the file's, degrees, and feet."""
+
+
+def is_json(start: bytes) -> bool:
+    """Whether a file that begins so is JSON."""
+    return start[:1] in (b"[", b"{") or _RECORDED.match(start) is not None
 
 
 def json_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -38,7 +50,7 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return _geojson_sheet(parsed)
     if (sheet := _readsb_sheet(parsed)) is not None:
         return sheet
-    if (sheet := _timeline_sheet(parsed)) is not None:
+    if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
         return sheet
     names, rows, cells = _columns(parsed)
     return Sheet(names, [(rows, cells)] if names else [], json=True)
@@ -46,6 +58,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
 
 def _parsed(content: str) -> Any:
     """What JSON says; a list where each line is an object of its own."""
+    if _RECORDED.match(content[:_BEGIN].encode()):
+        content = re.sub(r"(?m)^[^{\n]*", "", content)
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
@@ -180,25 +194,41 @@ def _timeline_sheet(parsed: Any) -> Sheet | None:
     """The places along the ways in ``Timeline.json``, as Google Maps exports it on a phone; None of other content.
 
     With Android segments stand under ``semanticSegments`` and places have times; with iOS they are the list itself, and
-    places have minutes since their segment began.
+    places have minutes since their segment began. Of the last weeks Android has all fixes besides, under
+    ``rawSignals``, which are taken where they are more.
     """
     segments = parsed.get("semanticSegments") if isinstance(parsed, dict) else parsed
     if not isinstance(segments, list) or not all(isinstance(one, dict) for one in segments):
         return None
     ways = [(one, one["timelinePath"]) for one in segments if isinstance(one.get("timelinePath"), list)]
+    raw = parsed.get("rawSignals") if isinstance(parsed, dict) else None
+    fixes = [one["position"] for one in raw or () if isinstance(one, dict) and isinstance(one.get("position"), dict)]
+    count = sum(len(places) for _, places in ways)
+    if len(fixes) > count:
+        whole = {name: [fix.get(key) for fix in fixes] for name, key in _RAW.items()}
+        pairs = [_pair(fix.get("LatLng"), "rawSignals") for fix in fixes]
+        whole |= {axis: [pair[i] for pair in pairs] for i, axis in enumerate(_AXES)}
+        rest = f"; {count} places along its ways left out" if count else ""
+        return points_sheet(whole, (f"Timeline of a phone: positions of rawSignals{rest}",))
     if not ways:
         return None
     columns: dict[str, list[Any]] = {"time": [], "latitude": [], "longitude": []}
     for segment, places in ways:
         for place in places:
-            point = str(place.get("point", "")) if isinstance(place, dict) else ""
-            parts = point.removeprefix("geo:").replace("\u00b0", "").split(",")
-            if len(parts) != len(_AXES):
-                raise ValueError(f"expected a point such as 47.1, 8.2 in timelinePath, received {short(place)}")
+            parts = _pair(place.get("point") if isinstance(place, dict) else place, "timelinePath")
             time = place["time"] if "time" in place else _after(segment.get("startTime"), place.get(_MINUTES))
-            for name, cell in zip(columns, (time, *map(str.strip, parts)), strict=True):
+            for name, cell in zip(columns, (time, *parts), strict=True):
                 columns[name].append(cell)
-    return points_sheet(columns, ("Timeline of a phone: places along its ways",))
+    rest = f"; {len(fixes)} positions of rawSignals left out" if fixes else ""
+    return points_sheet(columns, (f"Timeline of a phone: places along its ways{rest}",))
+
+
+def _pair(point: Any, where: str) -> list[str]:
+    """A latitude and a longitude out of text such as "geo:47.1,8.2" or "47.1\u00b0, 8.2\u00b0"."""
+    parts = str(point).removeprefix("geo:").replace("\u00b0", "").split(",")
+    if len(parts) != len(_AXES):
+        raise ValueError(f"expected a point such as 47.1, 8.2 in {where}, received {short(point)}")
+    return [part.strip() for part in parts]
 
 
 def _after(start: Any, minutes: Any) -> int:

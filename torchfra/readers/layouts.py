@@ -20,6 +20,7 @@ from torchfra.readers.placeholders import PLACEHOLDERS
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import (
+    AEROAPI,
     AIRCRAFT,
     ANIMALS,
     COUNTERS,
@@ -70,8 +71,8 @@ _AUTOPILOT = 1e-7
 """Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
 _SEMICIRCLE = 180 / 2**31
 """Degrees in the numbers of FIT files, of watches and bicycle computers."""
-_SEMICIRCLES = {"position_lat", "position_long"}
-"""Names that coordinates have in FIT files."""
+_SEMICIRCLES = ("position_lat", "position_long")
+"""How names of coordinates end in FIT files."""
 _OF_A_PHONE = "latitudee7"
 """Plain name of whole numbers for latitudes beside which altitudes are metres; an autopilot's are mm."""
 
@@ -109,6 +110,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     Raises:
         ValueError: columns that are needed are missing, or the times are not understood.
     """
+    options = options.among(head.names)
     asked = options.columns()
     if absent := [column for column in asked.values() if column not in head.names]:
         close = meant(absent[0], head.names)
@@ -142,7 +144,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role in NAMES and role not in _PRIVATE}
-    public |= dict(zip(("year", "date", "time")[-len(clock.columns) :], clock.columns, strict=True))
+    public |= clock.roles
     if noise.columns:
         public["sigma"] = next(iter(noise.columns))
     source = Source(name, public, clock.form, length, word, lines)
@@ -269,10 +271,11 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         return METRES[options.units] if options.units else units[0]
     if plain(columns.get("z", "")) in FLIGHT_LEVELS:
         raise ValueError(f"z: expected heights in the unit of x and y, received flight levels in {columns['z']}")
-    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
+    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS or {*map(plain, head.names)} >= AEROAPI:
         return _FLIGHT_LEVEL
     autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
-    in_metres = columns.get("latitude", "").lower() in _SEMICIRCLES or plain(columns.get("latitude", "")) == _OF_A_PHONE
+    latitude = columns.get("latitude", "")
+    in_metres = _in_semicircles(latitude) or plain(latitude) == _OF_A_PHONE
     return 1e-3 if autopilot and not in_metres else METRES["ft" if feet else "m"]
 
 
@@ -291,10 +294,14 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     absent = (*PLACEHOLDERS, _ABSENT[role]) if word == "ship" else PLACEHOLDERS
     kind = Kind(f"degrees within +-{limit:g}", limit=limit, absent=absent, sides=_SIDES[role])
     kind = replace(kind, advice=advice(_some_degrees(head, column), _some_degrees(head, other), limit))
-    if not _is_whole(head, column, 7):
+    if unit(column) != "semicircles" and not _is_whole(head, column, 7):
         return kind
-    degrees = _SEMICIRCLE if column.lower() in _SEMICIRCLES else _AUTOPILOT
+    degrees = _SEMICIRCLE if _in_semicircles(column) else _AUTOPILOT
     return replace(kind, limit=limit / degrees, unit=degrees, absent=(), advice="")
+
+
+def _in_semicircles(column: str) -> bool:
+    return unit(column) == "semicircles" or column.lower().endswith(_SEMICIRCLES)
 
 
 def _some_degrees(head: Head, name: str) -> list[float]:

@@ -3,70 +3,74 @@
 from __future__ import annotations
 
 import math
+import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator
 from datetime import date
 from typing import Any
 
 import numpy as np
 
-from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
+from torchfra.readers.ais_files import Ships
+from torchfra.readers.bounded import short_lines
 from torchfra.readers.columns import number
 from torchfra.readers.sheets import Sheet
 from torchfra.running.optional import optional
 
-_LONGEST = 1024
-"""Bytes of a line; a sentence has 82, and may have a time in front."""
 _NAMES = ("day", "second", "latitude", "longitude", "altitude", "hdop")
 _DAY = 86_400.0
 _AIS = (
     "AIS messages must be decoded before, such as with pyais (pip install pyais), to CSV with the columns time, mmsi, "
-    "lat, lon; they hold no date, so take each time from whatever recorded them"
+    "lat, lon; they hold no date: positions (types 1, 2, 3, 18, 19) are read where the receiver adds seconds since "
+    "1970, in a tag block (c:) in front or behind a comma at the end"
 )
+_START = re.compile(rb"(?:\\[^\\\r\n]*\\)?(?:\$[GBP]|!(?:AI|AB|BS|SA)VD)")
+"""A sentence of a receiver, or one of AIS; a tag block may be in front."""
 
 
 def is_nmea(start: bytes, suffix: str) -> bool:
     """Whether a file is one, by how it begins or its ending."""
-    return start[:2] in (b"$G", b"$B", b"$P") or start[:3] == b"!AI" or suffix in (".nmea", ".nme", ".nma")
+    return _START.match(start) is not None or suffix in (".nmea", ".nme", ".nma")
 
 
 def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The fixes of a file: RMC and GGA of the same moment are one.
+    """The fixes of a file: RMC and GGA of the same moment are one; where there are none, those of ships in AIS.
 
     Raises:
         ValueError: no fixes, or too many.
         ImportError: pynmea2 is not installed.
     """
-    pynmea2 = optional("pynmea2", "NMEA 0183", "formats")
-    fixes, lines = _Fixes(), Counter[str]()
-    for line in _lines(file, max_bytes):
+    fixes, ships, lines = _Fixes(), Ships(), Counter[str]()
+    for line in short_lines(file, max_bytes):
         sentence = line[line.find("$") :]
         if sentence[:1] != "$" or sentence[3:6] not in ("RMC", "GGA"):
-            lines["AIS" if "!AI" in line else "other"] += 1
+            lines[ships.add(line)] += 1
             continue
         try:
-            fixes.add(pynmea2.parse(sentence, check=True))
-        except (pynmea2.ParseError, ValueError, TypeError, AttributeError):
+            fixes.add(_parsed(sentence))
+        except (ValueError, TypeError, AttributeError):
             lines["damaged"] += 1
     columns = fixes.columns()
     if not len(columns["time"]):
-        ais = f"; {_AIS}" if lines["AIS"] else ""
+        if (sheet := ships.sheet(lines)) is not None:
+            return sheet
+        ais = f"; {_AIS}" if lines["AIS"] + lines["damaged AIS"] else ""
         raise ValueError(f"expected NMEA 0183 with RMC or GGA, received {dict(lines) or 'no'} lines{ais}")
     damaged = f"; {lines['damaged']} damaged sentences left out" if lines["damaged"] else ""
+    damaged += f"; {lines['AIS']} AIS messages left out" if lines["AIS"] else ""
     dated = "" if columns["time"].dtype.kind == "M" else "; no date, as there is no RMC"
     full = {name: cells for name, cells in columns.items() if cells.dtype.kind == "M" or np.isfinite(cells).any()}
     return Sheet([*full], [(len(full["time"]), full.__getitem__)], (f"NMEA 0183: RMC and GGA{damaged}{dated}",))
 
 
-def _lines(file: Any, max_bytes: int) -> Iterator[str]:
-    """The lines of a file, cut off where they are long."""
-    count = 0
-    while data := file.readline(_LONGEST):
-        count += 1
-        if count * BYTES_OF_A_ROW > max_bytes:
-            raise too_large(max_bytes, f"of text, of which a line counts for {BYTES_OF_A_ROW} or more")
-        yield data.decode("ascii", "replace").strip()
+def _parsed(sentence: str) -> Any:
+    """A sentence of a receiver.
+
+    Raises:
+        ValueError: it is damaged.
+        ImportError: pynmea2 is not installed.
+    """
+    return optional("pynmea2", "NMEA 0183", "formats").parse(sentence, check=True)
 
 
 class _Fixes:

@@ -87,7 +87,7 @@ def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> 
         return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
     for column in found(names, "sigma"):
         name = plain(column)
-        if name == "hdop":
+        if name in ("hdop", "horizontaldilutionofprecision"):
             factor = RANGE_ERROR * _PER_AXIS
             said = f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m)"
             return Noise({column: Kind(unit=factor)}, (said,))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 
 from torchfra.readers.times import FORMS, per_second
 
@@ -10,6 +11,7 @@ METRES = {
     "m": 1.0, "ft": 0.3048, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
 }  # fmt: skip
 """Units of length, by what ``units`` calls them."""
+_COLUMNS = {"time", "x", "y", "z", "lat", "lon", "alt", "id", "sigma_column"}
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
 
 
@@ -39,8 +41,8 @@ class ReadOptions:
     """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"``,
     ``"jd"`` and ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS
     has passed, beside a column of weeks; ``"gps_seconds"`` for all of its seconds since 1980, ``"apple"`` for seconds
-    since 2001; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of
-    ``datetime.strptime``, such as ``"%d%m%y %H%M%S"`` for two columns of digits."""
+    since 2001, ``"fit"`` for those since the last day of 1989; ``"25fps"`` for numbers of frames, here 25 a second;
+    ``"iso"``; or a form of ``datetime.strptime``, such as ``"%d%m%y %H%M%S"`` for two columns of digits."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -77,6 +79,12 @@ class ReadOptions:
             "altitude": self.alt, "id": self.id, "sigma": self.sigma_column,
         }  # fmt: skip
         return {role: name for role, name in roles.items() if name is not None}
+
+    def among(self, names: Iterable[str]) -> ReadOptions:
+        """These, with columns called as in a table that has units behind their names, such as ``AltMSL (ft)``."""
+        full = {name.rpartition(" (")[0]: name for name in names} | {name: name for name in names}
+        named = {field.name: getattr(self, field.name) for field in fields(self) if field.name in _COLUMNS}
+        return replace(self, **{word: full.get(name, name) for word, name in named.items()})
 
     def _check(self, name: str, known: tuple[str, ...]) -> None:
         value = getattr(self, name)

@@ -11,7 +11,7 @@ from torchfra.readers.columns import Cells
 
 _LONGEST_LIST = 200
 """Signs of names that are listed."""
-_WEIGHTS = {"JSON": 24, "XML": 32, "VBO": 16, "IGC": 16, "PLT": 16}
+_WEIGHTS = {"JSON": 24, "XML": 32, "VBO": 16, "IGC": 16, "PLT": 16, "FIT": 16}
 """What a byte counts for: it is read as a whole, and takes up more memory."""
 
 
@@ -42,7 +42,7 @@ def repeated(names: Iterable[str]) -> str:
 
 
 def whole_text(file: Any, max_bytes: int, what: str) -> str:
-    """All text of a file of ``"JSON"``, ``"XML"``, ``"VBO"``, ``"IGC"`` or ``"PLT"``.
+    """All text of a file of ``"JSON"``, ``"XML"``, ``"VBO"``, ``"IGC"``, ``"PLT"`` or ``"FIT"``.
 
     Raises:
         ValueError: there is too much.

@@ -11,7 +11,7 @@ UNITS = {
     "s": "seconds", "sec": "seconds", "secs": "seconds", "second": "seconds", "seconds": "seconds",
     "ms": "ms", "msec": "ms", "millis": "ms", "millisecond": "ms", "milliseconds": "ms",
     "us": "us", "usec": "us", "microseconds": "us", "ns": "ns", "nsec": "ns", "nanoseconds": "ns",
-    "deg": "deg", "degree": "deg", "degrees": "deg", "dd": "deg",
+    "deg": "deg", "degree": "deg", "degrees": "deg", "dd": "deg", "semicircles": "semicircles",
 }  # fmt: skip
 """Words at the end of a name that say its unit."""
 RARER_UNITS = {
@@ -30,11 +30,12 @@ NAMES = {
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
              "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
              "timegmt", "isotime", "tst", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
-             "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", *APPLE,
+             "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", "lcltime", "fixtime",
+             "devicetime", "utctimein", *APPLE,
              "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
-    "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "datum",
-             "tag", "jour", "fecha", "dia", "sidate"),
+    "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "lcldate",
+             "datum", "tag", "jour", "fecha", "dia", "sidate"),
     "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert", "ost", "este"),
     "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert", "nord", "norte"),
     "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
@@ -56,7 +57,7 @@ NAMES = {
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
-              "zhorizontalaccuracy", "hacc", "eph", "hdop"),
+              "zhorizontalaccuracy", "hacc", "eph", "hdop", "horizontaldilutionofprecision"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup", "sdu"),
     "argos_class": ("argoslc", "lc", "locationclass"),
@@ -69,7 +70,7 @@ NAMES = {
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
 _IN_FRONT = {
     "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coords", "coordinate", "utm",
-    "enu", "pose", "point", "transform", "translation", "header",
+    "enu", "pose", "point", "transform", "translation", "header", "record",
 }  # fmt: skip
 _BEHIND = {"utm", "enu"}
 OTHER_ZONES = {
@@ -93,6 +94,8 @@ SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epo
 AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
 DEPTHS = {"down", "posd", "pd", "depth"}
 """Names of columns that grow downwards, as a drone's third of north, east and down does."""
+AEROAPI = {"altitudechange", "updatetype"}
+"""Names beside which FlightAware has altitudes in hundreds of feet."""
 FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
 """Names of altitudes in hundreds of feet."""
 SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}

@@ -21,7 +21,8 @@ from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, op
 from torchfra.readers.columns import Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.igc_files import igc_sheet, is_igc
-from torchfra.readers.json_files import json_sheet
+from torchfra.readers.json_files import is_json, json_sheet
+from torchfra.readers.mixed_files import fit_sheet, gnss_sheet, is_fit_csv, is_gnss_log
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.plt_files import is_plt, plt_sheet
@@ -109,7 +110,7 @@ def read_table(
             return plt_sheet(file, max_bytes)
         if is_igc(start, suffix):
             return igc_sheet(file, max_bytes)
-        if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):
+        if suffix in (".json", ".geojson") or (suffix != ".csv" and is_json(start)):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)
@@ -117,6 +118,10 @@ def read_table(
             return xml_sheet(file, max_bytes)
         if is_nmea(start, suffix):
             return nmea_sheet(file, max_bytes)
+        if is_fit_csv(start):
+            return fit_sheet(file, max_bytes)
+        if is_gnss_log(start):
+            return gnss_sheet(file, max_bytes)
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:

@@ -20,8 +20,9 @@ SPLIT = {"s ms": 1e3, "s us": 1e6, "s ns": 1e9}
 """Whole seconds, and parts of a second in a column of their own: how many of these a second has."""
 GPS = {"gps": 1.0, "gps_ms": 1e3}
 """Weeks of GPS and what of the week has passed, in seconds or ms: units in a second."""
-SINCE_OTHERS = {"apple": 978_307_200.0, "gps_seconds": 315_964_800.0}
-"""When numbers of seconds begin that do not count since 1970, s: with 2001; in 1980, with leap seconds counted too."""
+SINCE_OTHERS = {"apple": 978_307_200.0, "fit": 631_065_600.0, "gps_seconds": 315_964_800.0}
+"""When numbers of seconds begin that do not count since 1970, s: with 2001; with the last day of 1989; in 1980, with
+leap seconds counted too."""
 OF_THE_YEAR = ("year day second", "day second")
 """Years, days of the year and seconds of the day, each in a column of its own."""
 FORMS = (*PER_SECOND, *DAY_OF_1970, *GPS, *SINCE_OTHERS, "iso")
@@ -59,6 +60,16 @@ _NAMED = re.compile(
     r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:[.,][0-9]{1,6})?"
 )
 """A date with the English name of its month."""
+_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_WEEKDAY = re.compile(f"(?:{'|'.join(_DAYS)}) ")
+_JAVA = re.compile(
+    _WEEKDAY.pattern
+    + "[A-Z][a-z]{2}  ?[0-9]{1,2} [0-9]{2}:[0-9]{2}:[0-9]{2} (?:(?P<zone>[A-Z]{1,5}(?:[+-][0-9]{2}:[0-9]{2})?) )?"
+    "[0-9]{4}"
+)
+"""As Java and C write a date by default, with the zone before the year."""
+_OFFSET = re.compile(r"([+-])([0-9]{2}):?([0-9]{2})?(?: %Y)?$")
+"""The zone of a form."""
 _MONTHS = ("January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
            "December")  # fmt: skip
 _MONTH, _MONTH_OF_FORM = re.compile("[A-Za-z]{3,9}"), re.compile("%[bB]")
@@ -97,6 +108,9 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
     texts = [str(cell).strip() for cell in cells]
     if not texts:
         return None
+    bare = [_WEEKDAY.sub("", text, count=1) for text in texts]
+    if bare != texts and all(map(_CLOCK.fullmatch, bare)) and (found := form_of(bare)):
+        return f"%a {found[0]}", found[1]
     clocks = [_CLOCK.fullmatch(text) for text in texts]
     if all(clocks):
         halves = {"" if of is None or of["half"] is None else of["half"][:-2] + "%p" for of in clocks}
@@ -105,6 +119,11 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
         clock = HALF_CLOCK + halves.pop() if halves != {""} else CLOCK
         return clock, clock
     first = _ISO.fullmatch(texts[0])
+    if all(java := [_JAVA.fullmatch(text) for text in texts]):
+        zones = [of["zone"] or "" for of in java if of]
+        form = f"%a %b %d %H:%M:%S {zones[0]} %Y".replace("  ", " ")
+        _check_zones(zones, texts[0], form)
+        return form, form
     if not _is_plain(texts[0]) and (zoned := _ZONED.fullmatch(texts[0])) and _is_plain(zoned["bare"]):
         return _form_with_zone(texts, zoned, day_first)
     if first is None:
@@ -127,17 +146,28 @@ def _form_with_zone(texts: list[str], first: re.Match[str], day_first: bool) -> 
                     day_first=day_first)  # fmt: skip
     if found is None:
         return None
-    form, zones = f"{found[1]}{zone}", [of["zone"] for of in zoned if of]
+    form = f"{found[1]}{zone}"
+    _check_zones([of["zone"] for of in zoned if of], texts[0], form)
+    return form, form
+
+
+def _check_zones(zones: list[str], text: str, form: str) -> None:
+    """Refuses several zones, and those whose offset from UTC is not known."""
     if len({*zones}) > 1:
         raise ValueError(
             f"expected one zone, received {' and '.join(dict.fromkeys(zones))}: write an offset such as -06:00 instead"
         )
-    if first["zone"] in ("UTC", "GMT", "Z"):
-        return form, form
+    if zones[0] in ("", "UTC", "GMT", "Z") or _OFFSET.search(zones[0]):
+        return
     raise ValueError(
-        f"zone {first['zone']} of {texts[0]!r} has several meanings or changes with the season: write an offset such "
+        f"zone {zones[0]} of {text!r} has several meanings or changes with the season: write an offset such "
         f"as -06:00 instead, or use --time-format '{form}', which reads the times as UTC"
     )
+
+
+def states_zone(form: str) -> bool:
+    """Whether a form of ``strptime`` ends in a zone, but for the year that may follow."""
+    return form.removesuffix(" %Y").endswith(("Z", "UTC", "GMT")) or _OFFSET.search(form) is not None
 
 
 def is_clock(form: str) -> bool:
@@ -199,6 +229,8 @@ def seconds_of(text: str, form: str) -> float:
         return seconds_of(text, " ".join(re.sub("(?<=.)%", "-%", word) for word in form.split())) + part
     bare, text = _PART.sub("", form), _COMMA.sub(".", text)
     pointed = "%f" not in bare and re.search(r":[0-9]{2}\.[0-9]", text) is not None
+    if bare.startswith("%a "):
+        text, bare = _WEEKDAY.sub("", text, count=1), bare[3:]
     if _MONTH_OF_FORM.search(bare):  # as numbers: names in ``strptime`` are those of the locale
         text, bare = _MONTH.sub(_number_of_month, text), _MONTH_OF_FORM.sub("%m", bare)
     moment = datetime.strptime(text, bare.replace("%S", "%S.%f") if pointed else bare)
@@ -280,7 +312,7 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
     if form in DAY_OF_1970:
         return _numbers(time / 86_400 + DAY_OF_1970[form], 6, 1 / 86_400)
     since: NDArray[np.float64] = time - SINCE_OTHERS.get(form, SINCE_OTHERS["gps_seconds"])
-    if form != "apple":
+    if form not in ("apple", "fit"):
         since += np.searchsorted(_LEAPS, time, side="right")
     if form in SINCE_OTHERS:
         return _numbers(since, 6, 1.0)
@@ -312,7 +344,9 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         part = f".{moment.microsecond:06}"[: 1 + digits] if second and digits else ""
         month = _MONTHS[moment.month - 1]
         first, last = (
-            moment.strftime(half.replace("%B", month).replace("%b", month[:3])) if "%" in half else half
+            moment.strftime(half.replace("%B", month).replace("%b", month[:3]).replace("%a", _DAYS[moment.weekday()]))
+            if "%" in half
+            else half
             for half in (head + second, tail)
         )
         texts.append(first + part + last)
@@ -328,7 +362,7 @@ def _numbers(values: NDArray[np.float64], digits: int, per_second: float) -> lis
 
 def _ahead(form: str) -> timedelta:
     """By how much the times of a form are ahead of UTC, if it ends in a zone."""
-    found = re.search(r"([+-])([0-9]{2}):?([0-9]{2})?$", form)
+    found = _OFFSET.search(form)
     if found is None:
         return timedelta(0)
     ahead = timedelta(hours=int(found[2]), minutes=int(found[3] or 0))

@@ -1,0 +1,386 @@
+"""Logs of watches, phones, cars, aeroplanes and receivers of ships are read without an option."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+
+from torchfra.readers import read
+from torchfra.readers.times import seconds_of, written
+
+START = datetime(2026, 5, 3, 8, 15, tzinfo=timezone.utc)
+ROWS = 40
+PLACES = [(50 + i / 1e4, 7 + i / 1e4) for i in range(ROWS)]
+MOMENTS = [START + timedelta(seconds=i) for i in range(ROWS)]
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(lines, name="a.csv"):
+        path = tmp_path / name
+        path.write_text(lines if isinstance(lines, str) else "\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
+def assert_in_place(track):
+    assert track.time - START.timestamp() == pytest.approx(np.arange(ROWS), abs=1e-3)
+    assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)
+    assert track.position[-1, :2] == pytest.approx([279.4, 433.8], abs=1)
+
+
+# ---------------------------------------------------------------- a glass cockpit
+
+
+def g1000(offset="-05:00", units="#yyy-mm-dd, hh:mm:ss,   hh:mm,      degrees,      degrees,  ft msl"):
+    local = [moment - timedelta(hours=5) for moment in MOMENTS]
+    return [
+        '#airframe_info, log_version="1.00", airframe_name="Cessna 172S"', units,
+        "  Lcl Date, Lcl Time, UTCOfst,     Latitude,    Longitude,  AltMSL",
+        *(f"{moment:%Y-%m-%d, %H:%M:%S},  {offset},   {lat:.7f},  {lon:.7f},  1000.0"
+          for moment, (lat, lon) in zip(local, PLACES, strict=True)),
+    ]  # fmt: skip
+
+
+def test_a_local_date_and_time_with_an_offset_beside_them_are_one_moment(write):
+    (track,) = read(write(g1000()))
+    assert_in_place(track)
+    assert track.source.columns["offset"] == "UTCOfst"
+    assert track.source.written(track.time[:1]) == ["2026-05-03 03:15:00 -05:00"]
+
+
+def test_units_above_the_header_count(write):
+    (track,) = read(write(g1000()))
+    assert track.origin[2] == pytest.approx(304.8)
+
+
+def test_a_comment_of_other_words_is_no_row_of_units(write):
+    (track,) = read(write(g1000(units="# one, two, three, four, five, six")))
+    assert track.origin[2] == 1000
+
+
+def test_columns_are_asked_for_by_the_names_in_the_header_where_their_units_stand_in_a_row(write):
+    (track,) = read(write(g1000()), lat="Latitude", lon="Longitude", alt="AltMSL")
+    assert track.origin[2] == pytest.approx(304.8)
+
+
+def test_an_offset_beside_times_that_are_not_called_local_is_not_added(write):
+    rows = [
+        f"{moment:%Y-%m-%d %H:%M:%S},-05:00,{lat},{lon}" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+    ]
+    assert_in_place(read(write(["time,utc_offset,lat,lon", *rows]))[0])
+
+
+# ---------------------------------------------------------------- a car
+
+
+def test_dates_as_java_writes_them_are_read(write):
+    local = [moment + timedelta(hours=2) for moment in MOMENTS]
+    rows = [f"{moment:%a %b %d %H:%M:%S} GMT+02:00 2026,{lon},{lat},5.0"
+            for moment, (lat, lon) in zip(local, PLACES, strict=True)]  # fmt: skip
+    first = "Sun May 03 10:14:59 GMT+02:00 2026,-,-,-"
+    (track,) = read(write(["GPS Time, Longitude, Latitude, Horizontal Dilution of Precision", first, *rows]))
+    assert_in_place(track)
+    assert track.source.written(track.time[:1]) == ["Sun May 03 10:15:00 GMT+02:00 2026"]
+    assert track.repairs == {"rows without position dropped": 1}
+    assert track.sigma == pytest.approx(25 / np.sqrt(2))
+
+
+@pytest.mark.parametrize(("text", "form"), [
+    ("Sun May  3 08:15:00 2026", "%a %b %d %H:%M:%S %Y"), ("Sun May 03 08:15:00 UTC 2026", "%a %b %d %H:%M:%S UTC %Y"),
+    ("Sun May 03 03:15:00 GMT-05:00 2026", "%a %b %d %H:%M:%S GMT-05:00 %Y"),
+])  # fmt: skip
+def test_a_weekday_in_front_and_the_year_behind_are_a_date(text, form):
+    assert seconds_of(text, form) == START.timestamp()
+    assert seconds_of(written(np.array([START.timestamp()]), form)[0], form) == START.timestamp()
+
+
+def test_a_zone_whose_offset_is_not_known_is_refused_before_a_year_too(write):
+    rows = [f"{moment:%a %b %d %H:%M:%S} CEST 2026,{i},0" for i, moment in enumerate(MOMENTS)]
+    with pytest.raises(ValueError, match="zone CEST of 'Sun May 03 08:15:00 CEST 2026' has several meanings"):
+        read(write(["time,x,y", *rows]))
+
+
+def test_times_that_are_not_understood_are_refused_with_the_option_that_reads_them(write):
+    with pytest.raises(
+        ValueError, match=r"data row 2, column t, received '3rd May': say how .* --time-format, such as"
+    ):
+        read(write(["t,x,y", ",0,0", "3rd May,1,2", "4th May,2,3"]))
+
+
+# ---------------------------------------------------------------- a watch
+
+
+SEMICIRCLE = 180 / 2**31
+FIT = [
+    (round(moment.timestamp()) - 631_065_600, round(lat / SEMICIRCLE), round(lon / SEMICIRCLE))
+    for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+]
+
+
+def test_fit_as_a_table_has_semicircles_and_seconds_since_1989(write):
+    names = "record.timestamp[s],record.position_lat[semicircles],record.position_long[semicircles],record.altitude[m]"
+    (track,) = read(write([names, *(f"{time},{lat},{lon},408" for time, lat, lon in FIT)]))
+    assert_in_place(track)
+    assert track.origin[2] == 408
+    assert track.source.written(track.time[:1]) == [str(FIT[0][0])]
+
+
+def test_fit_as_messages_is_read_as_its_table_is(write):
+    rows = [
+        "Type,Local Number,Message,Field 1,Value 1,Units 1,Field 2,Value 2,Units 2,Field 3,Value 3,Units 3",
+        "Definition,0,file_id,serial_number,1,,time_created,1,,,,",
+        'Data,0,file_id,serial_number,"3412345678",,time_created,"1146723133",,,,',
+        *(f'Data,4,record,timestamp,"{time}",s,position_lat,"{lat}",semicircles,position_long,"{lon}",semicircles'
+          for time, lat, lon in FIT),
+        'Data,5,lap,timestamp,"1146723999",s,start_position_lat,"1",semicircles,start_position_long,"1",semicircles',
+    ]  # fmt: skip
+    (track,) = read(write(rows))
+    assert_in_place(track)
+    assert "FIT as FitCSVTool writes it: messages called record" in track.source.notes
+
+
+def test_fit_without_a_record_is_refused(write):
+    with pytest.raises(ValueError, match="expected FIT with messages called record, received none"):
+        read(write("Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,file_id,type,4,\n"))
+
+
+def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
+    names = "record.timestamp,record.position_lat,record.position_long"
+    (track,) = read(write([names, *(f"{time + 631_065_600},{lat},{lon}" for time, lat, lon in FIT)]))
+    assert_in_place(track)
+
+
+# ---------------------------------------------------------------- phones
+
+
+def timeline(fixes, path=3):
+    places = [{"point": f"{lat}\N{DEGREE SIGN}, {lon}\N{DEGREE SIGN}", "time": moment.isoformat()}
+              for moment, (lat, lon) in zip(MOMENTS[:path], PLACES[:path], strict=True)]  # fmt: skip
+    raw = [
+        {"position": {"LatLng": f"{lat}\N{DEGREE SIGN}, {lon}\N{DEGREE SIGN}", "accuracyMeters": 30,
+                      "altitudeMeters": 520.0, "source": "WIFI", "timestamp": moment.isoformat()}}
+        for moment, (lat, lon) in zip(MOMENTS[:fixes], PLACES[:fixes], strict=True)
+    ]  # fmt: skip
+    other = {"wifiScan": {"deliveryTime": "2026-05-03T08:12:16.000+02:00", "devicesRecords": []}}
+    return json.dumps({"semanticSegments": [{"timelinePath": places}] if path else [], "rawSignals": [*raw, other]})
+
+
+@pytest.mark.parametrize("path", [0, 3])
+def test_a_phone_s_fixes_are_taken_where_they_are_more_than_the_places_along_its_ways(write, path):
+    (track,) = read(write(timeline(ROWS, path), "Timeline.json"))
+    assert_in_place(track)
+    assert track.origin[2] == 520
+    assert track.sigma == pytest.approx(30 / np.sqrt(-2 * np.log(0.32)))
+    left_out = "; 3 places along its ways left out" if path else ""
+    assert f"Timeline of a phone: positions of rawSignals{left_out}" in track.source.notes
+
+
+def test_fixes_that_are_fewer_than_the_places_are_said_to_be_left_out(write):
+    (track,) = read(write(timeline(2), "Timeline.json"))
+    assert len(track.time) == 3
+    assert "Timeline of a phone: places along its ways; 2 positions of rawSignals left out" in track.source.notes
+
+
+GNSS = [
+    "# ", "# Header Description:", "# ", "# Version: v3.1.0.0 Platform: 15 Manufacturer: Google Model: Pixel 8", "# ",
+    "# Raw,utcTimeMillis,TimeNanos,LeapSecond", "# ",
+    "# Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,AccuracyMeters,UnixTimeMillis", "# ",
+]  # fmt: skip
+
+
+def test_fixes_among_raw_measurements_are_read_without_those_made_of_others(write):
+    rows = [
+        row
+        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+        for row in (
+            "Raw,1777788733000,812345000000,18",
+            f"Fix,GPS,{lat},{lon},100,1.5,4.0,{moment.timestamp() * 1000:.0f}",
+            f"Fix,FLP,{lat + 1},{lon},100,1.5,3.0,{moment.timestamp() * 1000 + 200:.0f}",
+        )
+    ]
+    (track,) = read(write([*GNSS, *rows], "gnss_log.txt"))
+    assert_in_place(track)
+    assert track.origin[2] == 100
+    assert track.sigma == pytest.approx(4 / np.sqrt(-2 * np.log(0.32)))
+    assert "GnssLogger: rows that begin with Fix; 40 fused ones left out" in track.source.notes
+
+
+def test_raw_measurements_alone_are_refused_with_what_to_do(write):
+    with pytest.raises(
+        ValueError, match="expected rows that begin with Fix, received none: have GnssLogger log locations"
+    ):
+        read(write([*GNSS, "Raw,1777788733000,812345000000,18"], "gnss_log.txt"))
+
+
+# ---------------------------------------------------------------- receivers of ships
+
+
+CLASS_A = "!AIVDM,1,1,,B,15NG6V0P01G?cFhE`R2IU?wn28R>,0*05"
+"""Of ship 367380120 at 37.806948, -122.404333, as pyais documents it."""
+CLASS_B = "!AIVDM,1,1,,A,B52K>;h00Fc>jpUlNV@ikwpUoP06,0*4C"
+"""Of ship 338087471 at 40.684540, -74.072132, as gpsd documents it."""
+
+
+def tagged(message, time, more="s:r003669945,"):
+    block = f"{more}c:{time}"
+    return f"\\{block}*{np.bitwise_xor.reduce(list(block.encode())):02X}\\{message}"
+
+
+@pytest.mark.parametrize(("message", "name", "place"), [
+    (CLASS_A, "367380120", (37.806948, -122.404333)), (CLASS_B, "338087471", (40.684540, -74.072132)),
+])  # fmt: skip
+def test_ships_are_read_with_the_times_of_tag_blocks(write, message, name, place):
+    (ship,) = read(write([tagged(message, 1_777_788_733 + i) for i in range(3)], "ais.log"))
+    assert ship.name == name
+    assert ship.origin[:2] == pytest.approx(place, abs=1e-6)
+    assert ship.time.tolist() == [1_777_788_733, 1_777_788_734, 1_777_788_735]
+
+
+def test_ships_are_read_with_seconds_behind_their_messages(write):
+    (ship,) = read(write([f"{CLASS_A},{1_777_788_733 + i}" for i in range(3)], "ais.nmea"))
+    assert ship.time[0] == 1_777_788_733
+
+
+def test_messages_without_a_position_and_damaged_ones_are_counted(write):
+    static = "!AIVDM,1,1,,A,403OviQuMGCqWrRO9>E6fE700@GO,0*4D"  # of a base station, type 4
+    messages = [CLASS_A, static, CLASS_A.replace("*05", "*06"), CLASS_A]
+    (ship,) = read(write([tagged(message, 1_777_788_733 + i) for i, message in enumerate(messages)], "ais.log"))
+    assert len(ship.time) == 2
+    said = "AIS: 2 positions (types 1, 2, 3, 18, 19) in 3 messages; 1 damaged ones left out"
+    assert said in ship.source.notes
+
+
+def test_messages_without_times_are_refused_with_what_to_do(write):
+    with pytest.raises(ValueError, match=r"AIS messages must be decoded before.*in a tag block \(c:\) in front"):
+        read(write([r"\s:r003669945*4C" + "\\" + CLASS_A, CLASS_A], "ais.log"))
+
+
+def test_the_ship_itself_is_read_where_it_hears_others(write):
+    pytest.importorskip("pynmea2")
+    own = ["$GPGGA,092750.000,5321.6802,N,00630.3372,W,1,8,1.03,61.7,M,55.2,M,,*76",
+           "$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75"]  # fmt: skip
+    (track,) = read(write([tagged(CLASS_A, 1_777_788_733), *own], "ais.log"))
+    assert track.origin[:2] == pytest.approx((53.36133, -6.50562), abs=1e-4)
+    assert any("1 AIS messages left out" in note for note in track.source.notes)
+
+
+# ---------------------------------------------------------------- apps and services
+
+
+def streams():
+    return {"latlng": [list(place) for place in PLACES], "time": [*range(ROWS)], "altitude": [408.0] * ROWS}
+
+
+@pytest.mark.parametrize("content", [
+    [{"type": name, "data": data, "series_type": "time"} for name, data in streams().items()],
+    {name: {"data": data, "series_type": "time"} for name, data in streams().items()},
+])  # fmt: skip
+def test_streams_of_an_activity_are_columns(write, content):
+    (track,) = read(write(json.dumps(content), "a.json"))
+    assert track.time.tolist() == [*range(ROWS)]
+    assert track.origin == pytest.approx((50, 7, 408))
+    assert track.position[-1, :2] == pytest.approx([279.4, 433.8], abs=1)
+
+
+def test_streams_of_other_lengths_are_refused(write):
+    content = {name: {"data": data} for name, data in (streams() | {"time": [0, 1]}).items()}
+    with pytest.raises(ValueError, match="expected streams as long as each other"):
+        read(write(json.dumps(content), "a.json"))
+
+
+def state(moment, lat, lon, name="3c6444"):
+    time = round(moment.timestamp())
+    return [name, "DLH9LF  ", "Germany", time, time + 1, lon, lat, 3000.0, False, 220.0, 0.0, 0.0, None, 3050.0, "1000"]
+
+
+def test_state_vectors_of_several_moments_are_tracks_of_aircraft(write):
+    lines = []
+    for moment, place in zip(MOMENTS, PLACES, strict=True):
+        states = [state(moment, *place), state(moment, 51, 7, "4b1806")]
+        lines.append(json.dumps({"time": round(moment.timestamp()), "states": states}))
+    track = next(one for one in read(write(lines, "states.jsonl")) if one.name == "3c6444 DLH9LF")
+    assert_in_place(track)
+    assert track.origin[2] == 3000
+
+
+def test_the_way_of_a_flight_is_a_track(write):
+    path = [[round(moment.timestamp()), lat, lon, 3000, 90, False]
+            for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    (track,) = read(write(json.dumps({"icao24": "3c6444", "callsign": "DLH9LF", "path": path}), "a.json"))
+    assert track.name == "3c6444 DLH9LF"
+    assert_in_place(track)
+
+
+def samples():
+    return [
+        {
+            "EHPE": 5,
+            "GPSAltitude": 408,
+            "Latitude": np.radians(lat),
+            "Longitude": np.radians(lon),
+            "UTC": moment.isoformat(),
+        }
+        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("content", [
+    {"DeviceLog": {"Header": {"Duration": 40}, "Samples": [{"HR": 2.3, "TimeISO8601": "x"}, *samples()]}},
+    {"Samples": [{"Attributes": {"suunto/sml": {"Sample": sample}}, "TimeISO8601": "x"} for sample in samples()]},
+])  # fmt: skip
+def test_a_watch_may_tell_radians(write, content):
+    (track,) = read(write(json.dumps(content), "a.json"))
+    assert_in_place(track)
+    assert track.origin[2] == 408
+
+
+def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
+    records = [
+        {"time": i, "Latitude": lat, "Longitude": lon, "GPSAltitude": 408} for i, (lat, lon) in enumerate(PLACES)
+    ]
+    assert read(write(json.dumps(records), "a.json"))[0].origin[0] == 50
+
+
+def test_what_a_recorder_puts_before_json_is_left_out(write):
+    lines = []
+    for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True):
+        fix = {"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()}
+        lines.append(f"{moment:%Y-%m-%dT%H:%M:%SZ}\t*                 \t{json.dumps(fix)}")
+    (track,) = read(write(['2026-05-03T08:14:00Z\tlwt\t{"_type": "lwt", "tst": 1}', *lines], "2026-05.rec"))
+    assert_in_place(track)
+    assert track.name == "m"
+    assert track.sigma == pytest.approx(8 / np.sqrt(-2 * np.log(0.32)))
+
+
+def test_altitudes_of_aeroapi_are_hundreds_of_feet(write):
+    rows = [f"{moment.isoformat()},{lat},{lon},30,C,A" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]
+    (track,) = read(write(["timestamp,latitude,longitude,altitude,altitude_change,update_type", *rows]))
+    assert track.origin[2] == pytest.approx(914.4)
+
+
+def test_a_weekday_in_front_of_a_clock_is_left_out(write):
+    rows = [f"Sun {moment:%I:%M:%S %p},{lat},{lon}" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]
+    (track,) = read(write(["Time (EDT),Latitude,Longitude", *rows]))
+    assert track.time[0] == 8 * 3600 + 15 * 60
+
+
+def test_the_time_of_a_fix_goes_before_that_of_the_device(write):
+    rows = [f"{moment + timedelta(seconds=3):%Y-%m-%dT%H:%M:%SZ},{moment:%Y-%m-%dT%H:%M:%SZ},{lat},{lon}"
+            for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    assert_in_place(read(write(["deviceTime,fixTime,latitude,longitude", *rows]))[0])
+
+
+def test_a_session_without_positions_is_refused_with_what_to_export(write):
+    rows = [
+        "Name,Sport,Date,Start time",
+        "Max,RUNNING,03-05-2026,08:12:13",
+        "Sample rate,Time,HR (bpm)",
+        "1,00:00:00,140",
+    ]
+    with pytest.raises(ValueError, match="a session of Polar, which has no positions as CSV: export it as GPX or TCX"):
+        read(write(rows))
