@@ -117,13 +117,15 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     Raises:
         ValueError: they state a unit of lengths that neither the header nor an option states.
     """
-    asked, lines = {*options.columns().values()}, _lines(rows.head, _ABOVE)
+    any_asked, lines = bool(options.columns()), _lines(rows.head, _ABOVE)
 
     def tells(line: str) -> bool:
         """Whether it is a header that names places, or all columns that are asked for."""
         signs = [options.sign] if options.sign else _likely(line)
         named = [_split(line.lstrip(" \t%#/"), sign) for sign in signs]
-        return any(asked <= {*names} if asked else is_header(names) for names in named if len(names) > 1)
+        return any(
+            options.named(names) <= {*names} if any_asked else is_header(names) for names in named if len(names) > 1
+        )
 
     first = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
     header = next((i for i, line in enumerate(lines) if tells(line)), 0)
@@ -197,7 +199,8 @@ def _with_units(names: list[str], units: list[str]) -> list[str]:
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
     """Adds a header of column numbers to a text without header, if the caller names columns by numbers."""
     reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
-    cells, asked = next(reader, []), {*options.columns().values()} if options else set()
+    cells = next(reader, [])
+    asked = options.named(cells) if options else set()
     if len(cells) < 2 or sum(map(_is_number, filter(None, cells))) < 2 or is_header(cells) or asked & {*cells}:
         return False
     names = [str(i + 1) for i in range(len(cells))]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
+from typing import TypeAlias
 
 from torchfra.readers.times import FORMS, per_second
 
+Words: TypeAlias = "str | tuple[str, ...] | None"
+"""What a keyword of ``read`` may say."""
 METRES = {
     "m": 1.0, "ft": 0.3048, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
 }  # fmt: skip
@@ -26,7 +30,7 @@ class ReadOptions:
     lon: str | None = None
     alt: str | None = None
     id: str | None = None
-    """Column that says which target a row is of."""
+    """Column that says which target a row is of; or several, with commas between, as of a number and its operator."""
     sigma_column: str | None = None
     """Column of the standard deviation of each fix per axis, in the unit of positions."""
     units: str | None = None
@@ -78,14 +82,19 @@ class ReadOptions:
         }  # fmt: skip
         return {role: name for role, name in roles.items() if name is not None}
 
+    def named(self, names: Collection[str]) -> set[str]:
+        """The columns that are named, out of these where an id of several is one of them as it stands."""
+        asked, several = {*self.columns().values()}, self.id or ""
+        return asked if not several or several in names else asked - {several} | {*several.split(",")}
+
     def _check(self, name: str, known: tuple[str, ...]) -> None:
         value = getattr(self, name)
         if value is not None and value not in known:
             raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, received {value!r}")
 
 
-def read_options(words: dict[str, str | None]) -> ReadOptions:
-    """What a caller says by keyword.
+def read_options(words: Mapping[str, Words]) -> ReadOptions:
+    """What a caller says by keyword; ``id`` may be a tuple of columns.
 
     Raises:
         ValueError: an unknown keyword, or a value out of its range.
@@ -93,4 +102,5 @@ def read_options(words: dict[str, str | None]) -> ReadOptions:
     known = [field.name for field in fields(ReadOptions)]
     if unknown := [word for word in words if word not in known]:
         raise ValueError(f"{unknown[0]}: expected one of {', '.join(known)}")
-    return ReadOptions(**words)
+    return ReadOptions(**{name: ",".join(word) if name == "id" and isinstance(word, tuple) else word
+                          for name, word in words.items()})  # type: ignore[arg-type]  # fmt: skip

@@ -12,16 +12,16 @@ from torchfra.geodesy import to_enu
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Head
 from torchfra.readers.layouts import Layout, layout_of
-from torchfra.readers.options import ReadOptions, read_options
+from torchfra.readers.options import ReadOptions, Words, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import check_metres, check_unit, possible
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
+from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of, with_id
 
 
 def read(
-    path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: str | None
+    path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: Words
 ) -> list[Recording]:
     """Reads every target of a file.
 
@@ -53,7 +53,7 @@ def read(
         return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
-def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: str | None) -> list[Recording]:
+def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: Words) -> list[Recording]:
     """Reads every target of columns that are in memory, as ``read`` does of a file.
 
     Raises:
@@ -61,7 +61,7 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
     """
     chosen = _Choice(read_options(words), name)
     with naming(name):
-        return _recordings(table_of(sheet, chosen, max_bytes), chosen, None, name)
+        return _recordings(table_of(with_id(sheet, chosen.options), chosen, max_bytes), chosen, None, name)
 
 
 class SheetReader:
@@ -76,7 +76,7 @@ class SheetReader:
         ValueError: the columns are not understood.
     """
 
-    def __init__(self, first: Sheet, name: str, **words: str | None) -> None:
+    def __init__(self, first: Sheet, name: str, **words: Words) -> None:
         self._chosen = _Choice(read_options(words), name)
         _, cells = next(iter(first.parts))
         self._wanted = self._chosen(head_of(first, cells)[0])

@@ -121,7 +121,7 @@ def read_table(
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
-            return table_of(sheet_of(file, encoding), choose, max_bytes)
+            return table_of(with_id(sheet_of(file, encoding), options or ReadOptions()), choose, max_bytes)
 
     try:
         table = read(UTF_8)
@@ -152,6 +152,26 @@ def _known_otherwise(path: Path, max_bytes: int) -> str:
         start = file.peek(1)
     known = (said for sign, at, said in _NO_TEXTS if start[at:].startswith(sign))
     return next((f"expected text, received {said}" for said in known), "")
+
+
+def with_id(sheet: Sheet, options: ReadOptions) -> Sheet:
+    """A sheet with one more column, where several that are there name the target together."""
+    name = options.id or ""
+    several = name.split(",")
+    if name in sheet.names or len(several) < 2 or not {*several} <= {*sheet.names}:
+        return sheet
+
+    def together(cells: Cells) -> Cells:
+        def of(column: str) -> Any:
+            if column != name:
+                return cells(column)
+            labels = zip(*(text(cells(one), one, {}) for one in several), strict=True)
+            return [" ".join(filter(None, parts)) for parts in labels]
+
+        return of
+
+    parts = ((rows, together(cells)) for rows, cells in sheet.parts)
+    return sheet._replace(names=[*sheet.names, name], parts=parts)
 
 
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:
