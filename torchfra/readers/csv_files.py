@@ -16,7 +16,7 @@ from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
-from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, is_header, places_in
+from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, instead_of, is_header, places_in
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -28,7 +28,8 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 _ABOVE, _BENEATH = 100, 3
 """Lines before a header, and of units beneath it, that loggers write."""
 _LENGTH = re.compile(
-    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
+    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|dm|km|yards?|yd|miles?|nmi)\b",
+    re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
 _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
@@ -176,7 +177,7 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
         if other is not None and not options.units:
             raise ValueError(
                 f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the header: "
-                "convert them, or say --units m, and read metres in the results as these"
+                f"convert them, or {instead_of(cells[other].strip('[]()'))}"
             )
         words.append(cells)
     start = sum(map(len, lines[1 : 1 + len(words)]))

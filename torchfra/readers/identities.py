@@ -27,7 +27,7 @@ def likely_ids(
     """The columns that may name the target of a row: the likeliest first.
 
     They have texts or whole numbers, and few for the rows.  Where rows of several targets are parted by the right
-    column, times increase within each, and the ways between rows become much shorter.
+    column, each has a time once, and the ways between rows in order of time become much shorter.
 
     Args:
         head: of the table.
@@ -43,8 +43,7 @@ def likely_ids(
     part: NDArray[np.intp] = np.zeros(len(fixes), np.intp)
     for name in known:
         part = _parted(part, _labels(head.cells(name), fixes))
-    legs = np.linalg.norm(np.diff(place[np.argsort(part, kind="stable")], axis=0), axis=1)
-    longest = float(np.quantile(legs, _JUMPS))
+    longest = float(np.quantile(_legs(time, place, part)[1], _JUMPS))
     clashes, way = _disorder(time, place, part, longest)
     better = dict[str, tuple[float, float, int]]()
     for name in names:
@@ -74,11 +73,16 @@ def option(*names: str) -> str:
 
 
 def _disorder(time: Array, place: Array, part: NDArray[np.intp], longest: float) -> tuple[int, float]:
-    """How many rows are not later than the one before of their part, and the way along the rows of all parts."""
-    order = np.argsort(part, kind="stable")
+    """How many rows have the time of another of their part, and how long the ways of all parts are."""
+    passed, legs = _legs(time, place, part)
+    return int((passed == 0).sum()), float(legs.clip(max=longest).sum())
+
+
+def _legs(time: Array, place: Array, part: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Seconds and ways from the rows of each part to the next ones, in order of time."""
+    order = np.lexsort((time, part))
     same = np.diff(part[order]) == 0
-    legs = np.linalg.norm(np.diff(place[order], axis=0), axis=1)[same]
-    return int((np.diff(time[order])[same] <= 0).sum()), float(legs.clip(max=longest).sum())
+    return np.diff(time[order])[same], np.linalg.norm(np.diff(place[order], axis=0), axis=1)[same]
 
 
 def _parted(part: NDArray[np.intp], labels: NDArray[np.intp]) -> NDArray[np.intp]:

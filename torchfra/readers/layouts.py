@@ -32,6 +32,7 @@ from torchfra.readers.spelling import (
     SHIPS,
     ZONES,
     found,
+    instead_of,
     name_words,
     plain,
     unit,
@@ -61,7 +62,7 @@ _PLAIN = (str, int, float, np.generic)
 _FLIGHT_LEVEL = 100 * METRES["ft"]
 _LENGTHS = {
     1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres", _FLIGHT_LEVEL: "flight levels (hundreds of feet)",
-    1e3: "km", 1e-2: "cm", METRES["mi"]: "miles", METRES["nmi"]: "nautical miles", METRES["yd"]: "yards",
+    1e3: "km", 0.1: "dm", 1e-2: "cm", METRES["mi"]: "miles", METRES["nmi"]: "nautical miles", METRES["yd"]: "yards",
 }  # fmt: skip
 _WHOLE = re.compile(r"[+-]?([0-9]+)(?:\.0*)?")
 """A whole number; tables write it with decimals, all 0, where the column has gaps."""
@@ -261,7 +262,7 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
     for name in [columns[role] for role in ("latitude", "longitude") if role in columns] + lengths:
         ending = name_words(name)[1:]
         if ending and OTHER_UNIT.fullmatch(ending[-1]) and not (options.units and "x" in columns):
-            other = ", or say --units m, and read metres in the results as these" if "x" in columns else ""
+            other = f", or {instead_of(ending[-1])}" if "x" in columns else ""
             raise ValueError(f"column {name}: expected metres or degrees, received {ending[-1]}: convert them{other}")
     if {"xyvalid", "zvalid"} <= {*map(plain, head.names)} and plain(columns.get("x", "")) == "x":
         raise ValueError(

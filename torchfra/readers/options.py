@@ -6,12 +6,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from typing import TypeAlias
 
+from torchfra.readers.spelling import OTHER_UNIT, instead_of
 from torchfra.readers.times import FORMS, per_second
 
 Words: TypeAlias = "str | tuple[str, ...] | None"
 """What a keyword of ``read`` may say."""
 METRES = {
-    "m": 1.0, "ft": 0.3048, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
+    "m": 1.0, "ft": 0.3048, "km": 1e3, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
 }  # fmt: skip
 """Units of length, by what ``units`` calls them."""
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
@@ -51,6 +52,8 @@ class ReadOptions:
             value = getattr(self, field.name)
             if value is not None and (not isinstance(value, str) or not value):
                 raise ValueError(f"{field.name}: expected text, received {value!r}")
+        if self.units is not None and self.units not in METRES and OTHER_UNIT.fullmatch(self.units):
+            raise ValueError(f"units: expected {', '.join(METRES)}, received {self.units}: {instead_of(self.units)}")
         self._check("units", tuple(METRES))
         self._check("decimal", (".", ","))
         if self.delimiter is not None and len(self.sign) != 1:

@@ -157,10 +157,10 @@ def overview(results: Sequence[Cleaned]) -> list[str]:
     said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
     if doubtful := [of["name"] for of in every if of["doubt"]]:
         said.append(f"Sigma is unsure of {listed(doubtful)}")
-    if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
-        said.append(f"Not to be trusted (a third of their fixes rejected): {listed(unlikely)}")
     if mixed := [cleaned.recording.name for cleaned in results if _is_mixed(cleaned)]:
         said.append(f"There may be several targets in one (--id): {listed(mixed)}")
+    if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
+        said.append(f"Not to be trusted (a third of their fixes rejected): {listed(unlikely)}")
     if failed := [of["name"] for of in every if of["failed"]]:
         said.append(f"FAILED: NaN or infinity in {listed(failed)}")
     if repairs := sum((Counter(of["repairs"]) for of in every), Counter[str]()):
