@@ -4,10 +4,11 @@ A file is one of these, gzipped or not (but for the last):
 
 - rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
   comments (# or %); other lines before the header, lines of units beneath it and the header again are left out;
-- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, or what
-  receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090);
+- JSON: records, in a list or one a line (or a list of some a line), columns, GeoJSON with a time for each place, the
+  timeline of a phone, or what receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and
+  dump1090);
 - GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, NMEA 0183 with RMC and GGA (extra);
-- Parquet and Feather (extra).
+- Parquet and Feather (extra), and arrays of numpy (``.npy``), of rows and columns or of named fields.
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
 altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``ReadOptions``
@@ -21,6 +22,8 @@ start.
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
 (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
 degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
+A z that is the same everywhere is left out, unless it is named.  Of columns with moments the only one is the time,
+whatever its name.
 ``Source.notes`` states which columns were read as what.
 
 Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in

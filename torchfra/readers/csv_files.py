@@ -36,6 +36,10 @@ _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
+_UNIT_APART = re.compile(r" +(?=[\[(][^\[\]()]*[\])])")
+"""Between a name and its unit in brackets, in a header whose names are separated by spaces."""
+
+
 def csv_sheet(
     file: Any, options: ReadOptions | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str
 ) -> Sheet:
@@ -100,13 +104,14 @@ def _begin(rows: Rows, options: ReadOptions) -> str:
     signs = [options.sign] if options.sign else [stated[1]] if stated else _likely(line_of_names)
     for comment in reversed(comments):
         for sign in signs:
-            names = _split(comment.lstrip(' \t"#%/'), sign)
+            bare = _UNIT_APART.sub("", comment) if sign == " " else comment
+            names = _split(bare.lstrip(' \t"#%/'), sign)
             first_row = _split(line_of_names, sign)
             if names[:1] == ["GPST"] and len(names) == len(first_row) - 1:  # of RTKLIB, for two columns
                 names = ["date", *names]
-                comment = sign.join(names) + "\n"
+                bare = sign.join(names) + "\n"
             if is_header(names) and not is_header(first_row) and len(names) == len(first_row):
-                rows.head = comment.lstrip(" \t#%/") + text
+                rows.head = bare.lstrip(" \t#%/") + text
                 return sign
     rows.head = text
     return next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])

@@ -170,11 +170,14 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
 
 
 def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
-    """``clock_of`` the columns that are no coordinates, whatever they are called."""
+    """``clock_of`` the columns that are no coordinates, whatever they are called; or of the only one of moments."""
     names = [name for name in head.names if name not in columns.values() or name == options.time]
     try:
         return clock_of(head._replace(names=names), options)
     except LookupError:
+        moments = [name for name in names if getattr(head.cells(name), "dtype", np.dtype(float)).kind == "M"]
+        if len(moments) == 1:
+            return clock_of(head._replace(names=names), replace(options, time=moments[0]))
         guess = looks_like(head, columns.values())
         raise ValueError(f"{HEADERS}; missing time, received {listed(head.names)}{guess}") from None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,8 @@ def _recordings(
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     if not layout.degrees and origin is not None:
         raise ValueError(f"origin: expected degrees to go with it, received the columns {listed(table.names)}")
+    if not apart:
+        layout = _without_constant_z(table, layout, chosen.options)
     targets = repaired_targets(table, layout, stem)
     if layout.degrees and not apart:
         origin = _origin(targets[0], origin)
@@ -140,6 +143,21 @@ def _recordings(
     if not layout.degrees and not chosen.options.units and not chosen.options.time_format:
         check_unit(good, layout)
     return sorted(good, key=lambda recording: recording.name)
+
+
+def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> Layout:
+    """Leaves out a z that is the same everywhere, as of what moves in a plane, unless it is asked for by its name."""
+    z = layout.columns.get("z", "")
+    heights = table.column(z)
+    known = heights[np.isfinite(heights)]
+    if options.z is not None or len(known) < 2 or np.ptp(known) > 0:
+        return layout
+    said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (--z {z} takes it)"
+    columns = {role: name for role, name in layout.columns.items() if role != "z"}
+    public = {role: name for role, name in layout.source.columns.items() if role != "z"}
+    notes = [note.replace(f", {z}", "", 1) if note.startswith("position:") else note for note in layout.source.notes]
+    source = replace(layout.source, columns=public, notes=(*notes, said))
+    return replace(layout, columns=columns, source=source)
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:

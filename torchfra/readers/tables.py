@@ -23,6 +23,7 @@ from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
+from torchfra.readers.npy_files import is_npy, npy_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.plt_files import is_plt, plt_sheet
 from torchfra.readers.sheets import Sheet, listed
@@ -41,7 +42,18 @@ _WESTERN = "cp1252"
 """What text is that older programs for Windows have written in western Europe, if it is no UTF-8."""
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _NO_TEXTS = (
-    (b"PK\x03\x04", 0, "a zip archive, as .xlsx and .kmz are: save the sheet as CSV, or unpack it"),
+    (
+        b"PK\x03\x04",
+        0,
+        "a zip archive, as .xlsx, .kmz and .npz are: save the sheet as CSV, unpack it, or write a table of "
+        "its arrays by np.savetxt or as .npy",
+    ),
+    (
+        b"\x80",
+        0,
+        "a pickle of Python, which may run anything: write CSV by to_csv or np.savetxt, or hand what is in it "
+        "to torchfra.clean",
+    ),
     (b".FIT", 8, "FIT of a watch: export GPX, TCX or CSV"),
     (b"#ROSBAG", 0, "a bag of ROS: export its topic as CSV, such as by rostopic echo -p"),
     (b"SQLite format 3", 0, "a data base of SQLite: export its table as CSV"),
@@ -109,10 +121,12 @@ def read_table(
             return plt_sheet(file, max_bytes)
         if is_igc(start, suffix):
             return igc_sheet(file, max_bytes)
-        if suffix in (".json", ".geojson") or (suffix != ".csv" and start[:1] in (b"[", b"{")):
+        if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and start[:1] == b"["):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)
+        if is_npy(start):
+            return npy_sheet(file, options, headers, max_bytes)
         if start[:1] == b"<":
             return xml_sheet(file, max_bytes)
         if is_nmea(start, suffix):
