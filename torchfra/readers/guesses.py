@@ -53,7 +53,8 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     newest_first = [name for name in dated if _grows(values[name][::-1])]
     growing = newest_first + [name for name, column in values.items() if _grows(column)]
     named = [name for name in values if {*name_words(name)} & _TIMES]
-    time = time or next(iter(likely + growing + named), "")
+    sure = [name for name in named if name in dated or name in growing]
+    time = time or next(iter(sure or likely + growing + named), "")
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     of_frames = plain(time) in FRAMES
@@ -114,7 +115,7 @@ def _said(places: Mapping[str, str]) -> str:
 def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> dict[str, str]:
     """Two columns of numbers by the options for them; none where none can be positions."""
     for role, other in (("lat", "lon"), ("x", "y")):
-        pairs = _alike(list(values), role, other)
+        pairs = alike(list(values), role, other)
         if pairs:
             return {role: pairs[0], other: pairs[1]}
     fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
@@ -139,7 +140,7 @@ def _grows(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
-def _alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
+def alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
     """Two names that differ in these words alone, such as ``Local_X`` and ``Local_Y``."""
     words = {tuple(name_words(name)): name for name in names}
     for several, name in words.items():
