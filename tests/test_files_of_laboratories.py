@@ -41,7 +41,7 @@ def test_a_unit_that_nobody_converts_is_refused_in_a_name_too(write, unit):
 
 @pytest.mark.parametrize("unit", ["um", "\u00b5m", "nm", "px"])
 def test_a_tiny_unit_that_is_said_is_refused_with_the_one_to_say(write, unit):
-    with pytest.raises(ValueError, match=f"units: .*, received {unit}: say --units mm, and read mm in the results"):
+    with pytest.raises(ValueError, match=f"units: .*, received '{unit}': say --units mm, and read mm in the results"):
         read(write(["time,x,y", "0,0,0", "1,1,0"]), units=unit)
 
 
@@ -167,7 +167,7 @@ def test_rounded_positions_of_a_slow_target_are_not_held(write):
 
 
 def test_columns_that_differ_in_x_and_y_are_suggested(write):
-    for x, y in (("ball_x", "ball_y"), ("Local_X", "Local_Y"), ("xCenter", "yCenter"), ("tx", "ty")):
+    for x, y in (("ball_x", "ball_y"), ("Local_X", "Local_Y"), ("xCenter", "yCenter"), ("head_tx", "head_ty")):
         rows = [f"{i},7,{50 + i / 1e5:.5f},{7 + i / 1e5:.5f},{i / 7:.4f},{i / 9:.4f}" for i in range(ROWS)]
         with pytest.raises(ValueError, match=f"looks like --time ts_ms --x {x} --y {y}"):
             read(write([f"ts_ms,shot,{x},{y},heading,width", *rows]))

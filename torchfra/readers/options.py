@@ -53,7 +53,7 @@ class ReadOptions:
             if value is not None and (not isinstance(value, str) or not value):
                 raise ValueError(f"{field.name}: expected text, received {value!r}")
         if self.units is not None and self.units not in METRES and OTHER_UNIT.fullmatch(self.units):
-            raise ValueError(f"units: expected {', '.join(METRES)}, received {self.units}: {instead_of(self.units)}")
+            raise ValueError(f"units: expected {', '.join(METRES)}, received {self.units!r}: {instead_of(self.units)}")
         self._check("units", tuple(METRES))
         self._check("decimal", (".", ","))
         if self.delimiter is not None and len(self.sign) != 1:

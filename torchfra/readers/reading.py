@@ -20,6 +20,9 @@ from torchfra.readers.sanity import check_metres, check_unit, possible
 from torchfra.readers.sheets import Sheet, listed
 from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of, with_id
 
+_ENOUGH = 25
+"""Heights that are all the same from which on they are no third dimension."""
+
 
 def read(
     path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: Words
@@ -150,7 +153,7 @@ def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> L
     z = layout.columns.get("z", "")
     heights = table.column(z)
     known = heights[np.isfinite(heights)]
-    if options.z is not None or len(known) < 2 or np.ptp(known) > 0:
+    if options.z is not None or len(known) < _ENOUGH or np.ptp(known) > 0:
         return layout
     said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (--z {z} takes it)"
     columns = {role: name for role, name in layout.columns.items() if role != "z"}
