@@ -77,6 +77,12 @@ def test_a_column_that_is_missing_among_several_is_refused(write):
         read(write(table(fleet())), id="number,line")
 
 
+def test_targets_of_one_row_each_are_refused_as_such(write):
+    rows = [f"{i},{i},{i},0" for i in range(40)]
+    with pytest.raises(ValueError, match="expected 2 or more rows with time and position of the same target"):
+        read(write(["t,id_of,x,y", *rows]), id="id_of")
+
+
 def test_a_target_that_is_dropped_is_named_with_its_fixes(write):
     lone = [(i, 1e5 * (i % 2), 0, 0, 2, 9, "C") for i in range(30)]
     tracks = read(write(table([*fleet((6, 7, 8)) * 2, *lone])), id="number")

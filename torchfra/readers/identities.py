@@ -43,7 +43,9 @@ def likely_ids(
     part: NDArray[np.intp] = np.zeros(len(fixes), np.intp)
     for name in known:
         part = _parted(part, _labels(head.cells(name), fixes))
-    longest = float(np.quantile(_legs(time, place, part)[1], _JUMPS))
+    if not len(legs := _legs(time, place, part)[1]):  # each target has a row
+        return ()
+    longest = float(np.quantile(legs, _JUMPS))
     clashes, way = _disorder(time, place, part, longest)
     better = dict[str, tuple[float, float, int]]()
     for name in names:
