@@ -269,7 +269,7 @@ def test_what_rtklib_writes_has_one_name_for_date_and_time(write):
 
 
 @pytest.mark.parametrize(("start", "said"), [
-    (b"PK\x03\x04", r"a zip archive, as \.xlsx and \.kmz are: save the sheet as CSV"),
+    (b"PK\x03\x04", r"a zip archive, as \.xlsx, \.kmz and \.npz are: save the sheet as CSV"),
     (b"\x0e\x10\x5d\x08\x64\x00\x00\x00.FIT", "FIT of a watch: export GPX"), (b"#ROSBAG V2.0", "a bag of ROS: export"),
     (b"SQLite format 3", "a data base"), (b"MATLAB 5.0", "a file of Matlab"),
     (b"\xb5b\x01\x07", "UBX of a receiver: convert it"),

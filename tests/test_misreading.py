@@ -73,7 +73,7 @@ def test_one_target_that_cannot_be_does_not_stop_the_others(write):
     rows = [(i, name, i * speed, 0) for i in range(40) for name, speed in (("good", 10), ("bad", 1e4))]
     (track,) = read(write(table("t,id,x,y", rows)))
     assert track.name == "good"
-    assert track.repairs == {"targets of impossible speed dropped": 1}
+    assert track.repairs == {"fixes of target bad dropped, of impossible speed": 40}
     with pytest.raises(ValueError, match=r"expected speeds below 5 km/s, received 10 km/s as the median of target bad"):
         read(write(table("t,id,x,y", [row for row in rows if row[1] == "bad"])))
 

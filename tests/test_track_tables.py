@@ -214,7 +214,8 @@ def test_a_track_without_any_number_has_sentences_too():
 
 
 @pytest.mark.parametrize(("value", "text"), [
-    (4.6e-13, "below 1 mm"), (0.0045, "4.5 mm"), (0.45, "0.45 m"), (6.0, "6.0 m"), (156.2, "156 m"), (4676.0, "4.7 km"),
+    (4.6e-13, "below 0.01 mm"), (0.00045, "0.45 mm"),
+    (0.0045, "4.5 mm"), (0.45, "0.45 m"), (6.0, "6.0 m"), (156.2, "156 m"), (4676.0, "4.7 km"),
     (5e5, "500 km"), (np.nan, "an unknown length"),
 ])  # fmt: skip
 def test_lengths_are_in_the_unit_that_fits(value, text):

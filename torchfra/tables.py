@@ -61,8 +61,8 @@ def metres(value: float) -> str:
     """A length in the unit that fits, with two or three digits."""
     if not math.isfinite(value):
         return "an unknown length"
-    if abs(value) < 1e-3:
-        return "below 1 mm"
+    if abs(value) < 1e-5:
+        return "below 0.01 mm"
     if abs(value) < 0.1:
         return f"{1000 * value:.2g} mm"
     if abs(value) < 19.95:

@@ -17,7 +17,7 @@ _ABOUT = {
     "z": ("COLUMN", "column of positions"),
     "lat": ("COLUMN", "column of latitudes"), "lon": ("COLUMN", "column of longitudes"),
     "alt": ("COLUMN", "column of altitudes"),
-    "id": ("COLUMN", "column with the target of a row"),
+    "id": ("COLUMN", "column with the target of a row; or several, such as operator,number"),
     "sigma_column": ("COLUMN", "column of the std of each fix per axis"),
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("CHAR", "character between cells; or tab, space"),

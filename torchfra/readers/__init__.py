@@ -4,12 +4,12 @@ A file is one of these, gzipped or not (except for the last):
 
 - rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
   comments (# or %); other lines before the header, units above or beneath it and the header again are left out;
-- JSON: records, in a list or one a line, columns, GeoJSON with a time for each place, the timeline of a phone, what
-  receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090), state vectors of OpenSky,
-  streams of Strava, samples of Suunto, or messages of OwnTracks;
+- JSON: records, in a list or one a line (or a list of some a line), columns, GeoJSON with a time for each place, the
+  timeline of a phone, what receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090),
+  state vectors of OpenSky, streams of Strava, samples of Suunto, or messages of OwnTracks;
 - GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, FIT as FitCSVTool writes it, logs of GnssLogger, NMEA
   0183 with RMC and GGA (extra) or with ships in AIS whose receiver adds times;
-- Parquet and Feather (extra).
+- Parquet and Feather (extra), and arrays of numpy (``.npy``), of rows and columns or of named fields.
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
 altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``ReadOptions``
@@ -23,6 +23,8 @@ their names) since any start.  A local date and time may have their offset from 
 Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
 (``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
 degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
+A z that is the same everywhere is left out, unless it is named.  Of columns with moments the only one is the time,
+whatever its name.
 ``Source.notes`` states which columns were read as what.
 
 Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in

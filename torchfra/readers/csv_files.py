@@ -13,10 +13,10 @@ from typing import Any
 
 from torchfra.readers.bounded import Rows
 from torchfra.readers.columns import Cells, Head, is_missing, number
-from torchfra.readers.guesses import looks_like
+from torchfra.readers.guesses import alike, looks_like
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
-from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, is_header, places_in
+from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, found, instead_of, is_header, places_in
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -28,11 +28,16 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
 _ABOVE, _BENEATH = 100, 3
 """Lines before a header, and of units beneath it, that loggers write."""
 _LENGTH = re.compile(
-    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|km|yards?|yd|miles?|nmi)\b", re.IGNORECASE
+    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|dm|km|yards?|yd|miles?|nmi)\b",
+    re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
 _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
+
+
+_UNIT_APART = re.compile(r" +(?=[\[(][^\[\]()]*[\])])")
+"""Between a name and its unit in brackets, in a header whose names are separated by spaces."""
 
 
 def csv_sheet(
@@ -103,13 +108,14 @@ def _begin(rows: Rows, options: ReadOptions) -> tuple[str, list[str]]:
     signs = [options.sign] if options.sign else [stated[1]] if stated else _likely(line_of_names)
     for comment in reversed(comments):
         for sign in signs:
-            names = _split(comment.lstrip(' \t"#%/'), sign)
+            bare = _UNIT_APART.sub("", comment) if sign == " " else comment
+            names = _split(bare.lstrip(' \t"#%/'), sign)
             first_row = _split(line_of_names, sign)
             if names[:1] == ["GPST"] and len(names) == len(first_row) - 1:  # of RTKLIB, for two columns
                 names = ["date", *names]
-                comment = sign.join(names) + "\n"
+                bare = sign.join(names) + "\n"
             if is_header(names) and not is_header(first_row) and len(names) == len(first_row):
-                rows.head = comment.lstrip(" \t#%/") + text
+                rows.head = bare.lstrip(" \t#%/") + text
                 return sign, []
     rows.head = text
     sign = next((sign for sign in signs if is_header(_split(line_of_names, sign))), signs[0])
@@ -122,16 +128,19 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
     Raises:
         ValueError: they state a unit of lengths that neither the header nor an option states.
     """
-    asked, lines = {*options.columns().values()}, _lines(rows.head, _ABOVE)
+    any_asked, lines = bool(options.columns()), _lines(rows.head, _ABOVE)
 
-    def tells(line: str) -> bool:
-        """Whether it is a header that names places, or all columns that are asked for."""
-        signs = [options.sign] if options.sign else _likely(line)
-        named = [_split(line.lstrip(" \t%#/"), sign) for sign in signs]
-        return any(asked <= {*names} if asked else is_header(names) for names in named if len(names) > 1)
+    def tells(i: int) -> bool:
+        """Whether a line is a header that names places, or all columns that are asked for."""
+        for sign in [options.sign] if options.sign else _likely(lines[i]):
+            names, whole = _split(lines[i].lstrip(" \t%#/"), sign), _whole_names(lines, i, sign)
+            asked = {*map(_without_unit, options.named(whole))}
+            if len(names) > 1 and (asked <= {*map(_without_unit, whole)} if any_asked else _may_be_header(names)):
+                return True
+        return False
 
     first = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
-    header = next((i for i, line in enumerate(lines) if tells(line)), 0)
+    header = next((i for i in range(len(lines)) if tells(i)), 0)
     if header <= first or _is_row(lines[first], options):
         return 0
     above = lines[:header]
@@ -142,7 +151,33 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
             f"a line before the header states lengths in {found and found[0]}: state it by --units, such as mm"
         )
     rows.head = rows.head[sum(map(len, above)) :]
+    sign = options.sign or _likely(lines[header])[0]
+    if repeated(_split(lines[header], sign)):
+        names = io.StringIO(newline="")
+        csv.writer(names, delimiter=sign).writerow(_whole_names(lines, header, sign))
+        rows.head = names.getvalue() + rows.head[len(lines[header]) :]
     return header
+
+
+def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
+    """The names in a line; those that come several times behind what the line above says of their columns.
+
+    So programs that follow several markers write them: ``,,hip,,,knee,,`` above ``frame,time,x,y,z,x,y,z``.
+    """
+    names = _split(lines[i].lstrip(" \t%#/"), sign)
+    groups = _split(lines[i - 1], sign) if i and sign != " " else []
+    if len(groups) != len(names) or not (several := repeated(names).split(", ")) or not all(names):
+        return names
+    group, whole = "", list[str]()
+    for name, above in zip(names, groups, strict=True):
+        group = above or group
+        whole.append(f"{group} {name}" if name in several else name)
+    return whole
+
+
+def _may_be_header(names: list[str]) -> bool:
+    """Whether names say where something was, or when, beside two that differ in x and y alone."""
+    return is_header(names) or bool(found(names, "time") and alike(names, "x", "y"))
 
 
 def _lines(text: str, count: int) -> list[str]:
@@ -169,7 +204,9 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
         [cell.strip() for cell in next(csv.reader([line], delimiter=sign), [])] for line in lines or [""]
     ]
     asked = options.columns()
-    places = [asked[role] for role in ("x", "y", "latitude", "longitude") if role in asked] or places_in(names)
+    places = [asked[role] for role in ("x", "y", "latitude", "longitude") if role in asked]
+    places = places or places_in(names) or [*(alike(names, "x", "y") or ())]
+    places = [place if place in names else _without_unit(place) for place in places]
     at = [names.index(place) for place in places if place in names]
     words = []
     for cells in several:
@@ -179,13 +216,18 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
         if other is not None and not options.units:
             raise ValueError(
                 f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the header: "
-                "convert them, or say --units m, and read metres in the results as these"
+                f"convert them, or {instead_of(cells[other].strip('[]()'))}"
             )
         words.append(cells)
     start = sum(map(len, lines[1 : 1 + len(words)]))
     if words:
         rows.head = lines[0] + rows.head[len(lines[0]) + start :]
     return words
+
+
+def _without_unit(name: str) -> str:
+    """A name without the unit that ``_with_units`` adds."""
+    return re.sub(r" \([^()]*\)$", "", name)
 
 
 def _is_word(cell: str) -> bool:
@@ -202,7 +244,8 @@ def _with_units(names: list[str], units: list[str]) -> list[str]:
 def _numbered(rows: Rows, sign: str, options: ReadOptions | None, headers: str) -> bool:
     """Adds a header of column numbers to a text without header, if the caller names columns by numbers."""
     reader = csv.reader(io.StringIO(rows.head, newline=""), delimiter=sign, skipinitialspace=sign == " ")
-    cells, asked = next(reader, []), {*options.columns().values()} if options else set()
+    cells = next(reader, [])
+    asked = options.named(cells) if options else set()
     if len(cells) < 2 or sum(map(_is_number, filter(None, cells))) < 2 or is_header(cells) or asked & {*cells}:
         return False
     names = [str(i + 1) for i in range(len(cells))]

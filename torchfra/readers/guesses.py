@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from shlex import quote
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
 from torchfra.readers.columns import Array, Head, is_missing, number
+from torchfra.readers.identities import likely_ids, option
 from torchfra.readers.options import METRES
 from torchfra.readers.spelling import found, name_words, plain, unit
-from torchfra.readers.times import form_of
+from torchfra.readers.times import form_of, seconds_of
 
 _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
 """A latitude or longitude to 10 m or better."""
@@ -28,8 +31,6 @@ _SQUARE = re.compile(r"\s*(?:[0-9]{1,2}[C-HJ-NP-X])?\s*[A-HJ-Z]{2}\s*[0-9]{2,5}\
 _WEEK = 604_800
 _NEAR = 2e-3
 """Degrees between neighbouring fixes, of which metres, for robots, are more."""
-_SEVERAL = 5
-"""Least rows of a value, in the mean, of a first column that may say which target a row is of."""
 _FEW = 4
 """Columns of numbers up to which the first two may be x and y."""
 
@@ -52,15 +53,16 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     newest_first = [name for name in dated if _grows(values[name][::-1])]
     growing = newest_first + [name for name, column in values.items() if _grows(column)]
     named = [name for name in values if {*name_words(name)} & _TIMES]
-    time = time or next(iter(likely + growing + named), "")
+    sure = [name for name in named if name in dated or name in growing]
+    time = time or next(iter(sure or likely + growing + named), "")
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     of_frames = plain(time) in FRAMES
     frames = ", if a second has 25 frames" if of_frames else ""
     form = "25fps" if of_frames else form
-    option = f" --time-format {form}" if form else ""
+    form_said = f" --time-format {form}" if form else ""
     if known:
-        when = f"; looks like --time {time}{option}{frames}"
+        when = f"; looks like --time {quote(time)}{form_said}{frames}"
         return when if time else "; rows need a time, such as seconds since the first of them"
     if polar := _polar(values):
         return polar
@@ -69,30 +71,65 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     places = _places({name: column for name, column in values.items() if name != time}, cells)
     if not time or not places:
         return ""
-    first = cells[names[0]]  # where files without a header have the target
-    few = 0 < _SEVERAL * len({*map(str, first)}) <= len(first) and names[0] not in (time, *places.split())
-    target = f" --id {names[0]} (if that names the target)" if few else ""
-    return f"; looks like --time {time}{option} {places}{target}{frames}"
+    target = _target(head, time, places)
+    return f"; looks like --time {quote(time)}{form_said} {_said(places)}{target}{frames}"
 
 
-def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> str:
-    """Options for two columns of numbers; "" where none can be positions."""
+def _target(head: Head, time: str, places: Mapping[str, str]) -> str:
+    """The option for the column that names the target of a row; "" where none is needed, or its name says it."""
+    if found(head.names, "id"):
+        return ""
+    order = _in_order(head.cells(time))
+    place = np.stack([_or_missing(head.cells(name)) for name in places.values()], 1)
+    ids = likely_ids(head, order, place, [name for name in head.names if name not in (time, *places.values())])
+    return f" {option(ids[0])} (if that names the target)" if ids else ""
+
+
+def _in_order(cells: Sequence[Any] | NDArray[Any]) -> Array:
+    """Times as numbers that grow with them; NaN where missing."""
+    values = _or_missing(cells)
+    if np.isfinite(values).any():
+        return values
+    texts = ["" if cell is None else str(cell).strip() for cell in cells]
+    with suppress(ValueError):
+        if (form := form_of([*filter(None, texts)])) is not None:
+            return np.array([seconds_of(text, form[0]) if text else np.nan for text in texts])
+    return np.full(len(texts), np.nan)
+
+
+def _or_missing(cells: Sequence[Any] | NDArray[Any]) -> Array:
+    """The cells as numbers; NaN where they are none."""
+    values = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        with suppress(ValueError, TypeError, OverflowError):
+            values[i] = number(cell.replace(",", ".")) if isinstance(cell, str) else float(cell)
+    return values
+
+
+def _said(places: Mapping[str, str]) -> str:
+    """Options for columns by what they hold."""
+    first, *_ = places.values()
+    return " ".join(f"--{role} {quote(name)}" for role, name in places.items()) + _miles(first)
+
+
+def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> dict[str, str]:
+    """Two columns of numbers by the options for them; none where none can be positions."""
     for role, other in (("lat", "lon"), ("x", "y")):
-        pairs = _alike(list(values), role, other)
+        pairs = alike(list(values), role, other)
         if pairs:
-            return f"--{role} {pairs[0]} --{other} {pairs[1]}{_miles(pairs[0])}"
+            return {role: pairs[0], other: pairs[1]}
     fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
     small = [name for name, column in values.items() if np.abs(column).max() <= 180 and not _is_length(name)]
     degrees = [name for name in small if 2 * fine[name] > len(values[name])]
     near = all(np.median(np.abs(np.diff(values[name], prepend=values[name][0]))) < _NEAR for name in degrees[:2])
     if len(degrees) == 2 or (2 < len(degrees) < _FEW and near):
         lat, lon = degrees[:2] if np.abs(values[degrees[0]]).max() <= 90 else degrees[1::-1]
-        return f"--lat {lat} --lon {lon}"
+        return {"lat": lat, "lon": lon}
     moving = [name for name, column in values.items() if len(np.unique(column)) > 1]
     if not 2 <= len(moving) < _FEW and len(degrees) < _FEW:
-        return ""
+        return {}
     x, y = moving[:2] if _NORTH.search(moving[1].lower()) or not _NORTH.search(moving[0].lower()) else moving[1::-1]
-    return f"--x {x} --y {y}{_miles(x)}"
+    return {"x": x, "y": y}
 
 
 def _miles(name: str) -> str:
@@ -103,7 +140,7 @@ def _grows(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
-def _alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
+def alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
     """Two names that differ in these words alone, such as ``Local_X`` and ``Local_Y``."""
     words = {tuple(name_words(name)): name for name in names}
     for several, name in words.items():

@@ -45,7 +45,10 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
     try:
         parsed = _parsed(content)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"expected JSON, every key of an object once, received other text ({error})") from error
+        raise ValueError(
+            f"expected JSON, or JSON lines (records one a line), every key of an object once, received other text "
+            f"({error})"
+        ) from error
     if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
         return _geojson_sheet(parsed)
     if (sheet := _readsb_sheet(parsed)) is not None:
@@ -57,16 +60,17 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
 
 
 def _parsed(content: str) -> Any:
-    """What JSON says; a list where each line is an object of its own."""
+    """What JSON says; a list of all records where each line is an object, or a list of some, of its own."""
     if _RECORDED.match(content[:_BEGIN].encode()):
         content = re.sub(r"(?m)^[^{\n]*", "", content)
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
-        lines = content.splitlines() if error.msg == "Extra data" else []
-        if len(lines) < 2 or not lines[0].rstrip().endswith("}"):
+        lines = [line for line in content.splitlines() if line.strip()] if error.msg == "Extra data" else []
+        if len(lines) < 2 or not all(line.rstrip().endswith(("}", "]")) for line in lines[:2]):
             raise
-        return [json.loads(line, object_pairs_hook=_object) for line in lines if line.strip()]
+        several = [json.loads(line, object_pairs_hook=_object) for line in lines]
+        return [record for one in several for record in (one if isinstance(one, list) else [one])]
 
 
 def _columns(parsed: Any) -> tuple[list[str], int, Cells]:

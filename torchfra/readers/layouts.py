@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Head, Kind, number
+from torchfra.readers.columns import Array, Head, Kind, joined, number, numbers
 from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import looks_like
+from torchfra.readers.identities import likely_ids, option
 from torchfra.readers.noises import noise_of
 from torchfra.readers.options import METRES, ReadOptions
 from torchfra.readers.placeholders import PLACEHOLDERS
@@ -32,6 +33,7 @@ from torchfra.readers.spelling import (
     SHIPS,
     ZONES,
     found,
+    instead_of,
     name_words,
     plain,
     unit,
@@ -61,10 +63,8 @@ _PLAIN = (str, int, float, np.generic)
 _FLIGHT_LEVEL = 100 * METRES["ft"]
 _LENGTHS = {
     1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres", _FLIGHT_LEVEL: "flight levels (hundreds of feet)",
-    1e3: "km", 1e-2: "cm", METRES["mi"]: "miles", METRES["nmi"]: "nautical miles", METRES["yd"]: "yards",
+    1e3: "km", 0.1: "dm", 1e-2: "cm", METRES["mi"]: "miles", METRES["nmi"]: "nautical miles", METRES["yd"]: "yards",
 }  # fmt: skip
-_SEVERAL = 5
-"""Least rows of a value, in the mean, of a column that may say which target a row is of."""
 _WHOLE = re.compile(r"[+-]?([0-9]+)(?:\.0*)?")
 """A whole number; tables write it with decimals, all 0, where the column has gaps."""
 _AUTOPILOT = 1e-7
@@ -90,8 +90,6 @@ class Layout:
     """Whether they are of ellipses: ``noises.axes_of_ellipses``."""
     clock: Clock
     source: Source
-    unread: tuple[str, ...] = ()
-    """Columns that may say which target a row is of, where none is known to: the likeliest first."""
 
     @property
     def degrees(self) -> bool:
@@ -134,7 +132,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
                if kind is not None and column in sides}  # fmt: skip
     if comma:
         wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
-    used = {*clock.columns, *columns.values(), *noise.columns, *sides.values()}
+    used = {*clock.columns, *columns.values(), *noise.columns, *sides.values(), *options.named(())}
     ignored = [column for column in head.names if column and column not in used and column not in unused]
     others = f"; not {listed(unused)} (--time takes another)" if unused else ""
     lines = (
@@ -147,9 +145,9 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     public |= clock.roles
     if noise.columns:
         public["sigma"] = next(iter(noise.columns))
-    source = Source(name, public, clock.form, length, word, lines)
-    unread_ids = () if "id" in columns else _parting(head, clock, [*ignored, *unused])
-    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, unread_ids)
+    ids = _parting(head, clock, columns, wanted, [*ignored, *unused])
+    source = Source(name, public, clock.form, length, word, lines, ids)
+    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source)
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
@@ -174,11 +172,14 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
 
 
 def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tuple[Clock, list[str]]:
-    """``clock_of`` the columns that are no coordinates, whatever they are called."""
+    """``clock_of`` the columns that are no coordinates, whatever they are called; or of the only one of moments."""
     names = [name for name in head.names if name not in columns.values() or name == options.time]
     try:
         return clock_of(head._replace(names=names), options)
     except LookupError:
+        moments = [name for name in names if getattr(head.cells(name), "dtype", np.dtype(float)).kind == "M"]
+        if len(moments) == 1:
+            return clock_of(head._replace(names=names), replace(options, time=moments[0]))
         guess = looks_like(head, columns.values())
         raise ValueError(f"{HEADERS}; missing time, received {listed(head.names)}{guess}") from None
 
@@ -212,15 +213,22 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     return {role: columns[0] for role, columns in likely.items() if columns}
 
 
-def _parting(head: Head, clock: Clock, names: Sequence[str]) -> tuple[str, ...]:
-    """The columns that may name the target of a row; the one that separates rows of equal times comes first."""
-    times = list(zip(*(_texts(head, [name]) for name in clock.columns), strict=False))
-    if len(set(times)) == len(times):  # there is nothing to part, however many columns there are
-        return ()
-    cells = {name: _texts(head, [name]) for name in names}
-    several = [name for name, values in cells.items() if len(times) == len(values) > _SEVERAL * len(set(values))]
-    pairs = {name: len(set(zip(times, cells[name], strict=True))) for name in several}
-    return tuple(sorted(several, key=lambda name: (-pairs[name], len(set(cells[name])))))
+def _parting(
+    head: Head, clock: Clock, columns: Mapping[str, str], wanted: Wanted, names: Sequence[str]
+) -> tuple[str, ...]:
+    """Options for the columns that may name the target of a row, or part what the column with the targets does not."""
+
+    def values(name: str) -> Array:
+        kind = wanted[name]
+        assert kind is not None
+        return numbers(joined(head.cells, kind.joined) if kind.joined else head.cells(name), kind, name)
+
+    known = [columns["id"]] if "id" in columns else []
+    places = [columns[role] for role in (("latitude", "longitude") if "latitude" in columns else ("x", "y"))]
+    with suppress(ValueError):  # of a cell, which is refused when all are read
+        likely = likely_ids(head, values(clock.column), np.stack([*map(values, places)], 1), names, known)
+        return tuple(option(*known, name) for name in likely)
+    return ()
 
 
 def _counts(name: str, head: Head) -> bool:
@@ -259,7 +267,7 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
     for name in [columns[role] for role in ("latitude", "longitude") if role in columns] + lengths:
         ending = name_words(name)[1:]
         if ending and OTHER_UNIT.fullmatch(ending[-1]) and not (options.units and "x" in columns):
-            other = ", or say --units m, and read metres in the results as these" if "x" in columns else ""
+            other = f", or {instead_of(ending[-1])}" if "x" in columns else ""
             raise ValueError(f"column {name}: expected metres or degrees, received {ending[-1]}: convert them{other}")
     if {"xyvalid", "zvalid"} <= {*map(plain, head.names)} and plain(columns.get("x", "")) == "x":
         raise ValueError(

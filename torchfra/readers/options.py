@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from typing import TypeAlias
 
+from torchfra.readers.spelling import OTHER_UNIT, instead_of
 from torchfra.readers.times import FORMS, per_second
 
+Words: TypeAlias = "str | tuple[str, ...] | None"
+"""What a keyword of ``read`` may say."""
 METRES = {
-    "m": 1.0, "ft": 0.3048, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
+    "m": 1.0, "ft": 0.3048, "km": 1e3, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
 }  # fmt: skip
 """Units of length, by what ``units`` calls them."""
 _COLUMNS = {"time", "x", "y", "z", "lat", "lon", "alt", "id", "sigma_column"}
@@ -28,7 +32,7 @@ class ReadOptions:
     lon: str | None = None
     alt: str | None = None
     id: str | None = None
-    """Column that says which target a row is of."""
+    """Column that says which target a row is of; or several, with commas between, as of a number and its operator."""
     sigma_column: str | None = None
     """Column of the standard deviation of each fix per axis, in the unit of positions."""
     units: str | None = None
@@ -49,6 +53,8 @@ class ReadOptions:
             value = getattr(self, field.name)
             if value is not None and (not isinstance(value, str) or not value):
                 raise ValueError(f"{field.name}: expected text, received {value!r}")
+        if self.units is not None and self.units not in METRES and OTHER_UNIT.fullmatch(self.units):
+            raise ValueError(f"units: expected {', '.join(METRES)}, received {self.units!r}: {instead_of(self.units)}")
         self._check("units", tuple(METRES))
         self._check("decimal", (".", ","))
         if self.delimiter is not None and len(self.sign) != 1:
@@ -86,14 +92,19 @@ class ReadOptions:
         named = {field.name: getattr(self, field.name) for field in fields(self) if field.name in _COLUMNS}
         return replace(self, **{word: full.get(name, name) for word, name in named.items()})
 
+    def named(self, names: Collection[str]) -> set[str]:
+        """The columns that are named, out of these where an id of several is one of them as it stands."""
+        asked, several = {*self.columns().values()}, self.id or ""
+        return asked if not several or several in names else asked - {several} | {*several.split(",")}
+
     def _check(self, name: str, known: tuple[str, ...]) -> None:
         value = getattr(self, name)
         if value is not None and value not in known:
             raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, received {value!r}")
 
 
-def read_options(words: dict[str, str | None]) -> ReadOptions:
-    """What a caller says by keyword.
+def read_options(words: Mapping[str, Words]) -> ReadOptions:
+    """What a caller says by keyword; ``id`` may be a tuple of columns.
 
     Raises:
         ValueError: an unknown keyword, or a value out of its range.
@@ -101,4 +112,5 @@ def read_options(words: dict[str, str | None]) -> ReadOptions:
     known = [field.name for field in fields(ReadOptions)]
     if unknown := [word for word in words if word not in known]:
         raise ValueError(f"{unknown[0]}: expected one of {', '.join(known)}")
-    return ReadOptions(**words)
+    return ReadOptions(**{name: ",".join(word) if name == "id" and isinstance(word, tuple) else word
+                          for name, word in words.items()})  # type: ignore[arg-type]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +13,19 @@ from torchfra.geodesy import to_enu
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Head
 from torchfra.readers.layouts import Layout, layout_of
-from torchfra.readers.options import ReadOptions, read_options
+from torchfra.readers.options import ReadOptions, Words, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import check_metres, check_unit, possible
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
+from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of, with_id
+
+_ENOUGH = 25
+"""Heights that are all the same from which on they are no third dimension."""
 
 
 def read(
-    path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: str | None
+    path: str | Path, *, origin: Origin | None = None, max_bytes: int = MAX_BYTES, **words: Words
 ) -> list[Recording]:
     """Reads every target of a file.
 
@@ -53,7 +57,7 @@ def read(
         return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
-def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: str | None) -> list[Recording]:
+def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: Words) -> list[Recording]:
     """Reads every target of columns that are in memory, as ``read`` does of a file.
 
     Raises:
@@ -61,7 +65,7 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
     """
     chosen = _Choice(read_options(words), name)
     with naming(name):
-        return _recordings(table_of(sheet, chosen, max_bytes), chosen, None, name)
+        return _recordings(table_of(with_id(sheet, chosen.options), chosen, max_bytes), chosen, None, name)
 
 
 class SheetReader:
@@ -76,7 +80,7 @@ class SheetReader:
         ValueError: the columns are not understood.
     """
 
-    def __init__(self, first: Sheet, name: str, **words: str | None) -> None:
+    def __init__(self, first: Sheet, name: str, **words: Words) -> None:
         self._chosen = _Choice(read_options(words), name)
         _, cells = next(iter(first.parts))
         self._wanted = self._chosen(head_of(first, cells)[0])
@@ -129,6 +133,8 @@ def _recordings(
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     if not layout.degrees and origin is not None:
         raise ValueError(f"origin: expected degrees beside it, received the columns {listed(table.names)}")
+    if not apart:
+        layout = _without_constant_z(table, layout, chosen.options)
     targets = repaired_targets(table, layout, stem)
     if layout.degrees and not apart:
         origin = _origin(targets[0], origin)
@@ -140,6 +146,21 @@ def _recordings(
     if not layout.degrees and not chosen.options.units and not chosen.options.time_format:
         check_unit(good, layout)
     return sorted(good, key=lambda recording: recording.name)
+
+
+def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> Layout:
+    """Leaves out a z that is the same everywhere, as of what moves in a plane, unless it is asked for by its name."""
+    z = layout.columns.get("z", "")
+    heights = table.column(z)
+    known = heights[np.isfinite(heights)]
+    if options.z is not None or len(known) < _ENOUGH or np.ptp(known) > 0:
+        return layout
+    said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (--z {z} takes it)"
+    columns = {role: name for role, name in layout.columns.items() if role != "z"}
+    public = {role: name for role, name in layout.source.columns.items() if role != "z"}
+    notes = [note.replace(f", {z}", "", 1) if note.startswith("position:") else note for note in layout.source.notes]
+    source = replace(layout.source, columns=public, notes=(*notes, said))
+    return replace(layout, columns=columns, source=source)
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:

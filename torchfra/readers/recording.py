@@ -28,6 +28,8 @@ class Source:
     """What its targets are: ``"aircraft"``, ``"ship"``, ``"target"``."""
     notes: tuple[str, ...] = ()
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
+    id_options: tuple[str, ...] = ()
+    """Options that tell targets apart which may be mixed, such as ``"--id ship"``: the likeliest first."""
 
     def written(self, time: Array) -> list[str]:
         """Times ``(k,)``, seconds as in ``Recording.time``, as the file writes them; any times, not only its own."""

@@ -146,7 +146,7 @@ class _Columns:
         for role in MARKS[1:]:
             self.marked |= column(role) == 1
         self.may_be_held = layout.source.word == "aircraft"
-        self.dated, self.unread = layout.clock.since_1970, layout.unread
+        self.dated, self.ids = layout.clock.since_1970, layout.source.id_options
         self.clock = layout.clock
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
@@ -239,11 +239,10 @@ class _Columns:
         for column in (self.first, self.second):
             moved[1:] |= np.diff(column[index]) != 0
         count = int((same & moved).sum())
-        if self.unread and count > _MANY * len(index):
-            others = f" or --id {self.unread[1]}" if len(self.unread) > 1 else ""
+        if self.ids and count > _MANY * len(index):
             raise ValueError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
-                f"targets do: name the column that distinguishes them, --id {self.unread[0]}{others}"
+                f"targets do: name the column that distinguishes them, {' or '.join(self.ids[:2])}"
             )
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:

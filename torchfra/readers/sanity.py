@@ -10,9 +10,14 @@ from torchfra.readers.clocks import days_of
 from torchfra.readers.layouts import Layout
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import plural
+from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import unit as unit_of
 from torchfra.readers.times import PER_SECOND, SINCE_1970, per_second
 
+_TOO_MANY = 0.1
+"""Share of the fixes from which on targets are not left out that the file can part."""
+_SEVERAL = "rows of several targets in one look so"
+"""What an error message says of steps between targets."""
 _MANY = 25
 """Fixes from which on a track is judged."""
 _SHORTEST = 1.0
@@ -37,10 +42,11 @@ _USUAL = (0.05, 1000.0)
 
 
 def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
-    """The recordings of possible speeds; the others are left out, and counted in the repairs of the first one.
+    """The recordings of possible speeds; the others are left out, and named in the repairs of the first one.
 
     Raises:
-        ValueError: no recording has possible speeds; with what the times may be instead.
+        ValueError: no recording has possible speeds, with what the times may be instead; or some with many of the fixes
+            have not, and a column parts them.
     """
     wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
     if not wrong:
@@ -49,7 +55,12 @@ def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]
         recording, said = next(iter(wrong.items()))
         raise ValueError(f"{said} of {layout.source.word} {recording.name}; {_guess(recording, layout)}")
     good = [recording for recording in recordings if recording not in wrong]
-    good[0].repairs[f"{plural(layout.source.word)} of impossible speed dropped"] = len(wrong)
+    names, fixes = listed(recording.name for recording in wrong), sum(len(recording.time) for recording in wrong)
+    word = plural(layout.source.word) if len(wrong) > 1 else layout.source.word
+    if layout.source.id_options and fixes > _TOO_MANY * sum(len(recording.time) for recording in recordings):
+        recording, said = next(iter(wrong.items()))
+        raise ValueError(f"{said} of {word} {names}, of {fixes:,} fixes; {_SEVERAL}: use {layout.source.id_options[0]}")
+    good[0].repairs[f"fixes of {word} {names} dropped, of impossible speed"] = fixes
     return good
 
 
@@ -131,6 +142,8 @@ def _speed(recording: Recording) -> float:
 
 def _guess(recording: Recording, layout: Layout) -> str:
     """What the times may be instead, and what to do."""
+    if layout.source.id_options:
+        return f"{_SEVERAL}: use {layout.source.id_options[0]}"
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
     now = per_second(form)
     if not now:  # text, whose unit nobody can mistake
@@ -146,7 +159,5 @@ def _guess(recording: Recording, layout: Layout) -> str:
         if unit in SINCE_1970:
             return f"column {column} looks like {unit}: use --time-format {unit}, or name another column by --time"
     if likely:
-        several = f"; if rows are of several targets, --id {layout.unread[0]}" if layout.unread else ""
-        said = f"column {column} may be in {' or '.join(likely)}: say by --time-format, or name another by --time"
-        return said + several
+        return f"column {column} may be in {' or '.join(likely)}: say by --time-format, or name another by --time"
     return f"column {column} may be no time: name another by --time, or its unit by --time-format"

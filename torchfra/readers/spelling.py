@@ -16,7 +16,7 @@ UNITS = {
 """Words at the end of a name that say its unit."""
 RARER_UNITS = {
     "km": "km", "kilometre": "km", "kilometres": "km", "kilometer": "km", "kilometers": "km", "cm": "cm", "mm": "mm",
-    "mi": "mi", "mile": "mi", "miles": "mi", "nmi": "nmi", "yd": "yd", "yard": "yd", "yards": "yd",
+    "mi": "mi", "mile": "mi", "miles": "mi", "nmi": "nmi", "yd": "yd", "yard": "yd", "yards": "yd", "dm": "dm",
     "min": "minutes", "mins": "minutes", "minute": "minutes", "minutes": "minutes",
     "h": "hours", "hr": "hours", "hrs": "hours", "hour": "hours", "hours": "hours", "d": "days", "days": "days",
 }  # fmt: skip
@@ -36,9 +36,9 @@ NAMES = {
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
     "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "lcldate",
              "datum", "tag", "jour", "fecha", "dia", "sidate"),
-    "x": ("x", "east", "easting", "posx", "px", "e", "rechtswert", "ostwert", "ost", "este"),
-    "y": ("y", "north", "northing", "posy", "py", "n", "hochwert", "nordwert", "nord", "norte"),
-    "z": ("z", "up", "posz", "pz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
+    "x": ("x", "east", "easting", "posx", "px", "tx", "prsrx", "e", "rechtswert", "ostwert", "ost", "este"),
+    "y": ("y", "north", "northing", "posy", "py", "ty", "prsry", "n", "hochwert", "nordwert", "nord", "norte"),
+    "z": ("z", "up", "posz", "pz", "tz", "prsrz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
     "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7", "silati", "zlatitude"),
     "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge",
                   "longitudee7", "silong", "zlongitude"),
@@ -80,9 +80,23 @@ OTHER_ZONES = {
 """Zones behind the name of a time, whose offset from UTC changes or is not known."""
 _ZONES_BEHIND = {"utc", "gmt", "zulu", *OTHER_ZONES}
 OTHER_UNIT = re.compile(
-    r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nud]m|[\u00b5\u03bc]m|microns?|px|pixels?", re.IGNORECASE
+    r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nu]m|[\u00b5\u03bc]m|microns?|micromet(?:er|re)s?|px|pixels?", re.IGNORECASE
 )
 """A unit of positions that has no conversion here."""
+_TINY = re.compile(r"[nu]m|[\u00b5\u03bc]m|mic.*|px|pixels?", re.IGNORECASE)
+"""Those of what is seen through a lens."""
+
+
+def instead_of(unit: str) -> str:
+    """What to say of positions in one of ``OTHER_UNIT``.
+
+    What moves under a microscope moves as people and players do if its micrometres are read as millimetres: it is too
+    fast for targets of metres, and below what their cleaning can tell if it is converted to them.
+    """
+    length = ("mm", "mm") if _TINY.fullmatch(unit) else ("m", "metres")
+    return f"say --units {length[0]}, and read {length[1]} in the results as these"
+
+
 ZONES = {"zone", "utmzone", "zonenumber", "utmzonenumber", "gridzone"}
 """Names of columns with the zone of a grid, in which eastings and northings are."""
 _ELAPSED = {"t", "time", "elapsed", "elapsedtime", "timeelapsed", "timesinceboot", "zeit", "temps", "tiempo"}
@@ -187,7 +201,7 @@ def name_words(name: str) -> list[str]:
 
 _KNOWN = {name for names in NAMES.values() for name in names}
 _TIMES = {*NAMES["time"], *NAMES["date"]}
-_COARSE, _LENGTHS = {"minutes", "hours", "days"}, {"km", "cm", "mm", "mi", "nmi", "yd"}
+_COARSE, _LENGTHS = {"minutes", "hours", "days"}, {"km", "dm", "cm", "mm", "mi", "nmi", "yd"}
 _LONG = {
     name for role, names in NAMES.items() if role in ("x", "y", "z", "altitude") or "sigma" in role for name in names
 }  # fmt: skip

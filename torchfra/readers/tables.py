@@ -24,6 +24,7 @@ from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import is_json, json_sheet
 from torchfra.readers.mixed_files import fit_sheet, gnss_sheet, is_fit_csv, is_gnss_log
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
+from torchfra.readers.npy_files import is_npy, npy_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.plt_files import is_plt, plt_sheet
 from torchfra.readers.sheets import Sheet, listed
@@ -42,7 +43,18 @@ _WESTERN = "cp1252"
 """What text is that older programs for Windows have written in western Europe, if it is no UTF-8."""
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _NO_TEXTS = (
-    (b"PK\x03\x04", 0, "a zip archive, as .xlsx and .kmz are: save the sheet as CSV, or unpack it"),
+    (
+        b"PK\x03\x04",
+        0,
+        "a zip archive, as .xlsx, .kmz and .npz are: save the sheet as CSV, unpack it, or write a table of "
+        "its arrays by np.savetxt or as .npy",
+    ),
+    (
+        b"\x80",
+        0,
+        "a pickle of Python, which may run anything: write CSV by to_csv or np.savetxt, or hand what is in it "
+        "to torchfra.clean",
+    ),
     (b".FIT", 8, "FIT of a watch: export GPX, TCX or CSV"),
     (b"#ROSBAG", 0, "a bag of ROS: export its topic as CSV, such as by rostopic echo -p"),
     (b"SQLite format 3", 0, "a data base of SQLite: export its table as CSV"),
@@ -114,6 +126,8 @@ def read_table(
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)
+        if is_npy(start):
+            return npy_sheet(file, options, headers, max_bytes)
         if start[:1] == b"<":
             return xml_sheet(file, max_bytes)
         if is_nmea(start, suffix):
@@ -126,7 +140,7 @@ def read_table(
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
-            return table_of(sheet_of(file, encoding), choose, max_bytes)
+            return table_of(with_id(sheet_of(file, encoding), options or ReadOptions()), choose, max_bytes)
 
     try:
         table = read(UTF_8)
@@ -157,6 +171,26 @@ def _known_otherwise(path: Path, max_bytes: int) -> str:
         start = file.peek(1)
     known = (said for sign, at, said in _NO_TEXTS if start[at:].startswith(sign))
     return next((f"expected text, received {said}" for said in known), "")
+
+
+def with_id(sheet: Sheet, options: ReadOptions) -> Sheet:
+    """A sheet with one more column, where several that are there name the target together."""
+    name = options.id or ""
+    several = name.split(",")
+    if name in sheet.names or len(several) < 2 or not {*several} <= {*sheet.names}:
+        return sheet
+
+    def together(cells: Cells) -> Cells:
+        def of(column: str) -> Any:
+            if column != name:
+                return cells(column)
+            labels = zip(*(text(cells(one), one, {}) for one in several), strict=True)
+            return [" ".join(filter(None, parts)) for parts in labels]
+
+        return of
+
+    parts = ((rows, together(cells)) for rows, cells in sheet.parts)
+    return sheet._replace(names=[*sheet.names, name], parts=parts)
 
 
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:

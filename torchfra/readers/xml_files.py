@@ -1,4 +1,7 @@
-"""Tracks in XML: GPX, KML and TCX.  None needs entities, so that a file that defines some is refused."""
+"""Tracks in XML: GPX, KML, TCX, and elements with places as attributes.
+
+None needs entities, so that a file that defines some is refused.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from xml.parsers import expat
 
 from torchfra.readers.columns import DECIMAL, short
 from torchfra.readers.sheets import Sheet, points_sheet, whole_text
+from torchfra.readers.spelling import is_header
 from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
@@ -22,7 +26,7 @@ _DEEPEST = 64
 
 
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The points of GPX, KML or TCX.
+    """The points of GPX, KML, TCX, or of elements with places as attributes.
 
     Raises:
         ValueError: none of these, or it defines entities.
@@ -32,13 +36,34 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
     root = _checked_root(text)
     if root == "gpx":
         return _gpx_sheet(text)
-    if root not in ("kml", "TrainingCenterDatabase"):
-        raise ValueError("expected GPX, KML or TCX, received other XML")
     try:
         tree = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
-    return _kml_sheet(tree) if root == "kml" else _tcx_sheet(tree)
+    sheets = {"kml": _kml_sheet, "TrainingCenterDatabase": _tcx_sheet}
+    return sheets.get(root, _attributes_sheet)(tree)
+
+
+def _attributes_sheet(tree: ElementTree.Element) -> Sheet:
+    """The elements whose attributes say where something was, with those of the elements around them.
+
+    So simulated traffic is written (SUMO, floating car data): ``<timestep time="0"><vehicle id="a" x="1" y="2"/>``.
+    """
+    records = list[dict[str, str]]()
+
+    def add(element: ElementTree.Element, outer: dict[str, str]) -> None:
+        known = outer | {name: value for name, value in element.attrib.items() if not name.startswith("{")}
+        if is_header(element.attrib):
+            records.append(known)
+        for inner in element:
+            add(inner, known)
+
+    add(tree, {})
+    if not records:
+        raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
+                         "time,lat,lon")  # fmt: skip
+    names = dict.fromkeys(name for record in records for name in record)
+    return points_sheet({name: [record.get(name) for record in records] for name in names}, ("attributes of XML",))
 
 
 def _checked_root(text: str) -> str:

@@ -67,6 +67,9 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(of["doubt"])
     if _is_unlikely(of):
         said.append(UNLIKELY)
+    if _is_mixed(cleaned):
+        options = cleaned.recording.source.id_options
+        said.append(f"{MIXED}: {options[0] if options else '--id'} tells them apart")
     if of["repairs"]:
         said.append(f"Repaired: {in_words(of['repairs'])}")
     return said
@@ -94,6 +97,31 @@ UNLIKELY = (
 def _is_unlikely(of: Mapping[str, Any]) -> bool:
     """Whether so many fixes were rejected that it is rather the path that is wrong."""
     return bool(3 * of["flags"]["outlier"] >= of["fixes"] > 0)
+
+
+MIXED = "The rejected fixes lie along ways of their own: there may be several targets in one"
+"""What is said of a track that may be of several targets."""
+_MIXED, _NEAR, _IN_LINE = 0.2, 4, 0.1
+"""Share of the fixes that must be rejected for that; how many others before and after are looked at; and how far a fix
+is at most from the line between two of these, as a share of its distance to the path."""
+
+
+def _is_mixed(cleaned: Cleaned) -> bool:
+    """Whether a fifth of the fixes or more were rejected, and most of them lie in line with others of them."""
+    rejected = cleaned.flag == "outlier"
+    if rejected.sum() < max(_MIXED * (cleaned.row >= 0).sum(), 2 * _NEAR):
+        return False
+    time, place, off = cleaned.time[rejected], cleaned.raw[rejected, :2], cleaned.off[rejected]
+    nearest = np.full(len(time), np.inf)
+    for before in range(1, _NEAR + 1):
+        for after in range(1, _NEAR + 1):
+            first, at, last = place[: -before - after], place[before:-after], place[before + after :]
+            passed = (time[before:-after] - time[: -before - after]) / (
+                time[before + after :] - time[: -before - after]
+            )
+            away = np.linalg.norm(at - first - passed[:, None] * (last - first), axis=1)
+            nearest[before:-after] = np.minimum(nearest[before:-after], away)
+    return bool(np.median(nearest / off) < _IN_LINE)
 
 
 COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", "moved", "std", "sigma")
@@ -129,6 +157,8 @@ def overview(results: Sequence[Cleaned]) -> list[str]:
     said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
     if doubtful := [of["name"] for of in every if of["doubt"]]:
         said.append(f"Sigma is unsure of {listed(doubtful)}")
+    if mixed := [cleaned.recording.name for cleaned in results if _is_mixed(cleaned)]:
+        said.append(f"There may be several targets in one (--id): {listed(mixed)}")
     if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
         said.append(f"Not to be trusted (a third of their fixes rejected): {listed(unlikely)}")
     if failed := [of["name"] for of in every if of["failed"]]:

@@ -1,0 +1,148 @@
+"""Arrays of numpy, JSON lines of any ending, headers of ``np.savetxt`` and DataFrames are read as they are written."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+import torchfra
+from torchfra.readers import read
+
+ROWS = 40
+TIME = np.arange(ROWS) * 0.5
+TRACK = np.stack([TIME, 3 * TIME, -TIME, np.sin(TIME)], 1)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(lines, name="a.csv"):
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
+# ---------------------------------------------------------------- arrays
+
+
+def test_an_array_has_its_columns_by_their_numbers(tmp_path):
+    np.save(tmp_path / "a.npy", TRACK)
+    with pytest.raises(ValueError, match="an array has columns 1 to 4; looks like --time 1 --x 2 --y 3"):
+        read(tmp_path / "a.npy")
+    (track,) = read(tmp_path / "a.npy", time="1", x="2", y="3", z="4")
+    np.testing.assert_array_equal(track.position, TRACK[:, 1:])
+    np.testing.assert_array_equal(track.time, TIME)
+
+
+def test_an_array_of_fields_has_their_names(tmp_path):
+    fields = np.zeros(2 * ROWS, [("t", "f8"), ("id", "U5"), ("x", "f4"), ("y", "i8")])
+    fields["t"], fields["x"], fields["id"] = np.repeat(TIME, 2), np.tile([1, 2], ROWS), np.tile(["a", "b"], ROWS)
+    np.save(tmp_path / "a.npy", fields)
+    assert [(track.name, len(track.time), track.position[0, 0]) for track in read(tmp_path / "a.npy")] == [
+        ("a", ROWS, 1), ("b", ROWS, 2),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("array", [np.zeros(4), np.zeros((4, 3), complex), np.array([{}, {}], object)])
+def test_other_arrays_are_refused_with_what_to_do(tmp_path, array):
+    np.save(tmp_path / "a.npy", array, allow_pickle=True)
+    with pytest.raises(ValueError, match=r"a\.npy: expected .*: hand it to torchfra.clean as .*np.savetxt"):
+        read(tmp_path / "a.npy", time="1", x="2", y="3")
+
+
+def test_an_array_that_is_cut_off_or_too_large_is_refused(tmp_path):
+    np.save(tmp_path / "a.npy", TRACK)
+    (tmp_path / "b.npy").write_bytes((tmp_path / "a.npy").read_bytes()[:-9])
+    with pytest.raises(ValueError, match="expected a complete array of numbers, received none"):
+        read(tmp_path / "b.npy", time="1", x="2", y="3")
+    for bound in (200, 2000):
+        with pytest.raises(ValueError, match=f"expected at most {bound} bytes of (text|an array)"):
+            read(tmp_path / "a.npy", time="1", x="2", y="3", max_bytes=bound)
+
+
+def test_pickles_and_archives_of_arrays_are_refused_with_what_to_do(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(TRACK))
+    with pytest.raises(ValueError, match=r"received a pickle of Python, .*: write CSV by to_csv or np.savetxt"):
+        read(tmp_path / "a.pkl")
+    np.savez(tmp_path / "a.npz", TRACK)
+    with pytest.raises(ValueError, match=r"received a zip archive, as .*\.npz are: .* np.savetxt or as .npy"):
+        read(tmp_path / "a.npz")
+
+
+# ---------------------------------------------------------------- text
+
+
+@pytest.mark.parametrize(
+    "header", ["t east north up", "t [s] east [m] north [m] up [m]", "t (s) east (m) north (m) up"]
+)
+def test_a_header_of_savetxt_is_one_with_units_too(tmp_path, header):
+    np.savetxt(tmp_path / "a.txt", TRACK, header=header)
+    (track,) = read(tmp_path / "a.txt")
+    np.testing.assert_array_equal(track.position, TRACK[:, 1:])
+
+
+RECORDS = [{"time": t, "id": name, "x": x, "y": y} for t, x, y, _ in TRACK.tolist() for name in "ab"]
+
+
+@pytest.mark.parametrize("name", ["a.json", "a.jsonl", "a.ndjson", "a.log", "a.csv"])
+def test_lines_of_objects_are_read_whatever_the_ending(write, name):
+    assert [len(track.time) for track in read(write(map(json.dumps, RECORDS), name))] == [ROWS, ROWS]
+
+
+@pytest.mark.parametrize("name", ["a.json", "a.jsonl", "a.txt"])
+def test_lines_of_lists_of_objects_are_read(write, name):
+    lines = [json.dumps(RECORDS[i : i + 2]) for i in range(0, len(RECORDS), 2)]
+    assert [len(track.time) for track in read(write(lines, name))] == [ROWS, ROWS]
+
+
+def test_what_is_no_json_is_told_of_json_lines(write):
+    with pytest.raises(ValueError, match=r"expected JSON, or JSON lines \(records one a line\)"):
+        read(write(['{"t": 0}', "{'t': 1}"], "a.json"))
+
+
+# ---------------------------------------------------------------- a third dimension
+
+
+def test_a_z_that_is_the_same_everywhere_is_left_out_and_said(write):
+    path = write(["t,x,y,z", *(f"{t},{x},{y},1.5" for t, x, y, _ in TRACK)])
+    (track,) = read(path)
+    assert track.position.shape == (ROWS, 2)
+    assert "left out: z, which is 1.5 everywhere (--z z takes it)" in track.source.notes
+    assert "position: x, y, in metres" in track.source.notes
+    assert read(path, z="z")[0].position.shape == (ROWS, 3)
+
+
+def test_positions_of_an_array_keep_their_dimensions():
+    assert torchfra.clean((TIME, np.pad(TRACK[:, 1:3], ((0, 0), (0, 1))))).position.shape == (ROWS, 3)
+
+
+# ---------------------------------------------------------------- tables in memory
+
+
+@pytest.mark.parametrize("place", ["column", "index", "level"])
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_the_only_moments_of_a_table_are_its_times_whatever_their_name(place, zone):
+    pandas = pytest.importorskip("pandas")
+    received = pandas.date_range("2024-10-27 00:30", periods=ROWS, freq="5s", tz="UTC").tz_convert(zone)
+    frame = pandas.DataFrame({"received": received, "wagon": 7, "x": TRACK[:, 1], "y": TRACK[:, 2]})
+    frame = frame if place == "column" else frame.set_index(["wagon", "received"] if place == "level" else "received")
+    cleaned = torchfra.clean(frame)
+    assert cleaned.index.equals(frame.index)
+    assert cleaned["clean_x"].notna().all()
+
+
+def test_levels_of_an_index_are_proposed_as_ids():
+    pandas = pytest.importorskip("pandas")
+    received = pandas.date_range("2024-05-06", periods=ROWS, freq="5s")
+    frame = pandas.DataFrame({
+        "received": np.tile(received, 2), "wagon": np.repeat([7, 9], ROWS),
+        "x": np.append(TRACK[:, 1], TRACK[:, 1] + 80),
+        "y": np.tile(TRACK[:, 2], 2),
+    }).set_index(["wagon", "received"])  # fmt: skip
+    with pytest.raises(ValueError, match="name the column that distinguishes them, id='wagon'"):
+        torchfra.clean(frame)
+    assert torchfra.clean(frame, id="wagon")["clean_x"].notna().all()
