@@ -75,6 +75,14 @@ def test_an_offset_beside_times_that_are_not_called_local_is_not_added(write):
     assert_in_place(read(write(["time,utc_offset,lat,lon", *rows]))[0])
 
 
+def test_offsets_that_some_rows_lack_are_not_added(write):
+    lines = g1000()
+    lines[5] = lines[5].replace("-05:00", "      ")
+    (track,) = read(write(lines))
+    assert "UTCOfst" not in track.source.columns.values()
+    assert track.repairs == {}
+
+
 # ---------------------------------------------------------------- a car
 
 
@@ -337,6 +345,12 @@ def test_a_watch_may_tell_radians(write, content):
     (track,) = read(write(json.dumps(content), "a.json"))
     assert_in_place(track)
     assert track.origin[2] == 408
+
+
+def test_samples_of_a_watch_that_are_no_radians_are_degrees(write):
+    records = [{"EHPE": 5, "UTC": moment.isoformat(), "Latitude": lat, "Longitude": lon}
+               for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    assert_in_place(read(write(json.dumps({"Samples": records}), "a.json"))[0])
 
 
 def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
