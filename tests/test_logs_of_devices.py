@@ -120,6 +120,15 @@ def test_times_that_are_not_understood_are_refused_with_the_option_that_reads_th
         read(write(["t,x,y", ",0,0", "3rd May,1,2", "4th May,2,3"]))
 
 
+def test_times_that_are_too_coarse_are_refused_with_the_others_that_there_are(write):
+    rows = [f"{MOMENTS[i // 3 * 2]:%a %b %d %H:%M:%S} UTC 2026,{moment:%d-%b-%Y %H:%M:%S}.101,{lat},{lon},{i % 2}"
+            for i, (moment, (lat, lon)) in enumerate(zip(MOMENTS, PLACES, strict=True)) if i < 36]  # fmt: skip
+    path = write(["GPS Time, Device Time, Latitude, Longitude, Gear", *(row for i, row in enumerate(rows) if i % 3)])
+    with pytest.raises(ValueError, match=r"or, if it is one target, take other times: --time 'Device Time'"):
+        read(path)
+    assert len(read(path, time="Device Time")[0].time) == 24
+
+
 # ---------------------------------------------------------------- a watch
 
 

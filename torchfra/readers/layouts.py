@@ -92,6 +92,8 @@ class Layout:
     source: Source
     unread: tuple[str, ...] = ()
     """Columns that may say which target a row is of, where none is known to: the likeliest first."""
+    other_times: tuple[str, ...] = ()
+    """Columns of times that are not taken."""
 
     @property
     def degrees(self) -> bool:
@@ -149,7 +151,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         public["sigma"] = next(iter(noise.columns))
     source = Source(name, public, clock.form, length, word, lines)
     unread_ids = () if "id" in columns else _parting(head, clock, [*ignored, *unused])
-    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, unread_ids)
+    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, unread_ids, tuple(unused))
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:

@@ -146,7 +146,7 @@ class _Columns:
         for role in MARKS[1:]:
             self.marked |= column(role) == 1
         self.may_be_held = layout.source.word == "aircraft"
-        self.dated, self.unread = layout.clock.since_1970, layout.unread
+        self.dated, self.unread, self.other_times = layout.clock.since_1970, layout.unread, layout.other_times
         self.clock = layout.clock
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
@@ -241,6 +241,11 @@ class _Columns:
         count = int((same & moved).sum())
         if self.unread and count > _MANY * len(index):
             others = f" or --id {self.unread[1]}" if len(self.unread) > 1 else ""
+            others += (
+                f"; or, if it is one target, take other times: --time '{self.other_times[0]}'"
+                if self.other_times
+                else ""
+            )
             raise ValueError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
                 f"targets do: name the column that distinguishes them, --id {self.unread[0]}{others}"
