@@ -75,6 +75,14 @@ def test_an_offset_beside_times_that_are_not_called_local_is_not_added(write):
     assert_in_place(read(write(["time,utc_offset,lat,lon", *rows]))[0])
 
 
+def test_offsets_that_some_rows_lack_are_not_added(write):
+    lines = g1000()
+    lines[5] = lines[5].replace("-05:00", "      ")
+    (track,) = read(write(lines))
+    assert "UTCOfst" not in track.source.columns.values()
+    assert track.repairs == {}
+
+
 # ---------------------------------------------------------------- a car
 
 
@@ -110,6 +118,15 @@ def test_times_that_are_not_understood_are_refused_with_the_option_that_reads_th
         ValueError, match=r"data row 2, column t, received '3rd May': say how .* --time-format, such as"
     ):
         read(write(["t,x,y", ",0,0", "3rd May,1,2", "4th May,2,3"]))
+
+
+def test_times_that_are_too_coarse_are_refused_with_the_others_that_there_are(write):
+    rows = [f"{MOMENTS[i // 3 * 2]:%a %b %d %H:%M:%S} UTC 2026,{moment:%d-%b-%Y %H:%M:%S}.101,{lat},{lon},{i % 2}"
+            for i, (moment, (lat, lon)) in enumerate(zip(MOMENTS, PLACES, strict=True)) if i < 36]  # fmt: skip
+    path = write(["GPS Time, Device Time, Latitude, Longitude, Gear", *(row for i, row in enumerate(rows) if i % 3)])
+    with pytest.raises(ValueError, match=r"or, if it is one target, take other times: --time 'Device Time'"):
+        read(path)
+    assert len(read(path, time="Device Time")[0].time) == 24
 
 
 # ---------------------------------------------------------------- a watch
@@ -337,6 +354,12 @@ def test_a_watch_may_tell_radians(write, content):
     (track,) = read(write(json.dumps(content), "a.json"))
     assert_in_place(track)
     assert track.origin[2] == 408
+
+
+def test_samples_of_a_watch_that_are_no_radians_are_degrees(write):
+    records = [{"EHPE": 5, "UTC": moment.isoformat(), "Latitude": lat, "Longitude": lon}
+               for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    assert_in_place(read(write(json.dumps({"Samples": records}), "a.json"))[0])
 
 
 def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):

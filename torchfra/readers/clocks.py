@@ -489,8 +489,9 @@ def _ahead(clock: Clock, head: Head) -> Clock:
     offsets = [name for name in head.names if plain(name) in _OFFSETS]
     local = any({"lcl", "local"} & {*name_words(column)} for column in clock.columns)
     for offset in offsets if local and not clock.stated else []:
-        columns, cells = (*clock.columns, offset), [str(cell).strip() for cell in head.cells(offset)]
-        if all(_OFFSET.fullmatch(cell) for cell in cells if cell):
+        columns = (*clock.columns, offset)
+        pairs = zip(joined(head.cells, clock.columns), joined(head.cells, (offset,)), strict=True)
+        if all(_OFFSET.fullmatch(ahead) for time, ahead in pairs if time or ahead):
             return _text_clock(columns, [*filter(None, joined(head.cells, columns))], False) or clock
     return clock
 

@@ -70,7 +70,8 @@ def _suunto(parsed: Any) -> Sheet | None:
     log = parsed.get("DeviceLog", parsed) if isinstance(parsed, dict) else parsed
     samples = log.get("Samples") if isinstance(log, dict) else log
     fixes = [fix for fix in _samples(samples) if "Latitude" in fix and "Longitude" in fix]
-    if not any("EHPE" in fix for fix in fixes):
+    sizes = [abs(fix["Latitude"]) for fix in fixes if isinstance(fix["Latitude"], int | float)]
+    if not any("EHPE" in fix for fix in fixes) or max(sizes, default=0) > math.pi / 2:
         return None
     columns: dict[str, list[Any]] = {"time": [fix.get("UTC") or fix.get("TimeISO8601") for fix in fixes]}
     columns |= {name: [fix.get(key) for fix in fixes] for name, key in _SUUNTO.items()}

@@ -90,6 +90,8 @@ class Layout:
     """Whether they are of ellipses: ``noises.axes_of_ellipses``."""
     clock: Clock
     source: Source
+    other_times: tuple[str, ...] = ()
+    """Columns of times that are not taken."""
 
     @property
     def degrees(self) -> bool:
@@ -147,7 +149,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         public["sigma"] = next(iter(noise.columns))
     ids = _parting(head, clock, columns, wanted, [*ignored, *unused])
     source = Source(name, public, clock.form, length, word, lines, ids)
-    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source)
+    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, tuple(unused))
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:

@@ -147,6 +147,7 @@ class _Columns:
             self.marked |= column(role) == 1
         self.may_be_held = layout.source.word == "aircraft"
         self.dated, self.ids = layout.clock.since_1970, layout.source.id_options
+        self.other_times = layout.other_times
         self.clock = layout.clock
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
@@ -240,9 +241,10 @@ class _Columns:
             moved[1:] |= np.diff(column[index]) != 0
         count = int((same & moved).sum())
         if self.ids and count > _MANY * len(index):
+            times = [f"; or, if it is one target, take other times: --time '{name}'" for name in self.other_times[:1]]
             raise ValueError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
-                f"targets do: name the column that distinguishes them, {' or '.join(self.ids[:2])}"
+                f"targets do: name the column that distinguishes them, {' or '.join(self.ids[:2])}{''.join(times)}"
             )
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
