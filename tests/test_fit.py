@@ -247,16 +247,6 @@ def test_a_track_that_fails_is_left_out_and_said(data):
     assert "1 tracks have no finite loss" in found.notes[0]
 
 
-def test_a_threshold_that_few_tracks_come_near_is_learned_from_these(data):
-    z = data["z"].clone()
-    z[::4, 5] += 40.0
-    tracks = {"z": z, "prior": PRIOR, "truth": data["truth"]}
-    f = presets.rsrckf(ConstantVelocity(Q), Position(STD), threshold=6.0)
-    found = torchfra.fit(f, tracks, learn=("threshold",), loss="mse", **QUICK | {"iterations": 10, "lr": 0.3})
-    assert found.learned["robust.threshold"] < 3.0
-    assert found.errors["robust.threshold"] > 0
-
-
 @pytest.mark.parametrize("compiles", [True, False])
 def test_a_gate_that_no_gradient_reaches_stays_without_a_standard_error(data, compiles):
     f = presets.fra(ConstantVelocity(Q), Position(STD))

@@ -10,7 +10,8 @@ import torchfra
 from torchfra import Gaussian, presets
 from torchfra.filters.hessian import hessian
 from torchfra.fitting.data import batch_of
-from torchfra.fitting.newton import Sums, minimised
+from torchfra.fitting.descent import bounded
+from torchfra.fitting.newton import Sums, median_of_nonzero, minimised
 from torchfra.fitting.objective import Objective
 from torchfra.fitting.vector import NORMAL_95, Vector
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
@@ -71,6 +72,23 @@ def test_a_track_whose_loss_is_chaotic_is_distinguished_from_the_others(monkeypa
     bends[:, 4] = torch.nan
     monkeypatch.setattr(sums, "of_tracks", lambda raw: (loss, gradient, bends))
     assert sums.not_chaotic(raw).tolist() == [True, True, False, True, False, True]
+
+
+def test_tracks_that_a_value_does_not_reach_are_regular_and_do_not_make_the_others_chaotic(monkeypatch):
+    f, z = start(learn=("q", "std")), walks(0, 6, 6)[1]
+    vector, sums = sums_of(f, z)
+    raw = vector.raw()[None, None]
+    loss, gradient, bends = sums.of_tracks(raw)
+    bends[:, :4] = 0
+    monkeypatch.setattr(sums, "of_tracks", lambda raw: (loss, gradient, bends))
+    assert sums.not_chaotic(raw).all()
+
+
+def test_a_gradient_of_zero_stays_zero_where_those_of_most_tracks_are():
+    gradients = torch.tensor([[0.0], [0.0], [2.0]])
+    clipped, finite = bounded(torch.zeros(3), gradients, 10 * median_of_nonzero(gradients.norm(dim=-1), 0))
+    assert torch.equal(clipped, gradients)
+    assert finite.all()
 
 
 def test_weights_count_tracks_as_often_and_groups_keep_them_apart():
