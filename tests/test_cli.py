@@ -211,7 +211,7 @@ def test_compare_takes_one_recording_in_files(walks, tmp_path):
         [*files, *more, "--height", "0.5"],
         [*files, *more, "--dt", ".2"],
     ):
-        out = ["--json", str(tmp_path / "r.json"), "--quiet"]
+        out = ["--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png"), "--quiet"]
         assert cli.main(["compare", "--ranges", *arguments, "--filters", "rsrckf", *out]) == 0
         found.append(json.loads((tmp_path / "r.json").read_text())["filters"]["rsrckf"]["rmse_position"])
     assert found[0] == pytest.approx(found[1])
