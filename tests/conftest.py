@@ -12,16 +12,16 @@ import pytest
 import torch
 from short_tracks import short
 
-from torchfra import presets, scenarios
+from torchfra import keep_memory, presets, scenarios
 from torchfra.compiler import jit, llvm
 from torchfra.compiler.engine import Compiled
 from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn
 from torchfra.types import Gaussian
 
+keep_memory()  # as the command does in its processes
 gc.disable()  # while modules are imported and tests are collected, of which nothing is garbage
 
-OPTIMISED = {"test_compile", "test_divisions", "test_every_filter_compiles", "test_generated_source",
-             "test_processors", "test_regions"}  # fmt: skip
+OPTIMISED = {"test_divisions", "test_every_filter_compiles", "test_generated_source", "test_processors", "test_regions"}
 """Tests whose kernels are those that users have; in others LLVM does not optimise them, which is twice as fast."""
 LEVEL = jit._LEVEL
 PRESETS = ["ekf", "ukf", "srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "iaukf", "fra_srckf", "fra", "gpb"]

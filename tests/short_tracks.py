@@ -56,6 +56,6 @@ def alone(tracks, steps=8):
 
 SMALL_GPB = {
     "noise_levels": (1.0, 37.0), "jump_factors": (5.0,), "self_transition": (0.999, 0.969, 0.999, 0.004),
-    "restart": (0.5, 0.3, 0.1, 0.1), "outlier_sizes": (7.17, 3390.0), "outlier_shares": (0.7, 0.3),
+    "restart": (0.5, 0.3, 0.1, 0.1), "outlier_sizes": (100.0,), "outlier_shares": (1.0,),
 }  # fmt: skip
 """Settings of ``gpb`` with few hypotheses of each kind, as the time to compile its kernels goes by their number."""

@@ -117,11 +117,11 @@ def test_a_filter_without_a_kernel_runs_interpreted_beside_compiled_ones(tmp_pat
 
 @pytest.mark.slow
 def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
-    arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf,fra", "--runs", "20", "--seed", "3",
+    arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf,fra", "--runs", "5", "--seed", "3",
                  "--json", str(tmp_path / "r.json"), "--figure", str(tmp_path / "f.png")]  # fmt: skip
     assert cli.main(arguments) == 0
     result = json.loads((tmp_path / "r.json").read_text())
-    assert result["runs"] == 20
+    assert result["runs"] == 5
     assert result["seed"] == 3
     assert result["filters"].keys() == {"srckf", "fra"}
     assert result["filters"]["fra"]["mean_rmse_position"] < result["filters"]["srckf"]["mean_rmse_position"]

@@ -84,6 +84,7 @@ def pictures(name):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("rough_figures")
 def test_a_strange_name_is_harmless_in_every_picture(tmp_path):
     for i, name in enumerate(["$\\frac{$" + "\u4e2d" * 99, "_hidden"] * 5):
         make = list(pictures(name))[i % 5]

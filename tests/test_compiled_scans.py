@@ -163,7 +163,7 @@ INNER = {
 @pytest.mark.parametrize("how", INNER)
 def test_every_kind_of_filter_inside_and_every_option_compiles(how):
     options = {"clutter": Clutter(400.0, rate=2.0), "motion": ConstantVelocity(0.5)} | INNER[how]
-    z, prior = scans()
+    z, prior = scans(count=2)  # for the compiler's time
     close(*both(presets.jpda(sensor=Position(2.0), **options), z, prior))
     if how in ("robust and fading", "residual"):
         close(*both(presets.jpda(sensor=Position(2.0), **options), z, prior, std=torch.ones_like(z)))

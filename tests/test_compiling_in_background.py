@@ -202,7 +202,7 @@ jit.load = lambda source: (time.sleep(0.3), load(source), print("made"))[1]
 scenario = scenarios.bearings_outliers()
 tracks = scenario.simulate(runs=1, seed=0)
 with torch.no_grad():
-    presets.srckf(scenario.motion, scenario.sensor).compile(wait=False)(tracks.z, tracks.prior, u=tracks.u)
+    presets.srckf(scenario.motion, scenario.sensor).compile(wait=False)(tracks.z[:, :2], tracks.prior, u=tracks.u[:2])
 print("ends")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

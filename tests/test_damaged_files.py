@@ -245,6 +245,7 @@ def test_there_is_a_good_checkpoint_at_every_moment(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
 def test_a_lone_checkpoint_of_the_one_before_is_not_overwritten_and_is_used(tmp_path, capsys):
     saved(tmp_path)
     (tmp_path / "checkpoint.pt").unlink()

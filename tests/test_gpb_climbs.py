@@ -76,16 +76,16 @@ class Climbing(ConstantVelocity):
 
 
 def test_a_climb_is_a_motion_of_its_own_beside_the_calm_one_smoothed_and_compiled_too():
-    factor, (calm, stated, agile, jump), (a, b, c, d) = 0.01, (60.0, 30.0, 5.0, 0.5), (0.4, 0.3, 0.2, 0.1)
+    factor, (calm, stated, jump), (a, b, c) = 0.01, (60.0, 30.0, 0.5), (0.5, 0.4, 0.1)
     few = {"jump_factors": (9.0,), "outlier_sizes": (100.0,), "outlier_shares": (1.0,)}  # for the compiler's time
     one = presets.gpb(
-        SPACE, SENSOR, noise_levels=(factor, 1.0, 50.0), durations=(calm, stated, agile, 1.0, jump),
-        restart=(a, b, c, 0.0, d), separate_levels=1, climbs=True, **few,
+        SPACE, SENSOR, noise_levels=(factor, 1.0), durations=(calm, stated, 1.0, jump), restart=(a, b, 0.0, c),
+        separate_levels=1, climbs=True, **few,
     )  # fmt: skip
     bank = [SPACE, ConstantVelocity(factor * 0.5, dims=3), Climbing(0.5, factor)]
     three = presets.gpb(
-        bank, SENSOR, noise_levels=(1.0, 50.0), durations=(stated, agile, calm, jump), restart=(b, c, a, d),
-        separate_levels=0, climbs=False, **few,
+        bank, SENSOR, noise_levels=(1.0,), durations=(stated, calm, jump), restart=(b, a, c), separate_levels=0,
+        climbs=False, **few,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(3)
     dt = 0.5 + torch.rand(13, generator=generator, dtype=torch.float64)

@@ -167,7 +167,7 @@ def test_the_likelihood_of_an_innovation_uses_the_noise_estimate_before_it(scena
 @pytest.mark.slow
 def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, tracks):
     f = presets.iaukf(scenario.motion, scenario.sensor, learn=("forgetting", "confidence", "std"))
-    z, names = tracks.z[:2, :25], [name for name, _ in f.named_parameters()]
+    z, names = tracks.z[:2, :12], [name for name, _ in f.named_parameters()]
     prior = Gaussian(tracks.prior.mean[:2], tracks.prior.scale_tril[:2])
 
     def loss(*values):

@@ -249,9 +249,9 @@ def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, mon
 
     monkeypatch.setattr(tune, "save", save_and_stop)
     with pytest.raises(KeyboardInterrupt):
-        tune.tune(settings(tasks=PLAIN[::2]), tmp_path, quiet=True)
+        tune.tune(settings("test_runs=0", tasks=PLAIN[::2]), tmp_path, quiet=True)
     monkeypatch.setattr(tune, "save", save)
-    resumed = tune.tune(settings(tasks=PLAIN[::2]), tmp_path, resume=True, quiet=True)
+    resumed = tune.tune(settings("test_runs=0", tasks=PLAIN[::2]), tmp_path, resume=True, quiet=True)
     assert resumed["iterations"] == 2
     assert resumed["values"] == run[0]["values"]
 

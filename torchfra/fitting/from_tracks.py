@@ -159,8 +159,10 @@ def _file(checkpoint: str | Path | None, resume: bool) -> Path | None:
 def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tuple[Sums, Tensor, list[str]]:
     """Tracks whose losses are not chaotic, the values where the sum of their losses is least, and notes on both."""
     raw, count = best, len(sums.batch.z)
-    for _ in range(2):
+    for again in (False, True):
         regular = sums.not_chaotic(raw[None, None])
+        if again and bool(regular.all()):
+            break  # the least sum of the same tracks is known
         sums = Sums(sums.objective, sums.batch.rows(regular), sums.directions)
         raw = minimised(sums, best[None, None])[0][0, 0] if settings.polish else best
     chaotic = count - len(sums.batch.z)

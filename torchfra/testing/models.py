@@ -24,6 +24,7 @@ from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, drawn, make_case
 from torchfra.testing.expectations import as_large_as, line_of_error, unexpected, with_line
 from torchfra.testing.parts import Part, checks_of, parts_of
+from torchfra.testing.results import where_its_models_hold_it_is_no_worse_than_a_kalman_filter as compared
 from torchfra.types import CompileError, Gaussian
 
 TYPICAL = {
@@ -147,14 +148,20 @@ def _by_itself(part: Part) -> Iterator[Outcome]:
 def _in_a_filter(
     motion: Motion, sensor: Sensor, belief: Gaussian, dt: float, u: Tensor | None, compiled: bool, seed: int
 ) -> tuple[Outcome, ...]:
-    """Outcomes of the checks of ``check_filter``, without those of arguments, on an ``SRCKF`` with both models."""
+    """Outcomes of checks of ``check_filter`` on an ``SRCKF`` with both models.
+
+    Not of those of arguments, nor of the comparison with an ``SRCKF``, which it is.
+    """
     try:
         z, prior = _simulated(motion, sensor, belief, dt, u, seed)
         known = None if u is None else u.double().expand(STEPS, -1)
         case = make_case(_filter(motion, sensor), z, prior, dt, known, seed, thorough=False)
     except Exception as error:
         return (Outcome("a simulated track", "in a filter", "failed", unexpected(error)),)
-    names = [name for name, check in CHECKS.items() if check.function.__module__ != refusals.__name__]
+    names = [
+        name for name, check in CHECKS.items()
+        if check.function is not compared and check.function.__module__ != refusals.__name__
+    ]  # fmt: skip
     way = {"eager": "in a filter", "compiled": "in a compiled filter"}
     without: tuple[Outcome, ...] = ()
     if compiled:
