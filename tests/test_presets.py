@@ -75,7 +75,10 @@ def test_a_robust_update_takes_the_place_of_huber_weights(scenario, tracks, name
     other = estimate(preset(robust=ThreeSegment()))
     assert (other.mean - estimate(preset()).mean).abs().max() > 1e-3
     for options in ({"threshold": 1.345}, {"per_element": True}):
-        with pytest.raises(ValueError, match="robust, threshold, per_element: expected a robust update or options of"):
+        with pytest.raises(
+            ValueError,
+            match="robust, threshold, per_element: expected robust or options of Huber weights, received both",
+        ):
             preset(robust=Huber(), **options)
 
 

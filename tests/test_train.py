@@ -237,7 +237,7 @@ def _cut(tracks):
     ("tasks=[1]", "tasks: expected JSON"),
     ("validation_seed=0", "three different"),
     ("loss=love", "loss: expected one of"),
-    ("learn=phase", "learn: expected 'all' or names"),
+    ("learn=phase", "learn: expected 'all' or some of"),
     ("filter=kalman", "filter: expected one of"),
     ('search={"gate":0.6}', "search: expected values that fra takes"),
     ('search={"unlikely":[0.6]}', "search: expected values that fra takes"),

@@ -43,17 +43,13 @@ class Widening(Filter[State]):
 
     def retreat(self, step, after):
         """One step back: Rauch-Tung-Striebel through the prediction as it was made."""
-        smoothed = self.smooth_belief(
-            step.past.belief, self.widened(step.past.belief, step.frame, step.next.info), after
-        )
-        return smoothed.belief, smoothed
+        ahead = self.widened(step.past.belief, step.frame, step.next.info)
+        return (smoothed := self.smooth_belief(step.past.belief, ahead, after)).belief, smoothed
 
     def widened(self, belief, frame, level):
         """A belief propagated over a step."""
-        propagated = self.propagate(belief, frame)
-        return propagated._replace(
-            process_noise=level.clamp(1, 1000).sqrt()[..., None, None] * propagated.process_noise
-        )
+        ahead = self.propagate(belief, frame)
+        return ahead._replace(process_noise=level.clamp(1, 1000).sqrt()[..., None, None] * ahead.process_noise)
 
 
 def main(arguments=None):

@@ -122,7 +122,7 @@ def read_table(
             return plt_sheet(file, max_bytes)
         if is_igc(start, suffix):
             return igc_sheet(file, max_bytes)
-        if suffix in (".json", ".geojson") or (suffix != ".csv" and is_json(start)):
+        if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and is_json(start)):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)

@@ -69,7 +69,7 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(UNLIKELY)
     if _is_mixed(cleaned):
         options = cleaned.recording.source.id_options
-        said.append(f"{MIXED}: {options[0] if options else '--id'} tells them apart")
+        said.append(f"{MIXED}: {options[0] if options else '--id'} distinguishes them")
     if of["repairs"]:
         said.append(f"Repaired: {in_words(of['repairs'])}")
     return said
