@@ -407,3 +407,52 @@ def test_a_session_without_positions_is_refused_with_what_to_export(write):
     ]
     with pytest.raises(ValueError, match="a session of Polar, which has no positions as CSV: export it as GPX or TCX"):
         read(write(rows))
+
+
+# ---------------------------------------------------------------- languages and cells
+
+
+POLISH = "Lp.;Pojazd;Data i czas;Szerokość geogr.;Długość geogr.;Prędkość [km/h]"
+RUSSIAN = "№;Время;Скорость;Широта;Долгота;Высота"
+
+
+def where(count):
+    return [(50.0 + 1e-4 * k, 20.0 + 2e-4 * k) for k in range(count)]
+
+
+@pytest.mark.parametrize(("header", "encoding", "target"), [(POLISH, "cp1250", "A 1"), (RUSSIAN, "cp1251", None)])
+def test_tables_of_central_and_eastern_europe_are_read_in_the_encoding_of_programs_there(
+    tmp_path, header, encoding, target
+):
+    lines = [header]
+    for k, (latitude, longitude) in enumerate(where(30)):
+        time, place = f"2026-05-04 07:{k:02}:05", f"{latitude:.6f};{longitude:.6f}".replace(".", ",")
+        lines.append(f"{k};A 1;{time};{place};51" if target else f"{k};{time};65;{place};154")
+    (tmp_path / "a.csv").write_bytes("\n".join(lines).encode(encoding))
+    (track,) = read(tmp_path / "a.csv")
+    assert len(track.time) == 30
+    assert track.name == (target or "a")
+    assert f"text is no UTF-8: read as {encoding}" in track.source.notes
+
+
+def test_coordinates_in_one_cell_may_be_followed_by_the_number_of_satellites(tmp_path):
+    rows = [f"{k};03.11.2026 05:{k:02}:50;{a:.6f}, {b:.6f} ({8 + k % 5});14" for k, (a, b) in enumerate(where(30))]
+    text = "\n".join(["№;Время;Координаты;Спутники", *rows])
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8-sig")
+    (track,) = read(tmp_path / "a.csv", time_format="%d.%m.%Y %H:%M:%S")
+    assert len(track.time) == 30
+    assert track.origin[:2] == pytest.approx((50.0, 20.0), abs=1e-3)
+
+
+def test_sentences_of_a_receiver_in_cells_of_csv_are_read(tmp_path):
+    lines = ["timestamp,type,id,message"]
+    for k in range(20):
+        sentence = f"GPRMC,0120{k:02}.00,A,3649.{2000 + 10 * k},S,17448.0023,E,5.9,34.3,140226,,,A"
+        total = 0
+        for letter in sentence:
+            total ^= ord(letter)
+        lines += [f'2026-02-14T01:20:{k:02}.259Z,NMEA0183,,"${sentence}*{total:02X}"',
+                  f'2026-02-14T01:20:{k:02}.259Z,NMEA0183,,"$SDDBT,26.2,f,8.0,M,,F*16"']  # fmt: skip
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    (track,) = read(tmp_path / "a.csv")
+    assert len(track.time) == 20

@@ -26,11 +26,13 @@ _AIS = (
 )
 _START = re.compile(rb"(?:\\[^\\\r\n]*\\)?(?:\$[GBP]|!(?:AI|AB|BS|SA)VD)")
 """A sentence of a receiver, or one of AIS; a tag block may be in front."""
+_IN_CELLS = re.compile(rb'"\$G[A-Z](?:RMC|GGA),')
+"""A sentence in a cell of CSV, as loggers of ships write it."""
 
 
 def is_nmea(start: bytes, suffix: str) -> bool:
     """Whether a file is one, by how it begins or its ending."""
-    return _START.match(start) is not None or suffix in (".nmea", ".nme", ".nma")
+    return bool(_START.match(start) or _IN_CELLS.search(start[:4096])) or suffix in (".nmea", ".nme", ".nma")
 
 
 def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -42,7 +44,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
     """
     fixes, ships, lines = _Fixes(), Ships(), Counter[str]()
     for line in short_lines(file, max_bytes):
-        sentence = line[line.find("$") :]
+        sentence = line[line.find("$") :].partition('"')[0]
         if sentence[:1] != "$" or sentence[3:6] not in ("RMC", "GGA"):
             lines[ships.add(line)] += 1
             continue

@@ -28,7 +28,8 @@ NAMES = {
              "utctime", "dateutc", "timestamputc", "receivedtime", "unixtime", "unix", "epoch", "unixtimestamp",
              "gpstime", "itow", "stamp", "elapsed", "elapsedtime", "timeelapsed", "timeboot", "timesinceboot", "bootms",
              "timeunix", "zeitstempel", "datumuhrzeit", "datumzeit", "zeit", "uhrzeit", "horodatage", "datetheure",
-             "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "seconds", "sec", "secs", "ms",
+             "dateheure", "temps", "heure", "fechahora", "fechayhora", "tiempo", "hora", "dataiczas", "czas", "dataora",
+             "datahora", "время", "датаивремя", "дата", "seconds", "sec", "secs", "ms",
              "timegmt", "isotime", "tst", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
              "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", "lcltime", "fixtime",
              "devicetime", "utctimein", *APPLE,
@@ -39,25 +40,28 @@ NAMES = {
     "x": ("x", "east", "easting", "posx", "px", "tx", "prsrx", "e", "rechtswert", "ostwert", "ost", "este"),
     "y": ("y", "north", "northing", "posy", "py", "ty", "prsry", "n", "hochwert", "nordwert", "nord", "norte"),
     "z": ("z", "up", "posz", "pz", "tz", "prsrz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
-    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7", "silati", "zlatitude"),
+    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7", "silati", "zlatitude",
+                 "latitudine", "szerokosc", "szerokoscgeogr", "szerokoscgeograficzna", "широта"),
     "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge",
-                  "longitudee7", "silong", "zlongitude"),
+                  "longitudee7", "silong", "zlongitude", "longitudine", "dlugosc", "dlugoscgeogr",
+                  "dlugoscgeograficzna", "долгота"),
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
-                 "heightaboveellipsoid", "enhancedaltitude", "zaltitude"),
+                 "heightaboveellipsoid", "enhancedaltitude", "zaltitude", "wysokosc", "altitudine", "высота"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "trackno", "tracknum", "targetno", "targetid",
            "objectid",
            "vesselid", "shipid", "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier",
            "tagid", "uavid", "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip",
            "tripid", "imo", "trajid", "trajectoryid", "trajectory", "playerid", "player", "animalid", "animal",
            "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid", "user", "entityid",
-           "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid", "id",
-           "sid", "stormid", "veref", "name"),
+           "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid", "pojazd", "объект",
+           "id", "sid", "stormid", "veref", "name"),
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
-              "zhorizontalaccuracy", "hacc", "eph", "hdop", "horizontaldilutionofprecision"),
+              "zhorizontalaccuracy", "hacc", "eph", "precision", "genauigkeit", "horizontalegenauigkeit", "dokladnosc",
+              "точность", "hdop", "horizontaldilutionofprecision"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup", "sdu"),
     "argos_class": ("argoslc", "lc", "locationclass"),
@@ -183,6 +187,11 @@ def places_in(names: Iterable[str]) -> list[str]:
     return next(([*first, *second] for first, second in several if first and second), [])
 
 
+def is_known(name: str) -> bool:
+    """Whether a column of this name is understood, whatever it holds."""
+    return plain(name) in _KNOWN
+
+
 def is_header(names: Iterable[str]) -> bool:
     """Whether names of columns say where something was."""
     return bool(places_in(names))
@@ -194,11 +203,12 @@ def name_words(name: str) -> list[str]:
     Letters stand without their marks.
     """
     bare = unicodedata.normalize("NFKD", name.strip())
-    bare = "".join(letter for letter in bare if not unicodedata.combining(letter)).replace("\u03bc", "u")
+    bare = "".join(letter for letter in bare if not unicodedata.combining(letter)).translate(_PLAIN_LETTERS)
     parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", bare).lower()
-    return re.findall(r"[a-z0-9]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
+    return re.findall(r"[^\W_]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
 
 
+_PLAIN_LETTERS = str.maketrans({"\u03bc": "u", "ł": "l", "Ł": "L", "ø": "o", "Ø": "O"})
 _KNOWN = {name for names in NAMES.values() for name in names}
 _TIMES = {*NAMES["time"], *NAMES["date"]}
 _COARSE, _LENGTHS = {"minutes", "hours", "days"}, {"km", "dm", "cm", "mm", "mi", "nmi", "yd"}

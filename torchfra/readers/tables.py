@@ -28,7 +28,7 @@ from torchfra.readers.npy_files import is_npy, npy_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.plt_files import is_plt, plt_sheet
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.spelling import found, plain
+from torchfra.readers.spelling import found, is_known, plain
 from torchfra.readers.vbo_files import is_vbo, vbo_sheet
 from torchfra.readers.xml_files import xml_sheet
 
@@ -39,8 +39,8 @@ HEADERS = (
     "--lat, --lon"
 )
 """The beginning of an error message."""
-_WESTERN = "cp1252"
-"""What text is that older programs for Windows have written in western Europe, if it is no UTF-8."""
+_ENCODINGS = "cp1252", "cp1250", "cp1251"
+"""Text that programs for Windows write in western and central Europe and in Cyrillic, if it is no UTF-8."""
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _NO_TEXTS = (
     (
@@ -62,11 +62,14 @@ _NO_TEXTS = (
     (b"\xb5b", 0, "UBX of a receiver: convert it to NMEA or CSV"),
 )
 """How other files begin, after so many bytes, and what to do with them."""
+_BEGINNING = 4096
+"""Bytes of a file by which the encoding of its text is told."""
 _HEAD = 1000
 """Rows that are looked at before all are read."""
-_PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location"}
+_PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location", "координаты"}
 """Names of columns that may hold a latitude and a longitude."""
-_PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*")
+_PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*(?:\([0-9]+\)\s*)?")
+"""Both in one cell, and perhaps the number of satellites in brackets."""
 _AXES = ("latitude", "longitude")
 
 
@@ -150,10 +153,11 @@ def read_table(
             raise ValueError(refused) from error
         if not _is_text(path, max_bytes):
             raise ValueError(_known_otherwise(path, max_bytes) or refused) from error
+        encoding = _encoding(path, max_bytes)
         try:
-            table = read(_WESTERN)
+            table = read(encoding)
         except ValueError as other:
-            raise ValueError(f"{other} (the text is no UTF-8, and was read as {_WESTERN})") from other
+            raise ValueError(f"{other} (the text is no UTF-8, and was read as {encoding})") from other
     if repairs is None and not table.rows:
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     return table
@@ -163,6 +167,17 @@ def _is_text(path: Path, max_bytes: int) -> bool:
     """Whether a file begins as one of text: without signs that only machines read."""
     with open_bounded(path, max_bytes) as file:
         return not _NO_TEXT.search(file.peek(1))
+
+
+def _encoding(path: Path, max_bytes: int) -> str:
+    """The first encoding of those in which most words of a file's beginning are names of columns."""
+    with open_bounded(path, max_bytes) as file:
+        start = file.peek(1)[:_BEGINNING]
+
+    def known(encoding: str) -> int:
+        return sum(is_known(name) for name in re.split(r"[,;|\t\r\n]", start.decode(encoding, "replace")))
+
+    return max(_ENCODINGS, key=known)
 
 
 def _known_otherwise(path: Path, max_bytes: int) -> str:
