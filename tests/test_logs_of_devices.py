@@ -325,6 +325,19 @@ def test_state_vectors_of_several_moments_are_tracks_of_aircraft(write):
     assert track.origin[2] == 3000
 
 
+def test_a_moment_without_state_vectors_is_none_of_theirs(write):
+    lines = [json.dumps({"time": round(moment.timestamp()), "states": [state(moment, *place)] if i % 4 else None})
+             for i, (moment, place) in enumerate(zip(MOMENTS, PLACES, strict=True))]  # fmt: skip
+    (track,) = read(write(lines, "states.jsonl"))
+    assert len(track.time) == ROWS - ROWS // 4
+
+
+def test_records_called_states_are_no_state_vectors(write):
+    records = [{"t": i, "x": 3 * i, "y": i} for i in range(ROWS)]
+    (track,) = read(write(json.dumps({"time": 5, "states": records}), "states.json"))
+    assert track.source.columns == {"x": "x", "y": "y", "time": "t"}
+
+
 def test_the_way_of_a_flight_is_a_track(write):
     path = [[round(moment.timestamp()), lat, lon, 3000, 90, False]
             for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
