@@ -166,6 +166,11 @@ def test_fit_without_a_record_is_refused(write):
         read(write("Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,file_id,type,4,\n"))
 
 
+def test_fit_with_a_cell_without_an_end_is_refused(write):
+    with pytest.raises(ValueError, match="expected FIT as FitCSVTool writes it, received other text"):
+        read(write('Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,record,timestamp,"' + 200_000 * "1"))
+
+
 def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
     names = "record.timestamp,record.position_lat,record.position_long"
     (track,) = read(write([names, *(f"{time + 631_065_600},{lat},{lon}" for time, lat, lon in FIT)]))
