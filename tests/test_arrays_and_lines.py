@@ -89,6 +89,11 @@ def test_a_header_of_savetxt_is_one_with_units_too(tmp_path, header):
 RECORDS = [{"time": t, "id": name, "x": x, "y": y} for t, x, y, _ in TRACK.tolist() for name in "ab"]
 
 
+def test_a_sentence_of_as_many_words_as_columns_states_no_units(write):
+    (track,) = read(write(["# walk in mm", "time x y", *(f"{i} {3 * i} {i}" for i in range(ROWS))], "a.txt"))
+    assert track.position[1].tolist() == [3, 1]
+
+
 @pytest.mark.parametrize("name", ["a.json", "a.jsonl", "a.ndjson", "a.log", "a.csv"])
 def test_lines_of_objects_are_read_whatever_the_ending(write, name):
     assert [len(track.time) for track in read(write(map(json.dumps, RECORDS), name))] == [ROWS, ROWS]
