@@ -38,8 +38,9 @@ def test_an_array_has_its_columns_by_their_numbers(tmp_path):
     np.testing.assert_array_equal(track.time, TIME)
 
 
-def test_an_array_of_fields_has_their_names(tmp_path):
-    fields = np.zeros(2 * ROWS, [("t", "f8"), ("id", "U5"), ("x", "f4"), ("y", "i8")])
+@pytest.mark.parametrize("text", ["U5", "S5"])
+def test_an_array_of_fields_has_their_names(tmp_path, text):
+    fields = np.zeros(2 * ROWS, [("t", "f8"), ("id", text), ("x", "f4"), ("y", "i8")])
     fields["t"], fields["x"], fields["id"] = np.repeat(TIME, 2), np.tile([1, 2], ROWS), np.tile(["a", "b"], ROWS)
     np.save(tmp_path / "a.npy", fields)
     assert [(track.name, len(track.time), track.position[0, 0]) for track in read(tmp_path / "a.npy")] == [
@@ -86,6 +87,11 @@ def test_a_header_of_savetxt_is_one_with_units_too(tmp_path, header):
 
 
 RECORDS = [{"time": t, "id": name, "x": x, "y": y} for t, x, y, _ in TRACK.tolist() for name in "ab"]
+
+
+def test_a_sentence_of_as_many_words_as_columns_states_no_units(write):
+    (track,) = read(write(["# walk in mm", "time x y", *(f"{i} {3 * i} {i}" for i in range(ROWS))], "a.txt"))
+    assert track.position[1].tolist() == [3, 1]
 
 
 @pytest.mark.parametrize("name", ["a.json", "a.jsonl", "a.ndjson", "a.log", "a.csv"])

@@ -166,6 +166,11 @@ def test_fit_without_a_record_is_refused(write):
         read(write("Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,file_id,type,4,\n"))
 
 
+def test_fit_with_a_cell_without_an_end_is_refused(write):
+    with pytest.raises(ValueError, match="expected FIT as FitCSVTool writes it, received other text"):
+        read(write('Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,record,timestamp,"' + 200_000 * "1"))
+
+
 def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
     names = "record.timestamp,record.position_lat,record.position_long"
     (track,) = read(write([names, *(f"{time + 631_065_600},{lat},{lon}" for time, lat, lon in FIT)]))
@@ -323,6 +328,19 @@ def test_state_vectors_of_several_moments_are_tracks_of_aircraft(write):
     track = next(one for one in read(write(lines, "states.jsonl")) if one.name == "3c6444 DLH9LF")
     assert_in_place(track)
     assert track.origin[2] == 3000
+
+
+def test_a_moment_without_state_vectors_is_none_of_theirs(write):
+    lines = [json.dumps({"time": round(moment.timestamp()), "states": [state(moment, *place)] if i % 4 else None})
+             for i, (moment, place) in enumerate(zip(MOMENTS, PLACES, strict=True))]  # fmt: skip
+    (track,) = read(write(lines, "states.jsonl"))
+    assert len(track.time) == ROWS - ROWS // 4
+
+
+def test_records_called_states_are_no_state_vectors(write):
+    records = [{"t": i, "x": 3 * i, "y": i} for i in range(ROWS)]
+    (track,) = read(write(json.dumps({"time": 5, "states": records}), "states.json"))
+    assert track.source.columns == {"x": "x", "y": "y", "time": "t"}
 
 
 def test_the_way_of_a_flight_is_a_track(write):

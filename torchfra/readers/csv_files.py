@@ -71,7 +71,10 @@ def csv_sheet(
         names = _header(rows.first(), headers)
     except csv.Error as error:
         raise _no_csv(error) from error
-    units = beneath[0] if beneath else units if len(units) == len(names) else []
+    in_comment = (
+        units if sign != " " and len(units) == len(names) else []
+    )  # a sentence may have as many words as columns
+    units = beneath[0] if beneath else in_comment
     names = _with_units(names, units) if units else names
     if beneath:
         said.append(f"lines of units beneath the header: {len(beneath)}")

@@ -48,17 +48,19 @@ def _streams(parsed: Any) -> Sheet | None:
 
 
 def _opensky(parsed: Any) -> Sheet | None:
-    """State vectors of one moment or more, or the way of a flight."""
+    """State vectors of one moment or more, null where there are none, or the way of a flight."""
     several = parsed if isinstance(parsed, list) else [parsed]
     if not several or not all(isinstance(one, dict) for one in several):
         return None
-    if all(isinstance(one.get("states"), list) and "time" in one for one in several):
-        rows, of, said = [row for one in several for row in one["states"]], _STATE, "state vectors"
+    if all("states" in one and isinstance(one["states"], list | None) and "time" in one for one in several):
+        rows, of, said = [row for one in several for row in one["states"] or ()], _STATE, "state vectors"
         more: dict[str, list[Any]] = {}
     elif all(isinstance(one.get("path"), list) and "icao24" in one for one in several):
         rows, of, said = [row for one in several for row in one["path"]], _WAY, "ways of flights"
         more = {name: [one.get(name) for one in several for _ in one["path"]] for name in ("icao24", "callsign")}
     else:
+        return None
+    if not any(isinstance(row, list) for row in rows):  # but records, which say themselves what they hold
         return None
     if other := next((row for row in rows if not _is_row(row, 1 + max(of.values()))), None):
         raise ValueError(f"expected {said} of OpenSky, received {short(other)}")

@@ -26,10 +26,14 @@ def fit_sheet(file: Any, max_bytes: int) -> Sheet:
     Source: Garmin, FIT SDK, FitCSVTool.
 
     Raises:
-        ValueError: there is none.
+        ValueError: there is none, or it is no CSV.
     """
     records = []
-    for row in csv.reader(io.StringIO(whole_text(file, max_bytes, "FIT"), newline="")):
+    try:
+        rows = [*csv.reader(io.StringIO(whole_text(file, max_bytes, "FIT"), newline=""))]
+    except csv.Error as error:
+        raise ValueError(f"expected FIT as FitCSVTool writes it, received other text ({error})") from error
+    for row in rows:
         if row[:1] == ["Data"] and row[2:3] == ["record"]:
             fields = zip(row[3::3], row[4::3], row[5::3], strict=False)
             records.append({f"record.{name}[{unit}]": value for name, value, unit in fields if name})

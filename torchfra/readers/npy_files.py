@@ -13,8 +13,8 @@ from torchfra.readers.guesses import looks_like
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet
 
-_KINDS = "fiuMU"
-"""Of columns that are read: numbers, moments and text."""
+_KINDS = "fiuMUS"
+"""Of columns that are read: numbers, moments and text, of characters or bytes."""
 _OTHERWISE = "hand it to torchfra.clean as (time, position), or write CSV by np.savetxt"
 
 
@@ -46,5 +46,10 @@ def npy_sheet(file: Any, options: ReadOptions | None, headers: str, max_bytes: i
     else:
         shape = f"one of shape {array.shape} and {array.dtype}"
         raise ValueError(f"expected an array of rows and columns, or of named fields, received {shape}: {_OTHERWISE}")
-    cells = {name: column.tolist() if column.dtype.kind in "U" else column for name, column in columns.items()}
+    cells = {name: _texts(column) if column.dtype.kind in "US" else column for name, column in columns.items()}
     return Sheet([*cells], [(len(array), cells.__getitem__)], ("an array of numpy",))
+
+
+def _texts(column: Any) -> list[str]:
+    """The cells of a column of text, whose bytes are UTF-8."""
+    return [cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell for cell in column.tolist()]
