@@ -49,6 +49,18 @@ def pytest_collection_finish():
     gc.enable()
 
 
+@pytest.fixture
+def write(tmp_path):
+    """Writes a file for a reader: a text, or lines of one."""
+
+    def write(lines, name="a.csv"):
+        path = tmp_path / name
+        path.write_text(lines if isinstance(lines, str) else "\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
 def without_acceleration(whole):
     """A scenario of bearings whose filters know position and velocity alone: their kernels are small."""
 

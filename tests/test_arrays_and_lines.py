@@ -16,16 +16,6 @@ TIME = np.arange(ROWS) * 0.5
 TRACK = np.stack([TIME, 3 * TIME, -TIME, np.sin(TIME)], 1)
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(lines, name="a.csv"):
-        path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write
-
-
 # ---------------------------------------------------------------- arrays
 
 

@@ -15,16 +15,6 @@ ROWS = 60
 EAST = np.arange(ROWS) * 0.5
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(lines, name="a.csv"):
-        path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write
-
-
 # ---------------------------------------------------------------- units and axes
 
 

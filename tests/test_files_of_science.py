@@ -13,16 +13,6 @@ ROWS = 120
 X, Y = 100 + 2.0 * np.arange(ROWS), 50 + np.sin(np.arange(ROWS) / 9)
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(lines, name="a.csv"):
-        path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write
-
-
 def options_of(error):
     """What the message says that the columns look like, as keywords."""
     pairs = re.findall(r"--([a-z-]+) ('[^']*'|[^ ,]+)", str(error.value).partition("looks like")[2])

@@ -17,16 +17,6 @@ PLACES = [(50 + i / 1e4, 7 + i / 1e4) for i in range(ROWS)]
 MOMENTS = [START + timedelta(seconds=i) for i in range(ROWS)]
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(lines, name="a.csv"):
-        path = tmp_path / name
-        path.write_text(lines if isinstance(lines, str) else "\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write
-
-
 def assert_in_place(track):
     assert track.time - START.timestamp() == pytest.approx(np.arange(ROWS), abs=1e-3)
     assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)

@@ -19,16 +19,6 @@ LONGITUDES = 7.0 + np.arange(ROWS) / 1e4
 PLACES = list(zip(LATITUDES, LONGITUDES, strict=True))
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(lines, name="a.csv"):
-        path = tmp_path / name
-        path.write_text(lines if isinstance(lines, str) else "\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write
-
-
 def moments(seconds=1.0):
     return [START + timedelta(seconds=seconds * i) for i in range(ROWS)]
 

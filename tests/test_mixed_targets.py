@@ -15,16 +15,6 @@ ROWS = 60
 NOISE = np.random.default_rng(5).normal(0, 0.5, (3 * ROWS, 2))
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(lines, name="a.csv"):
-        path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write
-
-
 def fleet(number=(7, 7, 8), operator=("A", "B", "A")):
     """Rows in turn of three buses, 40 km apart: t, x, y, load (measured), version, number, operator."""
     return [

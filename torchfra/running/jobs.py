@@ -119,7 +119,7 @@ def _pickled(work: Callable[..., object], *part: Any) -> bytes:
 
 
 class _Pickler(pickle.Pickler):
-    """Sends tensors by their values; torch would open a file for each of thousands."""
+    """Sends tensors by their values, as plain ones on the CPU; torch would open a file for each of thousands."""
 
     def reducer_override(self, x: Any) -> Any:
         return (torch.from_numpy, (x.detach().numpy(),)) if isinstance(x, torch.Tensor) else NotImplemented
