@@ -238,29 +238,73 @@ CLASS_B = "!AIVDM,1,1,,A,B52K>;h00Fc>jpUlNV@ikwpUoP06,0*4C"
 """Of ship 338087471 at 40.684540, -74.072132, as gpsd documents it."""
 
 
+def checksum(text):
+    return f"{np.bitwise_xor.reduce(list(text.encode())):02X}"
+
+
 def tagged(message, time, more="s:r003669945,"):
     block = f"{more}c:{time}"
-    return f"\\{block}*{np.bitwise_xor.reduce(list(block.encode())):02X}\\{message}"
+    return f"\\{block}*{checksum(block)}\\{message}"
+
+
+def of_second(message, second):
+    """The message with another UTC second of its fix: the six bits behind the true heading, from bit 137 or 133 on."""
+    fields = message[1:].partition("*")[0].split(",")
+    payload = fields[5]
+    values = [ord(sign) - (56 if ord(sign) > 87 else 48) for sign in payload]
+    bits = "".join(f"{value:06b}" for value in values)
+    at = 133 if values[0] == 18 else 137
+    bits = bits[:at] + f"{second:06b}" + bits[at + 6 :]
+    values = [int(bits[i : i + 6], 2) for i in range(0, len(bits), 6)]
+    fields[5] = "".join(chr(value + (48 if value < 40 else 56)) for value in values)
+    said = ",".join(fields)
+    return f"!{said}*{checksum(said)}"
 
 
 @pytest.mark.parametrize(("message", "name", "place"), [
     (CLASS_A, "367380120", (37.806948, -122.404333)), (CLASS_B, "338087471", (40.684540, -74.072132)),
 ])  # fmt: skip
 def test_ships_are_read_with_the_times_of_tag_blocks(write, message, name, place):
-    (ship,) = read(write([tagged(message, 1_777_788_733 + i) for i in range(3)], "ais.log"))
+    (ship,) = read(write([tagged(of_second(message, 60), 1_777_788_733 + i) for i in range(3)], "ais.log"))
     assert ship.name == name
     assert ship.origin[:2] == pytest.approx(place, abs=1e-6)
     assert ship.time.tolist() == [1_777_788_733, 1_777_788_734, 1_777_788_735]
 
 
 def test_ships_are_read_with_seconds_behind_their_messages(write):
-    (ship,) = read(write([f"{CLASS_A},{1_777_788_733 + i}" for i in range(3)], "ais.nmea"))
+    (ship,) = read(write([f"{of_second(CLASS_A, 60)},{1_777_788_733 + i}" for i in range(3)], "ais.nmea"))
     assert ship.time[0] == 1_777_788_733
+
+
+@pytest.mark.parametrize("message", [CLASS_A, CLASS_B])
+@pytest.mark.parametrize("unit", [1, 1000])
+def test_times_of_ships_are_the_seconds_in_their_messages_however_late_these_come(write, message, unit):
+    # 1_777_788_720 is a full minute; the fourth is the third again, as another station heard it.
+    fixes, late = [10, 20, 30, 30, 59, 60, 70], [1, 3, 0, 2, 4, 1, 2]
+    lines = [tagged(of_second(message, fix % 60), (1_777_788_720 + fix + after) * unit)
+             for fix, after in zip(fixes, late, strict=True)]  # fmt: skip
+    (ship,) = read(write(lines, "ais.log"))
+    assert (ship.time - 1_777_788_720).tolist() == [10, 20, 30, 59, 60, 70]
+    assert any("times are the UTC seconds in them" in note for note in ship.source.notes)
+
+
+def test_a_message_without_its_second_was_received_as_late_as_others(write):
+    seconds = [10, 20, 30, 40, 50, 0, 10, 20, 30, 60, 50, 0]
+    lines = [tagged(of_second(CLASS_A, second), 1_777_788_732 + 10 * i) for i, second in enumerate(seconds)]
+    (ship,) = read(write(lines, "ais.log"))
+    assert ship.time - 1_777_788_720 == pytest.approx(np.arange(10, 130, 10))
+
+
+def test_seconds_in_messages_that_have_nothing_to_do_with_their_reception_are_not_used(write):
+    lines = [tagged(of_second(CLASS_A, 17 * i % 60), 1_777_788_730 + 10 * i) for i in range(12)]
+    (ship,) = read(write(lines, "ais.log"))
+    assert ship.time[1] == 1_777_788_740
 
 
 def test_messages_without_a_position_and_damaged_ones_are_counted(write):
     static = "!AIVDM,1,1,,A,403OviQuMGCqWrRO9>E6fE700@GO,0*4D"  # of a base station, type 4
-    messages = [CLASS_A, static, CLASS_A.replace("*05", "*06"), CLASS_A]
+    message = of_second(CLASS_A, 60)
+    messages = [message, static, CLASS_A.replace("*05", "*06"), message]
     (ship,) = read(write([tagged(message, 1_777_788_733 + i) for i, message in enumerate(messages)], "ais.log"))
     assert len(ship.time) == 2
     said = "AIS: 2 positions (types 1, 2, 3, 18, 19) in 3 messages; 1 damaged ones left out"

@@ -225,6 +225,31 @@ def test_fixes_of_a_glider_that_change_places_at_midnight_are_of_one_night(write
     assert (track.time - track.time[0]).tolist() == [0, 2, 4, 5, 6]
 
 
+def test_a_position_that_is_held_without_satellites_is_none(write):
+    east, held = [0, 10, 20, 20, 20, 50, 50, 60], "AAAVVVAA"
+    fixes = [f"B1000{i:02}5000000N007{way:05}E{valid}0100000500"
+             for i, (way, valid) in enumerate(zip(east, held, strict=True))]  # fmt: skip
+    (track,) = read(write(["AXXX001", "HFDTE030624", *fixes], "flight.igc"))
+    assert (track.time - track.time[0]).tolist() == [0, 1, 2, 5, 6, 7]  # one that stands has a position, and so has V
+    assert any("2 held positions (V) left out" in note for note in track.source.notes)
+
+
+@pytest.mark.parametrize("name", ["valid", "gps_valid", "isValid"])
+@pytest.mark.parametrize(("yes", "no"), [("true", "false"), ("1", "0")])
+def test_fixes_that_a_tracker_marks_as_invalid_are_dropped(write, name, yes, no):
+    rows = [f"{i},{lat},{lon},{no if 3 <= i < 5 else yes}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write([f"time,lat,lon,{name}", *rows], "taxi.csv"))
+    assert len(track.time) == ROWS - 2
+    assert track.repairs["rows marked as invalid dropped"] == 2
+
+
+@pytest.mark.parametrize("cells", [["0"], ["7", "8"]])
+def test_a_column_of_marks_that_tells_nothing_is_ignored(write, cells):
+    rows = [f"{i},{lat},{lon},{cells[i % len(cells)]}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["time,lat,lon,valid", *rows], "taxi.csv"))
+    assert len(track.time) == ROWS
+
+
 @pytest.mark.parametrize(("lines", "said"), [
     (["HFDTE030624", "B9959574700000N00800000EA0100000500"], "fixes (B), received none"),
     (["HFDTE990624", "B0959574700000N00800000EA0100000500"], "expected a date (HFDTE) such as 310124, received 990624"),

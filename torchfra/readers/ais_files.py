@@ -10,6 +10,7 @@ from functools import reduce
 from operator import xor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.readers.sheets import Sheet
 
@@ -23,6 +24,12 @@ _PLACES = {1: 61, 2: 61, 3: 61, 18: 57, 19: 57}
 """The bit at which the longitude begins, by the types of messages with positions."""
 _DEGREE = 600_000
 """Units of coordinates in a degree."""
+_MINUTE, _LATE = 60.0, 10.0
+"""Seconds: in a minute, and by which nearly all messages are received after their fix, but for an offset of clocks."""
+_MILLISECONDS = 1e11
+"""Times above it are no seconds since 1970."""
+_MOST = 0.9
+"""Share of the messages of which that has to be so, or the seconds in them are not used."""
 
 
 class Ships:
@@ -32,7 +39,7 @@ class Ships:
     """
 
     def __init__(self) -> None:
-        self.time, self.mmsi = array("d"), array("q")
+        self.time, self.second, self.mmsi = array("d"), array("b"), array("q")
         self.latitude, self.longitude = array("d"), array("d")
 
     def add(self, line: str) -> str:
@@ -46,6 +53,7 @@ class Ships:
         if at and found["part"] == "1" and len(bits) >= at + 55:
             time = _TIME.search(found["tags"] or "")
             self.time.append(float(time[1] if time else found["behind"] or math.nan))
+            self.second.append(int(bits[at + 76 : at + 82], 2) if len(bits) >= at + 82 else 63)
             self.mmsi.append(int(bits[8:38], 2))
             self.longitude.append(_signed(bits[at : at + 28]) / _DEGREE)
             self.latitude.append(_signed(bits[at + 28 : at + 55]) / _DEGREE)
@@ -57,15 +65,39 @@ class Ships:
         Args:
             lines: how many there were of what ``add`` calls them.
         """
+        received, second = np.array(self.time), np.array(self.second)
+        if not np.isfinite(received).any():
+            return None
+        time, own = _of_the_fixes(received, second)
         columns = {
-            "time": np.array(self.time), "mmsi": np.array(self.mmsi), "latitude": np.array(self.latitude),
+            "time": time, "mmsi": np.array(self.mmsi), "latitude": np.array(self.latitude),
             "longitude": np.array(self.longitude),
         }  # fmt: skip
-        if not np.isfinite(columns["time"]).any():
-            return None
-        said = f"AIS: {len(self.time):,} positions (types 1, 2, 3, 18, 19) in {lines['AIS']:,} messages"
+        said = f"AIS: {len(time):,} positions (types 1, 2, 3, 18, 19) in {lines['AIS']:,} messages"
+        said += "; times are the UTC seconds in them, not those of their reception" if own else ""
         said += f"; {lines['damaged AIS']:,} damaged ones left out" if lines["damaged AIS"] else ""
         return Sheet([*columns], [(len(self.time), columns.__getitem__)], (said,))
+
+
+def _of_the_fixes(received: NDArray[np.float64], second: NDArray[np.int8]) -> tuple[NDArray[np.float64], bool]:
+    """Times of the fixes, by the UTC second that messages hold, and whether these are used.
+
+    A message without it was received as long after its fix as others.
+
+    Args:
+        received: ``(k,)`` times of reception, s or ms since 1970.
+        second: ``(k,)`` of the fix, 0 to 59; more where it is not known.
+    """
+    unit = 1e3 if np.nanmax(received) > _MILLISECONDS else 1.0
+    known = (second < _MINUTE) & np.isfinite(received)
+    late = (received / unit - second) % _MINUTE
+    turn = 2 * math.pi / _MINUTE
+    usual = math.atan2(np.sin(turn * late[known]).sum(), np.cos(turn * late[known]).sum()) / turn
+    late = (late - usual + _MINUTE / 2) % _MINUTE - _MINUTE / 2 + usual
+    fits = known & (np.abs(late - usual) < _LATE)
+    if fits.sum() < _MOST * len(received):
+        return received, False
+    return np.where(fits, np.round(received / unit - late), received / unit - usual) * unit, True
 
 
 def _signed(bits: str) -> int:

@@ -163,18 +163,26 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
 
 
 def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
-    """The names in a line; those that come several times behind what the line above says of their columns.
+    """The names in a line; those that come several times behind what lines above say of their columns.
 
-    So programs that follow several markers write them: ``,,hip,,,knee,,`` above ``frame,time,x,y,z,x,y,z``.
+    So programs that follow several markers write them: ``,,hip,,,knee,,`` above ``frame,time,x,y,z,x,y,z``.  Of several
+    such lines it is the one next to the names, and if they still come several times, the shortest that parts them.
     """
     names = _split(lines[i].lstrip(" \t%#/"), sign)
-    groups = _split(lines[i - 1], sign) if i and sign != " " else []
-    if len(groups) != len(names) or not (several := repeated(names).split(", ")) or not all(names):
+    above = [cells for line in reversed(lines[:i]) if len(cells := _split(line, sign)) == len(names) > 1 and sign != " "]
+    if not above or not repeated(names):
         return names
-    group, whole = "", list[str]()
+    names = _behind(above[0], names)
+    parted = [whole for cells in above[1:] if not repeated(whole := _behind(cells, names))]
+    return min(parted, key=lambda whole: len("".join(whole)), default=names) if repeated(names) else names
+
+
+def _behind(groups: list[str], names: list[str]) -> list[str]:
+    """Names, those that come several times behind the group that begins at or before them, and for none the group's."""
+    several, group, whole = Counter(names), "", list[str]()
     for name, above in zip(names, groups, strict=True):
         group = above or group
-        whole.append(f"{group} {name}" if name in several else name)
+        whole.append((f"{group} {name}".strip() if several[name] > 1 else name) if name else above)
     return whole
 
 

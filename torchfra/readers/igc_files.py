@@ -26,6 +26,8 @@ def is_igc(start: bytes, suffix: str) -> bool:
 def igc_sheet(file: Any, max_bytes: int) -> Sheet:
     """The fixes of a flight: ms since 1970, degrees, and metres by GNSS, or by pressure where no fix has others.
 
+    Without satellites (V) a recorder may hold the position before, which is none.
+
     Source: FAI, Technical Specification for IGC-Approved Flight Recorders, A4.1.
 
     Raises:
@@ -42,14 +44,16 @@ def igc_sheet(file: Any, max_bytes: int) -> Sheet:
     clock = [3600 * int(hours) + 60 * int(minutes) + int(seconds) for hours, minutes, seconds, *_ in fixes]
     midnights = accumulate(pairwise(clock), _nights, initial=0)
     times = [start + seconds + _DAY * nights for seconds, nights in zip(clock, midnights, strict=True)]
+    held = [False, *(now[9] == "V" and now[3:9] == before[3:9] for before, now in pairwise(fixes))]
     columns: dict[str, list[Any]] = {
         "timestamp": [round(1000 * seconds) for seconds in times],
-        "latitude": [_degrees(*fix[3:6]) for fix in fixes],
-        "longitude": [_degrees(*fix[6:9]) for fix in fixes],
+        "latitude": [None if stays else _degrees(*fix[3:6]) for fix, stays in zip(fixes, held, strict=True)],
+        "longitude": [None if stays else _degrees(*fix[6:9]) for fix, stays in zip(fixes, held, strict=True)],
     }
     by_gnss = [int(fix[11]) if fix[9] == "A" else None for fix in fixes]
     columns["altitude"] = by_gnss if any(by_gnss) else [int(fix[10]) for fix in fixes]
-    return points_sheet(columns, (f"IGC: altitudes by {'GNSS' if any(by_gnss) else 'pressure'}",))
+    said = f"IGC: altitudes by {'GNSS' if any(by_gnss) else 'pressure'}"
+    return points_sheet(columns, (said + f"; {sum(held):,} held positions (V) left out" * any(held),))
 
 
 def _midnight(date: str) -> float:

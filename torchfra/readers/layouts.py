@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Array, Head, Kind, joined, number, numbers
+from torchfra.readers.columns import Array, Head, Kind, joined, number, numbers, word_of
 from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import looks_like
 from torchfra.readers.identities import likely_ids, option
@@ -31,6 +32,7 @@ from torchfra.readers.spelling import (
     NAMES,
     OTHER_UNIT,
     SHIPS,
+    WORDS_OF_MARKS,
     ZONES,
     found,
     instead_of,
@@ -55,9 +57,9 @@ _SIDE = re.compile(
 _ALTITUDES_IN_FEET = {"altitude", "alt", "altbaro", "altgeom"}
 """Columns that hold feet, as aircraft send them; baroaltitude and geoaltitude of OpenSky hold metres."""
 
-_PRIVATE = ("call", "update", "zone", *MARKS)
+_PRIVATE = ("call", "update", "zone", "valid", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
-_MARK = Kind("true or false", words=(("true", 1.0), ("false", 0.0), ("1", 1.0), ("0", 0.0)))
+_MARK = Kind("true or false", words=tuple(WORDS_OF_MARKS.items()))
 _PLAIN = (str, int, float, np.generic)
 """What cells are that are neither missing nor nested."""
 _FLIGHT_LEVEL = 100 * METRES["ft"]
@@ -83,7 +85,8 @@ class Layout:
 
     wanted: Wanted
     columns: dict[str, str]
-    """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``second``, ``MARKS``."""
+    """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``second``, ``valid``,
+    ``MARKS``."""
     noise: tuple[str, ...]
     """Columns of standard deviations, one for all axes or one for each; or those of ellipses."""
     ellipse: bool
@@ -207,12 +210,19 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     likely = {"id": ids, "call": [name for name in calls if name not in ids[:1]]}
     if word in ANIMALS:
         likely |= {role: found(head.names, role) for role in MARKS}
+    likely["valid"] = [name for name in found(head.names, "valid") if _tells_some_valid(head.cells(name))]
     if word == "aircraft":
         likely["update"] = found(head.names, "update")
         altitudes = {plain(name): name for name in reversed(found(head.names, "altitude"))}
         if "altitude" not in altitudes and altitudes.keys() >= {"baroaltitude", "geoaltitude"}:
             likely["second"] = [altitudes["geoaltitude"]]
     return {role: columns[0] for role, columns in likely.items() if columns}
+
+
+def _tells_some_valid(cells: Sequence[Any] | NDArray[Any]) -> bool:
+    """Whether cells are true or false, and not all false."""
+    words = {*map(word_of, cells)} - {""}
+    return words <= WORDS_OF_MARKS.keys() and any(WORDS_OF_MARKS[word] for word in words)
 
 
 def _parting(
@@ -295,7 +305,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
         return None
     if role == "update":
         return Kind()
-    if role in MARKS:
+    if role in ("valid", *MARKS):
         return _MARK
     if role not in _LIMITS:
         return Kind(unit=length)
@@ -364,4 +374,5 @@ def _said(columns: Mapping[str, str], length: float, options: ReadOptions, wante
         )
     marks = [columns[role] for role in MARKS if role in columns]
     lines += [f"marks of outliers: {listed(marks)}"] if marks else []
+    lines += [f"marks of valid fixes: {columns['valid']}"] if "valid" in columns else []
     return lines + ([f"targets: {columns['id']}"] if "id" in columns else [])

@@ -145,6 +145,7 @@ class _Columns:
         self.marked = column("visible") == 0
         for role in MARKS[1:]:
             self.marked |= column(role) == 1
+        self.valid = column("valid") != 0
         self.may_be_held = layout.source.word == "aircraft"
         self.dated, self.ids = layout.clock.since_1970, layout.source.id_options
         self.other_times = layout.other_times
@@ -163,6 +164,7 @@ class _Columns:
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
+        index = keep(index, self.valid[index], "rows marked as invalid dropped")
         index = keep(index, ~self.absent[index], "rows with a placeholder for their position dropped")
         if self.dated:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")

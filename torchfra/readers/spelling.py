@@ -69,7 +69,7 @@ NAMES = {
     "semi_minor": ("argossemiminor", "errorsemiminoraxis", "smin"),
     "orientation": ("argosorientation", "errorellipseorientation", "eor"),
     "visible": ("visible",), "by_hand": ("manuallymarkedoutlier",), "by_import": ("importmarkedoutlier",),
-    "by_rule": ("algorithmmarkedoutlier",),
+    "by_rule": ("algorithmmarkedoutlier",), "valid": ("valid", "isvalid", "fixvalid", "validfix", "locationvalid"),
 }  # fmt: skip
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
 _IN_FRONT = {
@@ -126,6 +126,8 @@ ANIMALS = {
 """Names of columns that only files of animals have, by what the files call the animals."""
 MARKS = ("visible", "by_hand", "by_import", "by_rule")
 """Columns of Movebank that say whether a fix is right, and whether it is an outlier."""
+WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0}
+"""What they say, in small letters."""
 COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid"}
 """Names that may number the rows instead of the targets."""
 
