@@ -162,8 +162,8 @@ def reported(std, seed=0, word="ship", cut=np.floor):
 
 @pytest.fixture(scope="module")
 def reports():
-    """Three such ships with fixes good to 1 m, and three to 8 m: their truths and what comes of them."""
-    several = [reported(std, seed) for std in (1.0, 8.0) for seed in range(3)]
+    """Three such ships with fixes good to 1 m: their truths and what comes of them."""
+    several = [reported(1.0, seed) for seed in range(3)]
     return [truth for _, truth in several], clean_tracks([recording for recording, _ in several])
 
 
@@ -174,9 +174,8 @@ def plain():
     return one
 
 
-@pytest.mark.parametrize("those", [slice(3), slice(3, 6)], ids=["1 m", "8 m"])
-def test_bands_hold_where_times_are_cut(those, reports):
-    truths, done = (several[those] for several in reports)
+def test_bands_hold_where_times_are_cut(reports):
+    truths, done = reports
     held = [np.abs(one.position - truth) < one.std for one, truth in zip(done, truths, strict=True)]
     assert 0.6 < np.mean(held) < 0.9
     assert all(
@@ -210,6 +209,5 @@ def test_times_with_fractions_regular_times_and_positions_that_are_where_they_sh
     assert not stamps_are_cut(replace(recording, position=truth + 1.0 * rng.standard_normal(truth.shape)))
 
 
-def test_where_noise_hides_whether_times_are_cut_only_ships_are_believed_to_cut_them():
-    assert stamps_are_cut(reported(15.0)[0])
-    assert not stamps_are_cut(reported(15.0, word="target")[0])
+def test_where_noise_hides_whether_times_are_cut_they_are_taken_as_they_are():
+    assert not stamps_are_cut(reported(8.0)[0])

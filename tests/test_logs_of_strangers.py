@@ -234,6 +234,14 @@ def test_a_position_that_is_held_without_satellites_is_none(write):
     assert any("2 held positions (V) left out" in note for note in track.source.notes)
 
 
+@pytest.mark.parametrize("nothing", ["0", "0.0", ""])
+def test_an_accuracy_that_is_0_everywhere_is_none(write, nothing):
+    rows = [f"{i},{lat},{lon},{nothing}" for i, (lat, lon) in enumerate(PLACES)]
+    (track,) = read(write(["time,lat,lon,accuracy", *rows], "taxi.csv"))
+    assert track.sigma is None
+    assert not any("sigma" in note for note in track.source.notes)
+
+
 @pytest.mark.parametrize("name", ["valid", "gps_valid", "isValid"])
 @pytest.mark.parametrize(("yes", "no"), [("true", "false"), ("1", "0")])
 def test_fixes_that_a_tracker_marks_as_invalid_are_dropped(write, name, yes, no):

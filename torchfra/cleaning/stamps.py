@@ -30,8 +30,6 @@ _CUT = 0.2, 0.45
 """Standard deviations of stamps, s, between which they may be cut to whole seconds: even errors of 1 s have 0.29."""
 _HIDDEN = 0.4
 """Seconds of the way that noise is as large as, from which on it hides whether times are cut."""
-_SLOW = 5.0
-"""The same, from which on half a second is nothing beside the noise: a ship lies at anchor."""
 _REGULAR = 0.95
 """Share of the gaps that are alike from which on fixes came at whole seconds, and no time was cut."""
 _ASIDE = 5.0
@@ -67,7 +65,8 @@ def stamps_are_cut(recording: Recording) -> bool:
     """Whether times are those of the fixes cut to whole seconds, so that a target was ahead by half a second.
 
     All are whole though the fixes come irregularly, and errors along the path are larger than those across by what such
-    stamps make of its speed.  AIS says whole seconds, and is believed to cut them where noise hides that.
+    stamps make of its speed.  Where noise hides that, they are taken as they are: receivers of AIS cut times as well as
+    add to them what passes until a fix is heard.
 
     Args:
         recording: of a target.
@@ -83,9 +82,7 @@ def stamps_are_cut(recording: Recording) -> bool:
     speed = running_median(ahead / (time[2:] - time[:-2]), 7)
     fast = speed >= np.median(speed)
     one, other = (spread(x[fast] / speed[fast].clip(1e-9), 0.5) for x in (along, across))
-    seen = bool(_CUT[0] ** 2 < one**2 - other**2 < _CUT[1] ** 2)
-    if other > _HIDDEN:
-        return recording.source.word == "ship" and other < _SLOW
+    seen = other <= _HIDDEN and bool(_CUT[0] ** 2 < one**2 - other**2 < _CUT[1] ** 2)
     return seen and (recording.source.word == "ship" or _white(time, path))
 
 

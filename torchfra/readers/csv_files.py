@@ -169,7 +169,9 @@ def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
     such lines it is the one next to the names, and if they still come several times, the shortest that parts them.
     """
     names = _split(lines[i].lstrip(" \t%#/"), sign)
-    above = [cells for line in reversed(lines[:i]) if len(cells := _split(line, sign)) == len(names) > 1 and sign != " "]
+    above = [
+        cells for line in reversed(lines[:i]) if len(cells := _split(line, sign)) == len(names) > 1 and sign != " "
+    ]
     if not above or not repeated(names):
         return names
     names = _behind(above[0], names)

@@ -29,6 +29,8 @@ _START = re.compile(rb"(?:\\[^\\\r\n]*\\)?(?:\$[GBP]|!(?:AI|AB|BS|SA)VD)")
 _IN_CELLS = re.compile(rb'"\$G[A-Z](?:RMC|GGA),')
 """A sentence in a cell of CSV, as loggers of ships write it."""
 
+_AIS_IN_CELL = re.compile(r'"(!..VD[MO],[^"]*)"')
+
 
 def is_nmea(start: bytes, suffix: str) -> bool:
     """Whether a file is one, by how it begins or its ending."""
@@ -46,7 +48,7 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
     for line in short_lines(file, max_bytes):
         sentence = line[line.find("$") :].partition('"')[0]
         if sentence[:1] != "$" or sentence[3:6] not in ("RMC", "GGA"):
-            lines[ships.add(line)] += 1
+            lines[ships.add(cell[1] if (cell := _AIS_IN_CELL.search(line)) else line)] += 1
             continue
         try:
             fixes.add(_parsed(sentence))

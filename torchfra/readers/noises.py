@@ -86,6 +86,8 @@ def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> 
     if classes:
         return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
     for column in found(names, "sigma"):
+        if not any(word.strip("0.,") for word in map(word_of, head.cells(column))):
+            continue  # 0 everywhere says that nothing is known
         name = plain(column)
         if name in ("hdop", "horizontaldilutionofprecision"):
             factor = RANGE_ERROR * _PER_AXIS
