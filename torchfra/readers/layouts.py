@@ -13,7 +13,7 @@ import numpy as np
 from torchfra.readers.clocks import Clock, clock_of
 from torchfra.readers.columns import Array, Head, Kind, joined, number, numbers
 from torchfra.readers.degrees import advice
-from torchfra.readers.guesses import looks_like
+from torchfra.readers.guesses import cartesian, looks_like
 from torchfra.readers.identities import likely_ids, option
 from torchfra.readers.noises import noise_of
 from torchfra.readers.options import METRES, ReadOptions
@@ -23,6 +23,7 @@ from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import (
     AEROAPI,
     AIRCRAFT,
+    ANGLE,
     ANIMALS,
     COUNTERS,
     DEPTHS,
@@ -157,7 +158,9 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
     names = head.names
 
     def chosen(*roles: str) -> dict[str, str]:
-        best = {role: [asked[role]] if role in asked else found(names, role)[:1] for role in roles}
+        best = {role: [asked[role]] if role in asked else found(names, role) for role in roles}
+        lengths = [role for role in roles if role in ("altitude", "z") and role not in asked]
+        best |= {role: [name for name in best[role] if not ANGLE.fullmatch(name_words(name)[-1])] for role in lengths}
         return {role: columns[0] for role, columns in best.items() if columns}
 
     degrees, metres = chosen("latitude", "longitude", "altitude"), chosen("x", "y", "z")
@@ -260,6 +263,9 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         if plain(column := columns.get(role, "")) in DEPTHS:
             raise ValueError(f"{role}: expected heights, which grow upwards, received {column}: name its negative")
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
+    if angles := [column for column in lengths if ANGLE.fullmatch((name_words(column) or [""])[-1])]:
+        degrees = "; --lat and --lon name latitudes and longitudes, in degrees" if "x" in columns else ""
+        raise ValueError(f"column {angles[0]}: expected lengths, received an angle{cartesian(head.names) or degrees}")
     ends = {column: unit(column, asked=True) or "" for column in lengths}
     units = [METRES[ending] for ending in ends.values() if ending in METRES]
     if not options.units and len({*units}) > 1:
