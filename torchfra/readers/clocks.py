@@ -45,6 +45,8 @@ _OF_FIT = ["record", "timestamp"]
 _DAY = 86_400.0
 _COUNTER, _LATE = 2.0**32, 3.0
 """Units that 32 bits count, and how many usual steps the first time after that may be late."""
+_AWAY = 3600.0
+"""Seconds for which rows may lack about midnight."""
 _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
 _NEARER = 0.2
@@ -184,15 +186,20 @@ class Clock:
             )
 
     def going_on(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits."""
+        """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits.
+
+        Rows near midnight may be out of order, or lack for a while.
+        """
         steps = np.diff(time, prepend=time[:1])
-        if self.since_1970 or not per_second(self.form) or not ((back := steps < 0).any() and (steps > 0).any()):
+        if self.since_1970 or not per_second(self.form) or not ((steps < 0).any() and (steps > 0).any()):
             return time
-        usual, ahead = np.median(steps[steps > 0]), np.zeros(len(time))
-        for whole in (_DAY, 7 * _DAY, _COUNTER / per_second(self.form)):
-            if time.max() > whole:  # as of a count from a start, whose rows may be out of order
-                continue
-            ahead[back & (np.abs(steps + whole - usual) <= _LATE * usual)] = whole
+        usual, ahead = np.median(np.abs(steps[steps != 0])), np.zeros(len(time))
+        for whole, late in ((_DAY, _AWAY), (7 * _DAY, _AWAY), (_COUNTER / per_second(self.form), 0.0)):
+            if time.max() <= whole:  # or else a count from a start, whose rows may be out of order
+                begun = (np.abs(steps) > whole / 2) & (
+                    np.abs(np.abs(steps) - whole + usual) <= max(late, _LATE * usual)
+                )
+                ahead[begun] = -np.sign(steps[begun]) * whole
         return np.asarray(time + np.cumsum(ahead))
 
     def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:

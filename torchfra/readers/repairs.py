@@ -159,7 +159,9 @@ class _Columns:
             return index if mask.all() else index[mask]
 
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
-        self.time[index] = self.clock.going_on(self.time[index])
+        time = self.clock.going_on(self.time[index])
+        repairs["times carried on where the count begins anew"] = int((time != self.time[index]).sum())
+        self.time[index] = time
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
