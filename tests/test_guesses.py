@@ -86,6 +86,15 @@ def test_a_date_goes_with_the_time_of_the_day_that_is_told(write):
     assert track.source.written(track.time[:1]) == ["03/04/2020 12:26:00"]
 
 
+def test_a_date_and_a_time_of_any_names_are_named_together(write):
+    rows = [("2020-09-13", clock, *row[1:3]) for clock, row in zip(TIMES, ROWS, strict=True)]
+    path = write(table("Tag der Messung,Moment,lat,lon", rows))
+    with pytest.raises(ValueError, match="looks like --time 'Tag der Messung,Moment'"):
+        read(path)
+    (track,) = read(path, time="Tag der Messung,Moment")
+    np.testing.assert_allclose(track.time, 1_600_000_000 - 40 + 10 * np.arange(5))
+
+
 # ---------------------------------------------------------------- guesses
 
 

@@ -24,6 +24,8 @@ Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none", "-", "--"}
 """Words for nothing, in small letters, as tables, data bases and spreadsheets write it."""
+_NO_DATE = re.compile(r"0{2}(?:00)?([-/.])00\1(?:00){1,2}(?:[ T]00:00(?::00)?(?:\.0+)?)?")
+"""As loggers and data bases write a date that there is not, perhaps with a time of the day."""
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
@@ -121,7 +123,8 @@ def number(value: Any) -> float:
 
 def is_missing(cell: str) -> bool:
     """Whether a text stands for nothing, such as "N/A"."""
-    return cell.strip(" \t\r\n").lower() in _MISSING
+    bare = cell.strip(" \t\r\n").lower()
+    return bare in _MISSING or _NO_DATE.fullmatch(bare) is not None
 
 
 def _instant(value: Any, kind: Kind) -> float:
@@ -283,10 +286,10 @@ def grouped(labels: Sequence[str]) -> dict[str, NDArray[np.intp]]:
 
 
 def joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
-    """The cells of several columns, one after the other; "" where all are empty."""
+    """The cells of several columns, one after the other; "" where all are empty, or one is no date."""
 
     def text(part: Any) -> str:
-        return "" if part is None or part != part or is_missing(str(part)) else str(part).strip()
+        return "" if part is None or part != part or str(part).strip().lower() in _MISSING else str(part).strip()
 
-    lines = zip(*map(cells, columns), strict=True)
-    return [" ".join(map(text, parts)).strip() for parts in lines]
+    lines = (" ".join(map(text, parts)).strip() for parts in zip(*map(cells, columns), strict=True))
+    return ["" if is_missing(line) else line for line in lines]

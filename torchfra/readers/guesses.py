@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
-from torchfra.readers.columns import Array, Head, is_missing, number
+from torchfra.readers.columns import Array, Head, is_missing, joined, number
 from torchfra.readers.identities import likely_ids, option
 from torchfra.readers.spelling import NAMES, found, name_words, plain, unit
 from torchfra.readers.times import form_of, seconds_of
@@ -30,6 +30,7 @@ _RANGE, _BEARING = re.compile("(?:slant|ground)?range|distance|rho$|r$"), re.com
 """In the names of what a radar measures."""
 _TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp"}
 """Words in names of times."""
+_OF_THE_DAY = re.compile(r"[0-9]{1,2}:[0-9]{2}(?::[0-9]{2}(?:[.,][0-9]+)?)?(?: ?[AaPp][Mm])?")
 _SQUARE = re.compile(r"\s*(?:[0-9]{1,2}[C-HJ-NP-X])?\s*[A-HJ-Z]{2}\s*[0-9]{2,5}\s*[0-9]{2,5}\s*")
 """A square of a national grid, or of MGRS, and where in it."""
 _WEEK = 604_800
@@ -61,6 +62,7 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     named = [name for name in values if {*name_words(name)} & _TIMES]
     sure = [name for name in named if name in dated or name in growing]
     time = time or next(iter(sure or likely + growing + named), "")
+    asked = _with_date(time, [name for name in names if name not in values and name != time], head)
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     of_frames = plain(time) in FRAMES
@@ -68,7 +70,7 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     form = "25fps" if of_frames else form
     form_said = f" --time-format {form}" if form else ""
     if known:
-        when = f"; looks like --time {quote(time)}{form_said}{frames}"
+        when = f"; looks like --time {quote(asked)}{form_said}{frames}"
         return when if time else "; rows need a time, such as seconds since the first of them"
     if said := cartesian(values):
         return said
@@ -77,9 +79,18 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     rest = {name: column for name, column in values.items() if name != time}
     places = places or _by_degrees(rest, cells)
     if not time or not places:
-        return _ranges(time, rest)
+        return _ranges(asked, rest)
     target = _target(head, time, places)
-    return f"; looks like --time {quote(time)}{form_said} {_said(places)}{target}{frames}"
+    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}"
+
+
+def _with_date(time: str, names: Sequence[str], head: Head) -> str:
+    """The time as ``--time`` takes it: with the column of its date in front, where it is one of the day."""
+    clock = joined(head.cells, (time,)) if time else []
+    if not any(clock) or not all(_OF_THE_DAY.fullmatch(cell) for cell in clock if cell):
+        return time
+    dates = (name for name in names if _is_time([*filter(None, joined(head.cells, (name, time)))]))
+    return ",".join([*list(dates)[:1], time])
 
 
 def _target(head: Head, time: str, places: Mapping[str, str]) -> str:

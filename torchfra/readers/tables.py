@@ -143,7 +143,7 @@ def read_table(
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
-            return table_of(with_id(sheet_of(file, encoding), options or ReadOptions()), choose, max_bytes)
+            return table_of(with_joined(sheet_of(file, encoding), options or ReadOptions()), choose, max_bytes)
 
     try:
         table = read(UTF_8)
@@ -188,24 +188,24 @@ def _known_otherwise(path: Path, max_bytes: int) -> str:
     return next((f"expected text, received {said}" for said in known), "")
 
 
-def with_id(sheet: Sheet, options: ReadOptions) -> Sheet:
-    """A sheet with one more column, where several that are there name the target together."""
-    name = options.id or ""
-    several = name.split(",")
-    if name in sheet.names or len(several) < 2 or not {*several} <= {*sheet.names}:
+def with_joined(sheet: Sheet, options: ReadOptions) -> Sheet:
+    """A sheet with one more column for each option that names several, of the target or of the time, together."""
+    asked = {name: name.split(",") for name in (options.id, options.time) if name and name not in sheet.names}
+    several = {name: parts for name, parts in asked.items() if len(parts) > 1 and {*parts} <= {*sheet.names}}
+    if not several:
         return sheet
 
     def together(cells: Cells) -> Cells:
         def of(column: str) -> Any:
-            if column != name:
+            if column not in several:
                 return cells(column)
-            labels = zip(*(text(cells(one), one, {}) for one in several), strict=True)
+            labels = zip(*(text(cells(one), one, {}) for one in several[column]), strict=True)
             return [" ".join(filter(None, parts)) for parts in labels]
 
         return of
 
     parts = ((rows, together(cells)) for rows, cells in sheet.parts)
-    return sheet._replace(names=[*sheet.names, name], parts=parts)
+    return sheet._replace(names=[*sheet.names, *several], parts=parts)
 
 
 def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> Table:
