@@ -86,9 +86,8 @@ class Layout:
     columns: dict[str, str]
     """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``second``, ``MARKS``."""
     noise: tuple[str, ...]
-    """Columns of standard deviations, one for all axes or one for each; or those of ellipses."""
-    ellipse: bool
-    """Whether they are of ellipses: ``noises.axes_of_ellipses``."""
+    """Columns of which ``per_axis`` makes standard deviations, one for all axes or one for each."""
+    per_axis: Callable[[list[Array]], list[Array]]
     clock: Clock
     source: Source
     other_times: tuple[str, ...] = ()
@@ -150,7 +149,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         public["sigma"] = next(iter(noise.columns))
     ids = _parting(head, clock, columns, wanted, [*ignored, *unused])
     source = Source(name, public, clock.form, length, word, lines, ids)
-    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, tuple(unused))
+    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, tuple(unused))
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:

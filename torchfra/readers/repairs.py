@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
-from torchfra.readers.noises import axes_of_ellipses
 from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
 from torchfra.readers.spelling import MARKS
 from torchfra.readers.tables import Table
@@ -141,7 +140,7 @@ class _Columns:
         self.height = np.where(self.no_height, np.nan, self.height)
         self.update = column("update")
         noise = [table.column(name) for name in layout.noise]
-        self.noise = axes_of_ellipses(noise) if layout.ellipse else noise
+        self.noise = layout.per_axis(noise)
         self.marked = column("visible") == 0
         for role in MARKS[1:]:
             self.marked |= column(role) == 1
