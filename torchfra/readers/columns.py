@@ -7,7 +7,7 @@ import re
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
@@ -22,6 +22,8 @@ Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+BEHIND = re.compile(r"(?P<number>[+-]?[0-9.,]+) ?(?P<unit>[A-Za-z]{1,3})")
+"""A number and its unit."""
 _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none", "-", "--"}
 """Words for nothing, in small letters, as tables, data bases and spreadsheets write it."""
 _NO_DATE = re.compile(r"0{2}(?:00)?([-/.])00\1(?:00){1,2}(?:[ T]00:00(?::00)?(?:\.0+)?)?")
@@ -85,6 +87,8 @@ class Kind:
     """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
     sides: str = ""
     """Of degrees: the letters for above and below 0 (``degrees.degrees_of``)."""
+    behind: str = ""
+    """The unit behind each number, as in "154 m"."""
     words: tuple[tuple[str, float], ...] = ()
     """Of text: the words that there may be, in small letters, and the number of each."""
 
@@ -196,6 +200,9 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         return instant
     if kind.words:
         return partial(_of_word, numbers=dict(kind.words))
+    if kind.behind:
+        bare = _converter(replace(kind, behind=""))
+        return lambda cell: bare(_without_unit(cell, kind.behind) if isinstance(cell, str) else cell)
     if kind.decimal == "." and not kind.sides:
         return number
 
@@ -212,6 +219,18 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         return degrees_of(cell, kind.sides) / kind.unit
 
     return plain
+
+
+def _without_unit(cell: str, unit: str) -> str:
+    """A cell without the unit behind its number.
+
+    Raises:
+        ValueError: there is another one.
+    """
+    match = BEHIND.fullmatch(cell.strip())
+    if match and match["unit"].lower() != unit:
+        raise ValueError
+    return match["number"] if match else cell
 
 
 def _of_word(cell: Any, numbers: Mapping[str, float]) -> float:

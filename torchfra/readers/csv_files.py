@@ -32,7 +32,7 @@ _LENGTH = re.compile(
     re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
-_WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
+_WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 

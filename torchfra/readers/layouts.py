@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Array, Head, Kind, joined, number, numbers
+from torchfra.readers.columns import BEHIND, Array, Head, Kind, is_missing, joined, number, numbers
 from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import cartesian, looks_like
 from torchfra.readers.identities import likely_ids, option
@@ -265,7 +265,7 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
     if angles := [column for column in lengths if ANGLE.fullmatch((name_words(column) or [""])[-1])]:
         degrees = "; --lat and --lon name latitudes and longitudes, in degrees" if "x" in columns else ""
         raise ValueError(f"column {angles[0]}: expected lengths, received an angle{cartesian(head.names) or degrees}")
-    ends = {column: unit(column, asked=True) or "" for column in lengths}
+    ends = {column: _unit_behind(head, column) or unit(column, asked=True) or "" for column in lengths}
     units = [METRES[ending] for ending in ends.values() if ending in METRES]
     if not options.units and len({*units}) > 1:
         raise ValueError(f"expected one unit of lengths, received {listed(ends)}: convert one, or leave it out")
@@ -303,7 +303,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     if role in MARKS:
         return _MARK
     if role not in _LIMITS:
-        return Kind(unit=length)
+        return Kind(unit=length, behind=_unit_behind(head, columns[role]))
     column, other = columns[role], columns["latitude" if role == "longitude" else "longitude"]
     limit = _LIMITS[role]
     absent = (*PLACEHOLDERS, _ABSENT[role]) if word == "ship" else PLACEHOLDERS
@@ -313,6 +313,13 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
         return kind
     degrees = _SEMICIRCLE if _in_semicircles(column) else _AUTOPILOT
     return replace(kind, limit=limit / degrees, unit=degrees, absent=(), advice="")
+
+
+def _unit_behind(head: Head, column: str) -> str:
+    """The length that stands behind all numbers of a column, as in "154 m"; "" where there is none."""
+    matches = [BEHIND.fullmatch(text) for text in _texts(head, [column]) if not is_missing(text)]
+    units = {match["unit"].lower() if match else "" for match in matches}
+    return units.pop() if len(units) == 1 and units <= METRES.keys() and len(matches) > 1 else ""
 
 
 def _in_semicircles(column: str) -> bool:

@@ -74,7 +74,7 @@ NAMES = {
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
 _IN_FRONT = {
     "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coords", "coordinate", "utm",
-    "enu", "pose", "point", "transform", "translation", "header", "record",
+    "enu", "pose", "point", "transform", "translation", "header", "record", "sys", "str",
 }  # fmt: skip
 _BEHIND = {"utm", "enu"}
 OTHER_ZONES = {
