@@ -76,6 +76,8 @@ def csv_sheet(
     )  # a sentence may have as many words as columns
     units = beneath[0] if beneath else in_comment
     names = _with_units(names, units) if units else names
+    if {"frame_idx", "instance.score"} <= {*names}:  # of SLEAP, in pixels
+        names = [f"{name} (px)" if name.endswith((".x", ".y")) else name for name in names]
     if beneath:
         said.append(f"lines of units beneath the header: {len(beneath)}")
     return Sheet(names, _parts(rows, names, repairs), tuple(said), commas=sign != ",")
@@ -155,9 +157,9 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
         )
     rows.head = rows.head[sum(map(len, above)) :]
     sign = options.sign or _likely(lines[header])[0]
-    if repeated(_split(lines[header], sign)):
+    if (whole := _whole_names(lines, header, sign)) != _split(lines[header].lstrip(" \t%#/"), sign):
         names = io.StringIO(newline="")
-        csv.writer(names, delimiter=sign).writerow(_whole_names(lines, header, sign))
+        csv.writer(names, delimiter=sign).writerow(whole)
         rows.head = names.getvalue() + rows.head[len(lines[header]) :]
     return header
 
@@ -166,9 +168,13 @@ def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
     """The names in a line; those that come several times behind what the line above says of their columns.
 
     So programs that follow several markers write them: ``,,hip,,,knee,,`` above ``frame,time,x,y,z,x,y,z``.
+    DeepLabCut has numbers of frames under ``coords``, and pixels under ``x`` and ``y``.
     """
     names = _split(lines[i].lstrip(" \t%#/"), sign)
     groups = _split(lines[i - 1], sign) if i and sign != " " else []
+    if names[0] == "coords" and groups[0:1] == ["bodyparts"] and len(groups) == len(names):
+        marked = zip(groups[1:], names[1:], strict=True)
+        return ["frame", *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
     if len(groups) != len(names) or not (several := repeated(names).split(", ")) or not all(names):
         return names
     group, whole = "", list[str]()

@@ -81,7 +81,8 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     if not time or not places:
         return _ranges(asked, rest)
     target = _target(head, time, places)
-    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}"
+    pixels = "; read mm in the results as pixels" if _is_of_pixels(next(iter(places.values()))) else ""
+    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}{pixels}"
 
 
 def _with_date(time: str, names: Sequence[str], head: Head) -> str:
@@ -127,7 +128,7 @@ def _or_missing(cells: Sequence[Any] | NDArray[Any]) -> Array:
 def _said(places: Mapping[str, str]) -> str:
     """Options for columns by what they hold."""
     first, *_ = places.values()
-    return " ".join(f"--{role} {quote(name)}" for role, name in places.items()) + _miles(first)
+    return " ".join(f"--{role} {quote(name)}" for role, name in places.items()) + _units(first)
 
 
 def _by_names(values: Collection[str]) -> dict[str, str]:
@@ -166,8 +167,13 @@ def _ranges(time: str, values: Mapping[str, Array]) -> str:
     return f"; say --time{time and f' {quote(time)}'} with --lat and --lon, or --x and --y, of the columns {said}{more}"
 
 
-def _miles(name: str) -> str:
-    return " --units nmi" if name.lower().endswith("nm") else ""
+def _units(name: str) -> str:
+    """The option for lengths in this column, where the end of its name says less than it has to."""
+    return " --units nmi" if name.lower().endswith("nm") else " --units mm" if _is_of_pixels(name) else ""
+
+
+def _is_of_pixels(name: str) -> bool:
+    return name_words(name)[-1:] == ["px"]
 
 
 def _grows(column: Array) -> bool:
