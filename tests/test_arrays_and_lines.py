@@ -21,7 +21,7 @@ TRACK = np.stack([TIME, 3 * TIME, -TIME, np.sin(TIME)], 1)
 
 def test_an_array_has_its_columns_by_their_numbers(tmp_path):
     np.save(tmp_path / "a.npy", TRACK)
-    with pytest.raises(ValueError, match="an array has columns 1 to 4; looks like --time 1 --x 2 --y 3"):
+    with pytest.raises(ValueError, match="an array has columns 1 to 4; say --time 1 with --lat and --lon, or --x"):
         read(tmp_path / "a.npy")
     (track,) = read(tmp_path / "a.npy", time="1", x="2", y="3", z="4")
     np.testing.assert_array_equal(track.position, TRACK[:, 1:])

@@ -176,7 +176,7 @@ def test_poses_of_robots_are_not_suggested_as_degrees(write):
         f"{1_400_000_000 + i / 30:.4f} {i / 99:.4f} {i / 88:.4f} 1.3 {0.8:.4f} {-0.3533:.4f} 0.0838 0.3596"
         for i in range(ROWS)
     ]
-    with pytest.raises(ValueError, match=r"looks like --time 1 --x 2 --y 3$"):
+    with pytest.raises(ValueError, match=r"say --time 1 with --lat and --lon, or --x and --y, of the columns 2"):
         read(write(rows))
 
 
@@ -217,7 +217,7 @@ def test_lists_of_numbers_in_records_are_columns(write):
         {"timestamp": 1_700_000_000_000_000 + 50_000 * i, "translation": [x, x / 2, 0.0]} for i, x in enumerate(EAST)
     ]
     path = write([json.dumps(records)], "ego_pose.json")
-    with pytest.raises(ValueError, match=r"looks like --time timestamp --x translation.1 --y translation.2"):
+    with pytest.raises(ValueError, match=r"say --time timestamp .* of the columns translation.1 \(0 to 29.5\)"):
         read(path)
     (track,) = read(path, x="translation.1", y="translation.2")
     assert track.position[:, 0].tolist() == EAST.tolist()

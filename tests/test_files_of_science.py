@@ -27,6 +27,10 @@ DEEPLABCUT = [
     "scorer,net,net,net,net,net,net", "bodyparts,nose,nose,nose,tail,tail,tail",
     "coords,x,y,likelihood,x,y,likelihood", *(f"{i},{marker(i)},{marker(i, X - 9)}" for i in range(ROWS)),
 ]  # fmt: skip
+SLEAP = [
+    "track,frame_idx,instance.score,nose.x,nose.y,nose.score",
+    *(f"track_0,{i},0.9,{marker(i)}" for i in range(ROWS)),
+]  # fmt: skip
 VICON = [
     "Trajectories", "100", ",,Cube:M1,,,Cube:M2,,", "Frame,Sub Frame,X,Y,Z,X,Y,Z", ",,mm,mm,mm,mm,mm,mm",
     *(f"{i + 1},0,{marker(i, 1000 * X, 1000 * Y)},{marker(i)}" for i in range(ROWS)),
@@ -38,7 +42,8 @@ QUALISYS = [
 
 
 @pytest.mark.parametrize(("lines", "name", "said"), [
-    (DEEPLABCUT, "a.csv", "--time coords --x 'nose x' --y 'nose y'"),
+    (DEEPLABCUT, "a.csv", r"--time frame --time-format 25fps --x 'nose x \(px\)' --y 'nose y \(px\)' .* pixels"),
+    (SLEAP, "a.csv", r"--time frame_idx --time-format 25fps --x 'nose.x \(px\)' --y 'nose.y \(px\)' --units mm"),
     (VICON, "a.csv", r"--time Frame --time-format 25fps --x 'Cube:M1 X \(mm\)' --y 'Cube:M1 Y \(mm\)'"),
     (QUALISYS, "a.tsv", "--time Time --x 'hip X' --y 'hip Y'"),
 ])  # fmt: skip
@@ -47,7 +52,18 @@ def test_markers_in_groups_of_columns_are_named_by_the_options_that_read_them(wr
     with pytest.raises(ValueError, match=said) as error:
         read(path)
     (track,) = read(path, **options_of(error))
-    np.testing.assert_allclose(np.ptp(track.position, 0), [np.ptp(X), np.ptp(Y)], rtol=1e-3)
+    metres = 1e-3 if "units" in options_of(error) else 1
+    np.testing.assert_allclose(np.ptp(track.position, 0), [metres * np.ptp(X), metres * np.ptp(Y)], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("lines", "time", "x", "y"), [
+    (DEEPLABCUT, "frame", "nose x", "nose y"), (SLEAP, "frame_idx", "nose.x", "nose.y"),
+])  # fmt: skip
+def test_markers_in_pixels_are_no_metres(write, lines, time, x, y):
+    with pytest.raises(
+        ValueError, match=r"column nose.x \(px\): expected metres or degrees, received px: .*--units mm"
+    ):
+        read(write(lines), time=time, x=x, y=y, time_format="30fps")
 
 
 def test_simulated_traffic_in_xml_is_read_by_the_attributes_of_its_elements(write):

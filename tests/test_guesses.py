@@ -86,6 +86,15 @@ def test_a_date_goes_with_the_time_of_the_day_that_is_told(write):
     assert track.source.written(track.time[:1]) == ["03/04/2020 12:26:00"]
 
 
+def test_a_date_and_a_time_of_any_names_are_named_together(write):
+    rows = [("2020-09-13", clock, *row[1:3]) for clock, row in zip(TIMES, ROWS, strict=True)]
+    path = write(table("Tag der Messung,Moment,lat,lon", rows))
+    with pytest.raises(ValueError, match="looks like --time 'Tag der Messung,Moment'"):
+        read(path)
+    (track,) = read(path, time="Tag der Messung,Moment")
+    np.testing.assert_allclose(track.time, 1_600_000_000 - 40 + 10 * np.arange(5))
+
+
 # ---------------------------------------------------------------- guesses
 
 
@@ -96,12 +105,48 @@ def test_a_date_goes_with_the_time_of_the_day_that_is_told(write):
     ("", ROWS, "received 0, 47.0, 8.0, 350; looks like --time 1 --lat 2 --lon 3"),
     ("", [(clock, o + 100, a) for clock, (_, a, o, _) in zip(TIMES, ROWS, strict=True)],
      "looks like --time 1 --lat 3 --lon 2"),
-    ("", [(3.5 * i, -i, i) for i in range(5)], "received 0.0, 0, 0; looks like --time 1 --x 2 --y 3"),
+    ("", [(3.5 * i, -i, i) for i in range(5)],
+     r"received 0.0, 0, 0; say --time 1 with --lat and --lon, or --x and --y, of the columns 2 \(-4 to 0\), 3 \(0 to"),
     ("", [(1, 1, 1)] * 5, "received 1, 1, 1; without a header their numbers from 1 on are their names"),
 ])  # fmt: skip
 def test_columns_that_no_name_tells_are_guessed_by_what_is_in_them(write, header, rows, said):
     with pytest.raises(ValueError, match=f"expected a header with a time and .* {said}"):
         read(write(table(header, rows)))
+
+
+@pytest.mark.parametrize("names", [
+    ("gid", "sog"), ("partition", "offset"), ("heading", "rssi"), ("vel_x", "vel_y"), ("temperature", "wind_speed"),
+])  # fmt: skip
+def test_what_names_say_is_something_else_is_not_proposed_as_a_position(write, names):
+    with pytest.raises(ValueError, match=r"; say --time when with --lat and --lon, or --x and --y, of the columns"):
+        read(write(table(f"when,{','.join(names)}", [row[:3] for row in ROWS])))
+
+
+def test_two_columns_are_no_position_because_there_are_two(write):
+    with pytest.raises(ValueError, match=r"say --time when .* of the columns a \(0 to 8\), b \(1 to 5\)$"):
+        read(write(table("when,a,b", [(clock, 2 * i, i + 1) for i, clock in enumerate(TIMES)])))
+
+
+def test_no_more_columns_are_listed_than_a_person_reads(write):
+    rows = [(clock, *range(i, i + 12)) for i, clock in enumerate(TIMES)]
+    with pytest.raises(ValueError, match=r"h \(7 to 11\) and 4 more$"):
+        read(write(table("when,a,b,c,d,e,f,g,h,i,j,k,l", rows)))
+
+
+@pytest.mark.parametrize(("north", "east"), [("boat_north", "boat_east"), ("fields.lat", "fields.lng")])
+def test_columns_whose_words_are_known_are_proposed(write, north, east):
+    options = "--lat fields.lat --lon fields.lng" if "lat" in north else "--x boat_east --y boat_north"
+    with pytest.raises(ValueError, match=f"looks like --time when {options}"):
+        read(write(table(f"when,{north},{east},speed", ROWS)))
+
+
+@pytest.mark.parametrize("unit", [" [deg]", " (°)", "_deg", "_rad"])
+def test_angles_are_neither_x_nor_y_nor_a_height(write, unit):
+    path = write(table(f"t,range,azimuth{unit},elevation{unit}"))
+    with pytest.raises(ValueError, match=r"column azimuth.*: expected lengths, received an angle; range and azim"):
+        read(path, x="range", y=f"azimuth{unit}")
+    (track,) = read(write(table(f"t,lat,lon,elevation{unit}")))
+    assert track.position.shape == (5, 2)
 
 
 @pytest.mark.parametrize("sign", [",", ";", "\t", " "])

@@ -97,7 +97,17 @@ WRAPS = [("tod", 1, 86_400), ("time", 1, 86_400), ("tow", 1, 604_800), ("itow", 
 def test_counts_go_on_after_midnight_a_week_and_32_bits(write, name, step, whole):
     (track,) = read(write(name, [(whole - 60 * step + step * i) % whole for i in range(ROWS)]))
     assert np.ptp(np.diff(track.time)) == pytest.approx(0, abs=1e-6)
-    assert not track.repairs
+    assert track.repairs == {"times carried on where the count begins anew": 60}
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_plots_of_a_radar_go_on_after_midnight_though_late_and_with_gaps(write, newest_first):
+    """Rows of several targets: those of a turn are not in order, and some are missing."""
+    rng = np.random.default_rng(5)
+    since = np.delete(17.0 * np.arange(ROWS) + rng.uniform(-9, 9, ROWS), [*range(20, 24), *range(60, 63)])
+    order = slice(None, None, -1 if newest_first else 1)
+    (track,) = read(write("tod", np.round(86_400 - 16.5 * ROWS / 2 + since, 2)[order] % 86_400))
+    np.testing.assert_allclose(np.sort(since) - since.min(), track.time - track.time[0], atol=0.02)
 
 
 def test_days_of_other_targets_are_none_after_midnight(tmp_path):

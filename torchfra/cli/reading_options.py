@@ -12,7 +12,7 @@ from torchfra.readers.options import METRES, ReadOptions
 from torchfra.readers.times import FORMS
 
 _ABOUT = {
-    "time": ("COLUMN", "column of times; its numbers may be seconds since any start"),
+    "time": ("COLUMN", "column of times, such as seconds since any start; or several, such as date,clock"),
     "x": ("COLUMN", "column of positions"), "y": ("COLUMN", "column of positions"),
     "z": ("COLUMN", "column of positions"),
     "lat": ("COLUMN", "column of latitudes"), "lon": ("COLUMN", "column of longitudes"),

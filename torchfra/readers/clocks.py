@@ -22,6 +22,7 @@ from torchfra.readers.times import (
     CLOCK,
     DAY_OF_1970,
     GPS,
+    NEARER,
     OF_THE_YEAR,
     PER_SECOND,
     SINCE_1970,
@@ -45,10 +46,10 @@ _OF_FIT = ["record", "timestamp"]
 _DAY = 86_400.0
 _COUNTER, _LATE = 2.0**32, 3.0
 """Units that 32 bits count, and how many usual steps the first time after that may be late."""
+_AWAY = 3600.0
+"""Seconds for which rows may lack about midnight."""
 _FEW = 0.1
 """Share of the times of a clock that may not have been set yet."""
-_NEARER = 0.2
-"""How much shorter the ways of time are with days and months exchanged, where they are in two orders."""
 _FINER = 2
 """How many times as many moments a column of times has to have, to be taken although another has the date."""
 _SAID = {"us": "microseconds", "ns": "nanoseconds"}
@@ -80,7 +81,7 @@ _PARTS_OF_SECONDS = {
     "ns": "ns", "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns",
 }  # fmt: skip
 """Last words of names of columns with whole seconds, and with parts of one."""
-FRAMES = {"frame", "frameid", "frames", "framenumber"}
+FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno"}
 """Names of numbers of frames, which tell the time by how many a second has."""
 
 
@@ -175,7 +176,7 @@ class Clock:
             return
         exchanged = (months.astype("datetime64[Y]").astype("datetime64[M]") + day).astype("datetime64[D]") + month
         other = np.where(either, (exchanged - dates).astype(np.int64) * _DAY, 0.0) + time[rows]
-        if np.abs(np.diff(other)).sum() < _NEARER * np.abs(steps).sum():
+        if np.abs(np.diff(other)).sum() < NEARER * np.abs(steps).sum():
             one, last = (written(time[rows[mask]][:1], self.form)[0] for mask in (either, sure))
             raise ValueError(
                 f"column {self.column}: expected days and months in one order, received {one} and {last}, which are "
@@ -184,15 +185,20 @@ class Clock:
             )
 
     def going_on(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits."""
+        """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits.
+
+        Rows near midnight may be out of order, or lack for a while.
+        """
         steps = np.diff(time, prepend=time[:1])
-        if self.since_1970 or not per_second(self.form) or not ((back := steps < 0).any() and (steps > 0).any()):
+        if self.since_1970 or not per_second(self.form) or not ((steps < 0).any() and (steps > 0).any()):
             return time
-        usual, ahead = np.median(steps[steps > 0]), np.zeros(len(time))
-        for whole in (_DAY, 7 * _DAY, _COUNTER / per_second(self.form)):
-            if time.max() > whole:  # as of a count from a start, whose rows may be out of order
-                continue
-            ahead[back & (np.abs(steps + whole - usual) <= _LATE * usual)] = whole
+        usual, ahead = np.median(np.abs(steps[steps != 0])), np.zeros(len(time))
+        for whole, late in ((_DAY, _AWAY), (7 * _DAY, _AWAY), (_COUNTER / per_second(self.form), 0.0)):
+            if time.max() <= whole:  # or else a count from a start, whose rows may be out of order
+                begun = (np.abs(steps) > whole / 2) & (
+                    np.abs(np.abs(steps) - whole + usual) <= max(late, _LATE * usual)
+                )
+                ahead[begun] = -np.sign(steps[begun]) * whole
         return np.asarray(time + np.cumsum(ahead))
 
     def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:
@@ -299,7 +305,7 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
         return clock
     minutes = len(some) and all(isinstance(cell, str) and _MINUTE.fullmatch(cell.strip()) for cell in some)
-    for date in found(head.names, "date") if minutes else []:
+    for date in _dates(name, head) if minutes else []:
         together = [*filter(None, joined(head.cells, (date, name)))]
         if date == name or (clock := _text_clock((date, name), together, _is_danish(head))) is None:
             continue
@@ -359,7 +365,7 @@ def _clock_of_form(name: str, form: str, head: Head) -> Clock:
             )
         return _gps_clock(weeks[0], name, form)
     kind = INSTANT if form == "iso" else _text_kind(form, form)
-    for columns in ((name,), *((date, name) for date in found(head.names, "date") if date != name)):
+    for columns in ((name,), *((date, name) for date in _dates(name, head) if date != name)):
         with suppress(ValueError, StopIteration):
             seconds_of(next(filter(None, joined(head.cells, columns))), form)
             return Clock(columns, replace(kind, joined=columns[:-1] and columns), form, not is_clock(form))
@@ -469,12 +475,12 @@ def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
     """A clock of the day together with the column of its date, if there is one."""
     if not is_clock(clock.form):
         return _ahead(clock, head)
-    for date in found(head.names, "date"):
+    for date in _dates(clock.columns[0], head):
         columns = (date, *clock.columns)
         together = [*filter(None, joined(head.cells, columns))]
         if date not in clock.columns and (dated := _text_clock(columns, together, _is_danish(head))):
             return _ahead(dated, head)
-    unread = [date for date in found(head.names, "date") if "dat" in plain(date) and date not in clock.columns]
+    unread = [date for date in _dates(clock.columns[0], head) if "dat" in plain(date) and date not in clock.columns]
     text = next((cell for date in unread for cell in head.cells(date) if isinstance(cell, str) and cell.strip()), "")
     if text and options.time is None:
         raise ValueError(
@@ -482,6 +488,13 @@ def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
             f"{clock.column}: --time {clock.column} takes these alone, which must be less than a day apart"
         )
     return clock
+
+
+def _dates(name: str, head: Head) -> list[str]:
+    """The columns that may hold the date of a time of the day: first the one that is called alike."""
+    words = name_words(name)
+    alike = [date for date in head.names if words == ["time" if word == "date" else word for word in name_words(date)]]
+    return [*dict.fromkeys([*(date for date in alike if date != name), *found(head.names, "date")])]
 
 
 def _ahead(clock: Clock, head: Head) -> Clock:

@@ -7,7 +7,7 @@ import re
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
@@ -22,8 +22,12 @@ Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+BEHIND = re.compile(r"(?P<number>[+-]?[0-9.,]+) ?(?P<unit>[A-Za-z]{1,3})")
+"""A number and its unit."""
 _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none", "-", "--"}
 """Words for nothing, in small letters, as tables, data bases and spreadsheets write it."""
+_NO_DATE = re.compile(r"0{2}(?:00)?([-/.])00\1(?:00){1,2}(?:[ T]00:00(?::00)?(?:\.0+)?)?")
+"""As loggers and data bases write a date that there is not, perhaps with a time of the day."""
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
@@ -83,6 +87,8 @@ class Kind:
     """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
     sides: str = ""
     """Of degrees: the letters for above and below 0 (``degrees.degrees_of``)."""
+    behind: str = ""
+    """The unit behind each number, as in "154 m"."""
     words: tuple[tuple[str, float], ...] = ()
     """Of text: the words that there may be, in small letters, and the number of each."""
 
@@ -121,7 +127,8 @@ def number(value: Any) -> float:
 
 def is_missing(cell: str) -> bool:
     """Whether a text stands for nothing, such as "N/A"."""
-    return cell.strip(" \t\r\n").lower() in _MISSING
+    bare = cell.strip(" \t\r\n").lower()
+    return bare in _MISSING or _NO_DATE.fullmatch(bare) is not None
 
 
 def _instant(value: Any, kind: Kind) -> float:
@@ -193,6 +200,9 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         return instant
     if kind.words:
         return partial(_of_word, numbers=dict(kind.words))
+    if kind.behind:
+        bare = _converter(replace(kind, behind=""))
+        return lambda cell: bare(_without_unit(cell, kind.behind) if isinstance(cell, str) else cell)
     if kind.decimal == "." and not kind.sides:
         return number
 
@@ -209,6 +219,18 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         return degrees_of(cell, kind.sides) / kind.unit
 
     return plain
+
+
+def _without_unit(cell: str, unit: str) -> str:
+    """A cell without the unit behind its number.
+
+    Raises:
+        ValueError: there is another one.
+    """
+    match = BEHIND.fullmatch(cell.strip())
+    if match and match["unit"].lower() != unit:
+        raise ValueError
+    return match["number"] if match else cell
 
 
 def _of_word(cell: Any, numbers: Mapping[str, float]) -> float:
@@ -283,10 +305,10 @@ def grouped(labels: Sequence[str]) -> dict[str, NDArray[np.intp]]:
 
 
 def joined(cells: Cells, columns: tuple[str, ...]) -> list[str]:
-    """The cells of several columns, one after the other; "" where all are empty."""
+    """The cells of several columns, one after the other; "" where all are empty, or one is no date."""
 
     def text(part: Any) -> str:
-        return "" if part is None or part != part or is_missing(str(part)) else str(part).strip()
+        return "" if part is None or part != part or str(part).strip().lower() in _MISSING else str(part).strip()
 
-    lines = zip(*map(cells, columns), strict=True)
-    return [" ".join(map(text, parts)).strip() for parts in lines]
+    lines = (" ".join(map(text, parts)).strip() for parts in zip(*map(cells, columns), strict=True))
+    return ["" if is_missing(line) else line for line in lines]

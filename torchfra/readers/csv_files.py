@@ -32,7 +32,7 @@ _LENGTH = re.compile(
     re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
-_WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}", re.IGNORECASE)
+_WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
@@ -76,6 +76,8 @@ def csv_sheet(
     )  # a sentence may have as many words as columns
     units = beneath[0] if beneath else in_comment
     names = _with_units(names, units) if units else names
+    if {"frame_idx", "instance.score"} <= {*names}:  # of SLEAP, in pixels
+        names = [f"{name} (px)" if name.endswith((".x", ".y")) else name for name in names]
     if beneath:
         said.append(f"lines of units beneath the header: {len(beneath)}")
     return Sheet(names, _parts(rows, names, repairs), tuple(said), commas=sign != ",")
@@ -155,9 +157,9 @@ def _leave_out_above(rows: Rows, options: ReadOptions) -> int:
         )
     rows.head = rows.head[sum(map(len, above)) :]
     sign = options.sign or _likely(lines[header])[0]
-    if repeated(_split(lines[header], sign)):
+    if (whole := _whole_names(lines, header, sign)) != _split(lines[header].lstrip(" \t%#/"), sign):
         names = io.StringIO(newline="")
-        csv.writer(names, delimiter=sign).writerow(_whole_names(lines, header, sign))
+        csv.writer(names, delimiter=sign).writerow(whole)
         rows.head = names.getvalue() + rows.head[len(lines[header]) :]
     return header
 
@@ -167,11 +169,15 @@ def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
 
     So programs that follow several markers write them: ``,,hip,,,knee,,`` above ``frame,time,x,y,z,x,y,z``.  Of several
     such lines it is the one next to the names, and if they still come several times, the shortest that parts them.
+    DeepLabCut has numbers of frames under ``coords``, and pixels under ``x`` and ``y``.
     """
-    names = _split(lines[i].lstrip(" \t%#/"), sign)
+    names = _split(lines[i].lstrip(" 	%#/"), sign)
     above = [
         cells for line in reversed(lines[:i]) if len(cells := _split(line, sign)) == len(names) > 1 and sign != " "
     ]
+    if names[0] == "coords" and above and above[0][0] == "bodyparts":
+        marked = zip(above[0][1:], names[1:], strict=True)
+        return ["frame", *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
     if not above or not repeated(names):
         return names
     names = _behind(above[0], names)

@@ -12,27 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
-from torchfra.readers.columns import Array, Head, is_missing, number
+from torchfra.readers.columns import Array, Head, is_missing, joined, number
 from torchfra.readers.identities import likely_ids, option
-from torchfra.readers.options import METRES
-from torchfra.readers.spelling import found, name_words, plain, unit
+from torchfra.readers.spelling import NAMES, found, name_words, plain, unit
 from torchfra.readers.times import form_of, seconds_of
 
 _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
 """A latitude or longitude to 10 m or better."""
-_NORTH = re.compile(r"nor[dt]|(?:^|[^a-z])[yn](?:$|[^a-z])")
-"""In the name of a column of northings."""
+_OTHERWISE = re.compile(
+    r"speed|veloc|accel|course|heading|angle|azimuth|bearing|direction|orient|rotat|quaternion|counte?r?\b|offset|"
+    r"sequence|temperature|pressure|humid|volt|satel|signal|sigma|error|accura|covar|score|likelihood|confidence|size|"
+    r"width|length|distance|dop\b|\b(?:v|vel|acc|gyro|mag|sog|cog|hdg|yaw|roll|pitch|rot|dir|elevation|ranges?|rssi|snr|"
+    r"seq|index|idx|g?id|no|num|number|partition|temp|std|sd|err|cov|sats?|rate|age)\b"
+)
+"""In the words of a name, what is no position."""
 _RANGE, _BEARING = re.compile("(?:slant|ground)?range|distance|rho$|r$"), re.compile("azimuth|bearing|azi?$|theta$")
 """In the names of what a radar measures."""
 _TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp"}
 """Words in names of times."""
+_OF_THE_DAY = re.compile(r"[0-9]{1,2}:[0-9]{2}(?::[0-9]{2}(?:[.,][0-9]+)?)?(?: ?[AaPp][Mm])?")
 _SQUARE = re.compile(r"\s*(?:[0-9]{1,2}[C-HJ-NP-X])?\s*[A-HJ-Z]{2}\s*[0-9]{2,5}\s*[0-9]{2,5}\s*")
 """A square of a national grid, or of MGRS, and where in it."""
 _WEEK = 604_800
 _NEAR = 2e-3
 """Degrees between neighbouring fixes, of which metres, for robots, are more."""
-_FEW = 4
-"""Columns of numbers up to which the first two may be x and y."""
+_LISTED = 8
+"""Columns that a message lists at most."""
 
 
 def looks_like(head: Head, known: Collection[str] = ()) -> str:
@@ -48,13 +53,16 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     }
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
+    places = _by_names(values)
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
     dated = [name for name, column in values.items() if column.min() > YEAR_1980]
     newest_first = [name for name in dated if _grows(values[name][::-1])]
     growing = newest_first + [name for name, column in values.items() if _grows(column)]
+    growing = [name for name in growing if not _is_other(name) and name not in places.values()]
     named = [name for name in values if {*name_words(name)} & _TIMES]
     sure = [name for name in named if name in dated or name in growing]
     time = time or next(iter(sure or likely + growing + named), "")
+    asked = _with_date(time, [name for name in names if name not in values and name != time], head)
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""
     of_frames = plain(time) in FRAMES
@@ -62,17 +70,28 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     form = "25fps" if of_frames else form
     form_said = f" --time-format {form}" if form else ""
     if known:
-        when = f"; looks like --time {quote(time)}{form_said}{frames}"
+        when = f"; looks like --time {quote(asked)}{form_said}{frames}"
         return when if time else "; rows need a time, such as seconds since the first of them"
-    if polar := _polar(values):
-        return polar
+    if said := cartesian(values):
+        return said
     if squares := [name for name in names if cells[name] and all(_SQUARE.fullmatch(str(cell)) for cell in cells[name])]:
         return f"; {squares[0]} holds references such as {cells[squares[0]][0]}: convert them to degrees, or metres"
-    places = _places({name: column for name, column in values.items() if name != time}, cells)
+    rest = {name: column for name, column in values.items() if name != time}
+    places = places or _by_degrees(rest, cells)
     if not time or not places:
-        return ""
+        return _ranges(asked, rest)
     target = _target(head, time, places)
-    return f"; looks like --time {quote(time)}{form_said} {_said(places)}{target}{frames}"
+    pixels = "; read mm in the results as pixels" if _is_of_pixels(next(iter(places.values()))) else ""
+    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}{pixels}"
+
+
+def _with_date(time: str, names: Sequence[str], head: Head) -> str:
+    """The time as ``--time`` takes it: with the column of its date in front, where it is one of the day."""
+    clock = joined(head.cells, (time,)) if time else []
+    if not any(clock) or not all(_OF_THE_DAY.fullmatch(cell) for cell in clock if cell):
+        return time
+    dates = (name for name in names if _is_time([*filter(None, joined(head.cells, (name, time)))]))
+    return ",".join([*list(dates)[:1], time])
 
 
 def _target(head: Head, time: str, places: Mapping[str, str]) -> str:
@@ -109,31 +128,52 @@ def _or_missing(cells: Sequence[Any] | NDArray[Any]) -> Array:
 def _said(places: Mapping[str, str]) -> str:
     """Options for columns by what they hold."""
     first, *_ = places.values()
-    return " ".join(f"--{role} {quote(name)}" for role, name in places.items()) + _miles(first)
+    return " ".join(f"--{role} {quote(name)}" for role, name in places.items()) + _units(first)
 
 
-def _places(values: dict[str, Array], cells: dict[str, list[Any]]) -> dict[str, str]:
-    """Two columns of numbers by the options for them; none where none can be positions."""
-    for role, other in (("lat", "lon"), ("x", "y")):
-        pairs = alike(list(values), role, other)
-        if pairs:
-            return {role: pairs[0], other: pairs[1]}
-    fine = {name: sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells[name]) for name in values}
-    small = [name for name, column in values.items() if np.abs(column).max() <= 180 and not _is_length(name)]
-    degrees = [name for name in small if 2 * fine[name] > len(values[name])]
-    near = all(np.median(np.abs(np.diff(values[name], prepend=values[name][0]))) < _NEAR for name in degrees[:2])
-    if len(degrees) == 2 or (2 < len(degrees) < _FEW and near):
-        lat, lon = degrees[:2] if np.abs(values[degrees[0]]).max() <= 90 else degrees[1::-1]
-        return {"lat": lat, "lon": lon}
-    moving = [name for name, column in values.items() if len(np.unique(column)) > 1]
-    if not 2 <= len(moving) < _FEW and len(degrees) < _FEW:
+def _by_names(values: Collection[str]) -> dict[str, str]:
+    """Two columns that names say are positions, by the options for them; none where none do."""
+    names = [name for name in values if not _is_other(name)]
+    for roles, options in ((("latitude", "longitude"), ("lat", "lon")), (("x", "y"), ("x", "y"))):
+        if pair := alike(names, *roles):
+            return dict(zip(options, pair, strict=True))
+    return {}
+
+
+def _by_degrees(values: Mapping[str, Array], cells: Mapping[str, Sequence[Any]]) -> dict[str, str]:
+    """The only two columns of fine degrees, by the options for them; none where there are others."""
+    degrees = [name for name, column in values.items() if _may_be_degrees(name, column, cells[name])]
+    if len(degrees) != 2 or max(np.abs(values[name]).max() for name in degrees) < 1:  # as of a robot in its room
         return {}
-    x, y = moving[:2] if _NORTH.search(moving[1].lower()) or not _NORTH.search(moving[0].lower()) else moving[1::-1]
-    return {"x": x, "y": y}
+    lat, lon = degrees if np.abs(values[degrees[0]]).max() <= 90 else degrees[::-1]
+    return {"lat": lat, "lon": lon}
 
 
-def _miles(name: str) -> str:
-    return " --units nmi" if name.lower().endswith("nm") else ""
+def _may_be_degrees(name: str, column: Array, cells: Sequence[Any]) -> bool:
+    """Whether these are fine degrees of neighbouring places, of which the name says nothing else."""
+    fine = sum(_DEGREES.fullmatch(str(cell)) is not None for cell in cells)
+    if _is_other(name) or unit(name, asked=True) or 2 * fine <= len(column) or np.abs(column).max() > 180:
+        return False
+    return bool(np.median(np.abs(np.diff(column, prepend=column[0]))) < _NEAR)
+
+
+def _ranges(time: str, values: Mapping[str, Array]) -> str:
+    """Columns of numbers and their ranges, for a person to choose from; "" where fewer than two change."""
+    moving = [(name, column.min(), column.max()) for name, column in values.items() if len(np.unique(column)) > 1]
+    if len(moving) < 2:
+        return ""
+    said = ", ".join(f"{name} ({least + 0.0:.6g} to {most + 0.0:.6g})" for name, least, most in moving[:_LISTED])
+    more = f" and {len(moving) - _LISTED} more" if len(moving) > _LISTED else ""
+    return f"; say --time{time and f' {quote(time)}'} with --lat and --lon, or --x and --y, of the columns {said}{more}"
+
+
+def _units(name: str) -> str:
+    """The option for lengths in this column, where the end of its name says less than it has to."""
+    return " --units nmi" if name.lower().endswith("nm") else " --units mm" if _is_of_pixels(name) else ""
+
+
+def _is_of_pixels(name: str) -> bool:
+    return name_words(name)[-1:] == ["px"]
 
 
 def _grows(column: Array) -> bool:
@@ -141,30 +181,35 @@ def _grows(column: Array) -> bool:
 
 
 def alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
-    """Two names that differ in these words alone, such as ``Local_X`` and ``Local_Y``."""
-    words = {tuple(name_words(name)): name for name in names}
+    """Two names that differ in words for these roles alone, such as ``Local_X`` and ``Local_Y``."""
+    words = {tuple(word.removesuffix("s") for word in name_words(name)): name for name in names}
     for several, name in words.items():
-        for i, word in enumerate(several):
-            pair = words.get((*several[:i], word.removesuffix(one) + other, *several[i + 1 :]))
-            if word in (one, f"t{one}", f"pos{one}") and pair:
+        for i in (i for i, word in enumerate(several) if word in NAMES[one]):
+            pairs = ((*several[:i], word, *several[i + 1 :]) for word in NAMES[other])
+            if pair := next((words[pair] for pair in pairs if pair in words), None):
                 return name, pair
     return None
 
 
-def _polar(values: Collection[str]) -> str:
+def polar(names: Collection[str]) -> tuple[str, str] | None:
+    """A column of ranges and one of bearings; None without such columns."""
+    ranges, bearings = ([name for name in names if form.match(plain(name))] for form in (_RANGE, _BEARING))
+    return (ranges[0], bearings[0]) if ranges and bearings else None
+
+
+def cartesian(names: Collection[str]) -> str:
     """What to do with columns of ranges and bearings; "" without such columns."""
-    ranges, bearings = ([name for name in values if form.match(plain(name))] for form in (_RANGE, _BEARING))
-    if not ranges or not bearings:
+    if (pair := polar(names)) is None:
         return ""
     return (
-        f"; {ranges[0]} and {bearings[0]} must be turned into x and y: from north clockwise, x = range * sin(bearing), "
+        f"; {pair[0]} and {pair[1]} must be turned into x and y: from north clockwise, x = range * sin(bearing), "
         "y = range * cos(bearing), of the range on the ground; and their std, which grows with it, into a column sigma"
     )
 
 
-def _is_length(name: str) -> bool:
-    """Whether a name ends in a unit of length."""
-    return unit(name, asked=True) in METRES or name.lower().endswith("nm")
+def _is_other(name: str) -> bool:
+    """Whether a name says that its column is no position."""
+    return _OTHERWISE.search(" ".join(name_words(name))) is not None
 
 
 def _numbers(cells: Sequence[Any]) -> Array:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Array, Head, Kind, joined, number, numbers, word_of
+from torchfra.readers.columns import BEHIND, Array, Head, Kind, is_missing, joined, number, numbers, word_of
 from torchfra.readers.degrees import advice
-from torchfra.readers.guesses import looks_like
+from torchfra.readers.guesses import cartesian, looks_like
 from torchfra.readers.identities import likely_ids, option
 from torchfra.readers.noises import noise_of
 from torchfra.readers.options import METRES, ReadOptions
@@ -24,6 +24,7 @@ from torchfra.readers.sheets import listed
 from torchfra.readers.spelling import (
     AEROAPI,
     AIRCRAFT,
+    ANGLE,
     ANIMALS,
     COUNTERS,
     DEPTHS,
@@ -88,9 +89,8 @@ class Layout:
     """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``second``, ``valid``,
     ``MARKS``."""
     noise: tuple[str, ...]
-    """Columns of standard deviations, one for all axes or one for each; or those of ellipses."""
-    ellipse: bool
-    """Whether they are of ellipses: ``noises.axes_of_ellipses``."""
+    """Columns of which ``per_axis`` makes standard deviations, one for all axes or one for each."""
+    per_axis: Callable[[list[Array]], list[Array]]
     clock: Clock
     source: Source
     other_times: tuple[str, ...] = ()
@@ -152,7 +152,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         public["sigma"] = next(iter(noise.columns))
     ids = _parting(head, clock, columns, wanted, [*ignored, *unused])
     source = Source(name, public, clock.form, length, word, lines, ids)
-    return Layout(wanted, columns, tuple(noise.columns), noise.ellipse, clock, source, tuple(unused))
+    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, tuple(unused))
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
@@ -160,7 +160,9 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
     names = head.names
 
     def chosen(*roles: str) -> dict[str, str]:
-        best = {role: [asked[role]] if role in asked else found(names, role)[:1] for role in roles}
+        best = {role: [asked[role]] if role in asked else found(names, role) for role in roles}
+        lengths = [role for role in roles if role in ("altitude", "z") and role not in asked]
+        best |= {role: [name for name in best[role] if not ANGLE.fullmatch(name_words(name)[-1])] for role in lengths}
         return {role: columns[0] for role, columns in best.items() if columns}
 
     degrees, metres = chosen("latitude", "longitude", "altitude"), chosen("x", "y", "z")
@@ -270,7 +272,10 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         if plain(column := columns.get(role, "")) in DEPTHS:
             raise ValueError(f"{role}: expected heights, which grow upwards, received {column}: name its negative")
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
-    ends = {column: unit(column, asked=True) or "" for column in lengths}
+    if angles := [column for column in lengths if ANGLE.fullmatch((name_words(column) or [""])[-1])]:
+        degrees = "; --lat and --lon name latitudes and longitudes, in degrees" if "x" in columns else ""
+        raise ValueError(f"column {angles[0]}: expected lengths, received an angle{cartesian(head.names) or degrees}")
+    ends = {column: _unit_behind(head, column) or unit(column, asked=True) or "" for column in lengths}
     units = [METRES[ending] for ending in ends.values() if ending in METRES]
     if not options.units and len({*units}) > 1:
         raise ValueError(f"expected one unit of lengths, received {listed(ends)}: convert one, or leave it out")
@@ -308,7 +313,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     if role in ("valid", *MARKS):
         return _MARK
     if role not in _LIMITS:
-        return Kind(unit=length)
+        return Kind(unit=length, behind=_unit_behind(head, columns[role]))
     column, other = columns[role], columns["latitude" if role == "longitude" else "longitude"]
     limit = _LIMITS[role]
     absent = (*PLACEHOLDERS, _ABSENT[role]) if word == "ship" else PLACEHOLDERS
@@ -318,6 +323,13 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
         return kind
     degrees = _SEMICIRCLE if _in_semicircles(column) else _AUTOPILOT
     return replace(kind, limit=limit / degrees, unit=degrees, absent=(), advice="")
+
+
+def _unit_behind(head: Head, column: str) -> str:
+    """The length that stands behind all numbers of a column, as in "154 m"; "" where there is none."""
+    matches = [BEHIND.fullmatch(text) for text in _texts(head, [column]) if not is_missing(text)]
+    units = {match["unit"].lower() if match else "" for match in matches}
+    return units.pop() if len(units) == 1 and units <= METRES.keys() and len(matches) > 1 else ""
 
 
 def _in_semicircles(column: str) -> bool:

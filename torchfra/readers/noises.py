@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from torchfra.readers.columns import Array, Head, Kind, word_of
 from torchfra.readers.options import METRES
-from torchfra.readers.spelling import found, plain
+from torchfra.readers.spelling import found, name_words, plain
 from torchfra.readers.spelling import unit as unit_of
 
 RANGE_ERROR = 5.0
@@ -27,17 +28,18 @@ aniMotum (Jonsen et al., 2023).
 """
 _CLASS = Kind("a class of Argos", unit=_OF_A_RADIUS, words=tuple(_CLASSES.items()))
 _ELLIPSE = ("semi_major", "semi_minor", "orientation")
+_COVARIANCE = re.compile(r"(?:(?:field|gps|gnss|fix|pose|position) )*covariance ?(?P<place>[0-9]{1,2}|type)")
+"""Words of names of columns with the entries of a covariance, row by row, as robots write them; and of its type."""
 
 
 class Noise(NamedTuple):
     """How good the fixes are."""
 
     columns: dict[str, Kind]
-    """One for all axes or one for each, as standard deviations per axis in metres; or those of an ellipse."""
+    """One for all axes or one for each, of which ``per_axis`` makes standard deviations in metres."""
     said: tuple[str, ...] = ()
     """Lines for a person."""
-    ellipse: bool = False
-    """Whether the first three columns are the axes of ellipses and where they point, and a fourth one their classes."""
+    per_axis: Callable[[list[Array]], list[Array]] = list
 
 
 def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
@@ -56,6 +58,15 @@ def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
     east = np.hypot(larger * np.sin(angle), smaller * np.cos(angle))
     north = np.hypot(larger * np.cos(angle), smaller * np.sin(angle))
     return [np.where(known, east, otherwise), np.where(known, north, otherwise)]
+
+
+def roots_of_variances(columns: Sequence[Array]) -> list[Array]:
+    """Standard deviations of variances east, north and up; NaN where a fourth column says 0, of an unknown covariance.
+
+    Source: ROS, sensor_msgs/NavSatFix.
+    """
+    known = columns[3] != 0 if len(columns) == 4 else True
+    return [np.where(known & (variance > 0), np.sqrt(np.abs(variance)), np.nan) for variance in columns[:3]]
 
 
 def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> Noise:
@@ -77,12 +88,15 @@ def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> 
     axes = [column for axis in "xyz" for column in found(names, f"sigma_{axis}")[:1]]
     if len(axes) >= 2:
         return Noise({column: Kind(unit=metres(column, unit)) for column in axes}, (f"sigma: {', '.join(axes)}",))
+    if variances := _variances(head):
+        said = f"sigma: roots of {', '.join(variances[:3])}"
+        return Noise(dict.fromkeys(variances, Kind(unit=unit**2)), (said,), roots_of_variances)
     words = {column: {*map(word_of, head.cells(column))} - {""} for column in found(names, "argos_class")[:1]}
     classes = {column: _CLASS for column, every in words.items() if every and every <= _CLASSES.keys()}
     ellipse = [column for part in _ELLIPSE for column in found(names, part)[:1]]
     if len(ellipse) == len(_ELLIPSE):
         columns = dict.fromkeys(ellipse, Kind()) | classes
-        return Noise(columns, (f"sigma: {', '.join(columns)} of Argos",), ellipse=True)
+        return Noise(columns, (f"sigma: {', '.join(columns)} of Argos",), axes_of_ellipses)
     if classes:
         return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
     for column in found(names, "sigma"):
@@ -99,3 +113,14 @@ def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> 
         if "acc" not in name:
             return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))
     return Noise({})
+
+
+def _variances(head: Head) -> list[str]:
+    """Columns of the variances of x, y and z in a covariance of 3 or of 6 rows, and of its type, if these are known."""
+    places = {
+        match["place"]: name for name in head.names if (match := _COVARIANCE.fullmatch(" ".join(name_words(name))))
+    }
+    kinds = [places.pop(kind) for kind in ("type",) if kind in places]
+    rows = next((rows for rows in (3, 6) if places.keys() == {*map(str, range(rows**2))}), 0)
+    columns = [places[str(i * (rows + 1))] for i in range(3)] + kinds if rows else []
+    return columns if all(any(word_of(cell).strip("0.") for cell in head.cells(name)) for name in columns) else []

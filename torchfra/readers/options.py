@@ -24,7 +24,8 @@ class ReadOptions:
     """Names of columns, and how their cells are written; None where the file is to tell."""
 
     time: str | None = None
-    """Column of the times; its numbers are then seconds even where they are not since 1970."""
+    """Column of the times, whose numbers are then seconds even where they are not since 1970; or several, with commas
+    between, as of a date and a time of the day."""
     x: str | None = None
     y: str | None = None
     z: str | None = None
@@ -93,9 +94,9 @@ class ReadOptions:
         return replace(self, **{word: full.get(name, name) for word, name in named.items()})
 
     def named(self, names: Collection[str]) -> set[str]:
-        """The columns that are named, out of these where an id of several is one of them as it stands."""
-        asked, several = {*self.columns().values()}, self.id or ""
-        return asked if not several or several in names else asked - {several} | {*several.split(",")}
+        """The columns that are named, out of these where an id or a time of several is one of them as it stands."""
+        asked, several = {*self.columns().values()}, {name for name in (self.id, self.time) if name} - {*names}
+        return asked - several | {part for name in several for part in name.split(",")}
 
     def _check(self, name: str, known: tuple[str, ...]) -> None:
         value = getattr(self, name)

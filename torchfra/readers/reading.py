@@ -18,7 +18,7 @@ from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import check_metres, check_unit, possible
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of, with_id
+from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of, with_joined
 
 _ENOUGH = 25
 """Heights that are all the same from which on they are no third dimension."""
@@ -65,7 +65,7 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
     """
     chosen = _Choice(read_options(words), name)
     with naming(name):
-        return _recordings(table_of(with_id(sheet, chosen.options), chosen, max_bytes), chosen, None, name)
+        return _recordings(table_of(with_joined(sheet, chosen.options), chosen, max_bytes), chosen, None, name)
 
 
 class SheetReader:

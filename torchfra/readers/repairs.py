@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
-from torchfra.readers.noises import axes_of_ellipses
 from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
 from torchfra.readers.spelling import MARKS
 from torchfra.readers.tables import Table
@@ -141,7 +140,7 @@ class _Columns:
         self.height = np.where(self.no_height, np.nan, self.height)
         self.update = column("update")
         noise = [table.column(name) for name in layout.noise]
-        self.noise = axes_of_ellipses(noise) if layout.ellipse else noise
+        self.noise = layout.per_axis(noise)
         self.marked = column("visible") == 0
         for role in MARKS[1:]:
             self.marked |= column(role) == 1
@@ -160,7 +159,9 @@ class _Columns:
             return index if mask.all() else index[mask]
 
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
-        self.time[index] = self.clock.going_on(self.time[index])
+        time = self.clock.going_on(self.time[index])
+        repairs["times carried on where the count begins anew"] = int((time != self.time[index]).sum())
+        self.time[index] = time
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")

@@ -74,7 +74,7 @@ NAMES = {
 """By what they hold, the best first; in small letters without marks, signs, units and such words as "gps" in front."""
 _IN_FRONT = {
     "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coords", "coordinate", "utm",
-    "enu", "pose", "point", "transform", "translation", "header", "record",
+    "enu", "pose", "point", "transform", "translation", "header", "record", "sys", "str",
 }  # fmt: skip
 _BEHIND = {"utm", "enu"}
 OTHER_ZONES = {
@@ -83,6 +83,8 @@ OTHER_ZONES = {
 }  # fmt: skip
 """Zones behind the name of a time, whose offset from UTC changes or is not known."""
 _ZONES_BEHIND = {"utc", "gmt", "zulu", *OTHER_ZONES}
+ANGLE = re.compile(r"deg(?:ree)?s?|m?rad(?:ian)?s?|gon")
+"""A unit of angles, which no length has."""
 OTHER_UNIT = re.compile(
     r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nu]m|[\u00b5\u03bc]m|microns?|micromet(?:er|re)s?|px|pixels?", re.IGNORECASE
 )
@@ -210,7 +212,7 @@ def name_words(name: str) -> list[str]:
     return re.findall(r"[^\W_]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
 
 
-_PLAIN_LETTERS = str.maketrans({"\u03bc": "u", "ł": "l", "Ł": "L", "ø": "o", "Ø": "O"})
+_PLAIN_LETTERS = str.maketrans({"°": " deg ", "\u03bc": "u", "ł": "l", "Ł": "L", "ø": "o", "Ø": "O"})
 _KNOWN = {name for names in NAMES.values() for name in names}
 _TIMES = {*NAMES["time"], *NAMES["date"]}
 _COARSE, _LENGTHS = {"minutes", "hours", "days"}, {"km", "dm", "cm", "mm", "mi", "nmi", "yd"}

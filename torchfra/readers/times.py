@@ -81,6 +81,10 @@ _USUAL = re.compile(
 _CLOCK = re.compile(r"[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:[.,][0-9]{1,6})?(?P<half> ?[AaPp][Mm])?")
 _DAY_AND_CLOCK = {"%Y-%m-%dT%H:%M:": "T", "%Y-%m-%d %H:%M:": " "}
 """Forms, up to seconds, that numpy writes ten times as fast as ``strftime``; and what is between day and clock."""
+_DAY, _MOST_OF_A_YEAR = 86_400.0, 300 * 86_400.0
+_PARTS_OF_DATES = {"d": "day", "m": "month", "y": "year"}
+NEARER = 0.2
+"""How much shorter the ways of time are in the order that days, months and years have than in others."""
 _FOUR_DIGITS = 3 * 10**16
 """Microseconds to 1970 of years that have four digits."""
 _COMMA, _PART = re.compile("(?<=:[0-9]{2}),(?=[0-9])"), re.compile("(?<=%S)[.,]%f")
@@ -191,12 +195,35 @@ def _form_of_dates(texts: list[str], day_first: bool) -> str | None:
     if len(first["a"]) == 4:
         return f"%Y{sign}%m{sign}%d{clock}"
     year = "%Y" if len(first["c"]) == 4 else "%y"
-    if day_first or sign == "." or any(int(one["a"]) > 12 for one in found):
-        return f"%d{sign}%m{sign}{year}{clock}"
-    if any(int(one["b"]) > 12 for one in found):
-        return f"%m{sign}%d{sign}{year}{clock}"
-    form = f"%d{sign}%m{sign}{year}{clock}"
-    raise ValueError(f"{texts[0]!r} may have the day or the month first: use --time-format '{form}' or the other")
+    a, b, c = (max(int(one[part]) for one in found) for part in "abc")
+    days = {f"%d{sign}%m{sign}{year}{clock}": b <= 12, f"%m{sign}%d{sign}{year}{clock}": a <= 12}
+    years = {f"%y{sign}%m{sign}%d{clock}": b <= 12 and c <= 31} if year == "%y" else {}
+    forms = [] if day_first or sign == "." else [form for form, fits in (days | years).items() if fits]
+    return _nearest([one[0] for one in found], forms) if len(forms) > 1 else (forms or [*days])[0]
+
+
+def _nearest(texts: list[str], forms: list[str]) -> str:
+    """The form by which times go on from text to text, where by others they leap.
+
+    Raises:
+        ValueError: by several they do.
+    """
+
+    def steps(form: str) -> NDArray[np.float64]:
+        try:
+            times = np.array([seconds_of(text, form) for text in texts])
+            return np.asarray(np.abs(np.diff(times, prepend=times[:1])))
+        except ValueError:  # no such day
+            return np.full(len(texts), np.inf)
+
+    every = {form: steps(form) for form in forms}
+    best, other = sorted(forms, key=lambda form: every[form].sum())[:2]
+    # A row a day in one order may be a row a month in the other.
+    sure = np.median(every[best]) < _DAY or np.median(every[other]) > _MOST_OF_A_YEAR
+    if sure and every[best].sum() < NEARER * every[other].sum():
+        return best
+    firsts = " or ".join(f"the {_PARTS_OF_DATES[form[1]]}" for form in forms)
+    raise ValueError(f"{texts[0]!r} may have {firsts} first: use --time-format {' or '.join(map(repr, forms))}")
 
 
 def seconds_of(text: str, form: str) -> float:

@@ -1,0 +1,84 @@
+"""Points as data bases write them in one cell: WKB in hexadecimal digits, and WKT, perhaps with a grid (SRID)."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+_HEX = re.compile(r"(?:\\x)?(?P<digits>0[01](?:[0-9A-Fa-f]{2}){20,36})")
+_NUMBER = r"[+-]?[0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]+)?"
+_WKT = re.compile(
+    rf"(?:SRID=(?P<srid>[0-9]+);)?\s*POINT\s*(?P<kind>Z|M|ZM)?\s*\(\s*(?P<numbers>{_NUMBER}(?:\s+{_NUMBER}){{1,3}})\s*\)",
+    re.IGNORECASE,
+)
+_POINT, _Z, _M, _SRID, _ISO = 1, 0x80000000, 0x40000000, 0x20000000, 1000
+"""The type of a point, what PostGIS adds to it for heights, measures and a grid, and what ISO adds per kind."""
+_IN_DEGREES = {4326, 4258, 4269, 4979}
+"""Grids of longitudes and latitudes: of GPS, Europe and North America."""
+_STRETCHED = {3857, 900913, 3785}
+"""Grids of maps in the web, whose metres grow with the latitude."""
+_FINEST = 1e-4
+"""Degrees, of which positions without a grid have some more digits; most lie off 0, 0."""
+
+
+class Point(NamedTuple):
+    """A point of a cell."""
+
+    numbers: tuple[float, ...]
+    """East or longitude, north or latitude, and perhaps the height."""
+    srid: int
+    """Number of its grid; 0 where there is none."""
+
+
+def point_of(text: str) -> Point | None:
+    """The point of a cell; None where the cell is something else.
+
+    Source: OGC 06-103r4, Simple Feature Access; PostGIS for EWKB.
+    """
+    text = text.strip()
+    if match := _WKT.fullmatch(text):
+        numbers = tuple(map(float, match["numbers"].split()))
+        return Point(numbers[:2] if (match["kind"] or "").upper() == "M" else numbers[:3], int(match["srid"] or 0))
+    return _decoded(bytes.fromhex(match["digits"])) if (match := _HEX.fullmatch(text)) else None
+
+
+def _decoded(data: bytes) -> Point | None:
+    """A point of WKB, of which PostGIS marks heights and grids by bits, and ISO by thousands."""
+    order = "<" if data[0] else ">"
+    (kind,) = struct.unpack_from(f"{order}I", data, 1)
+    (srid,), start = struct.unpack_from(f"{order}I", data, 5) if kind & _SRID else (0,), 9 if kind & _SRID else 5
+    thousands, base = divmod(kind & ~(_Z | _M | _SRID), _ISO)
+    count = (len(data) - start) // 8
+    height, measure = bool(kind & _Z) or thousands in (1, 3), bool(kind & _M) or thousands in (2, 3)
+    if base != _POINT or thousands > 3 or len(data) != start + 8 * (2 + height + measure):
+        return None
+    return Point(struct.unpack_from(f"{order}{count}d", data, start)[: 2 + height], srid)
+
+
+def axes_of(points: Sequence[Point]) -> tuple[str, ...]:
+    """What the numbers of points are called; () where their grids differ, or some have heights and others not.
+
+    Raises:
+        ValueError: their grid has no metres.
+    """
+    if points and points[0].srid in _STRETCHED:
+        raise ValueError(
+            f"expected degrees or metres, received points of SRID {points[0].srid}, whose metres grow with the "
+            "latitude: convert them, such as by ST_Transform(geom, 4326)"
+        )
+    if not points or len({(point.srid, len(point.numbers)) for point in points}) > 1:
+        return ()
+    degrees = points[0].srid in _IN_DEGREES or (not points[0].srid and _look_like_degrees(points))
+    names = ("longitude", "latitude", "altitude") if degrees else ("x", "y", "z")
+    return names[: len(points[0].numbers)]
+
+
+def _look_like_degrees(points: Sequence[Point]) -> bool:
+    """Whether all are within the earth's, most have more digits than metres need, and they are not about 0, 0."""
+    places = [point.numbers[:2] for point in points]
+    if any(abs(x) > 180 or abs(y) > 90 for x, y in places) or max(max(map(abs, place)) for place in places) < 1:
+        return False
+    fine = sum(any(abs(value / _FINEST - round(value / _FINEST)) > 1e-6 for value in place) for place in places)
+    return 2 * fine > len(places)
