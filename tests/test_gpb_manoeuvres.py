@@ -67,7 +67,7 @@ def test_with_none_a_target_moves_as_it_is_stated_to_and_outliers_are_still_foun
     z = z.clone()
     z[:, 20] += 300
     e = gpb("none")(z[:, :30], PRIOR)
-    assert e.info.regimes.shape[-1] == 1
+    assert e.info.probabilities.shape[-1] == 1
     assert (e.info.outlier[:, 20] > 0.99).all()
 
 

@@ -141,7 +141,7 @@ def same(estimate, r, tolerance=1e-9):
     info = estimate.info
     for name, a in (
         ("mean", info.filtered.mean), ("P", info.filtered.covariance), ("settled_mean", info.lagged.mean),
-        ("settled_P", info.lagged.covariance), ("regimes", info.regimes), ("outlier", info.outlier),
+        ("settled_P", info.lagged.covariance), ("regimes", info.probabilities), ("outlier", info.outlier),
         ("log_likelihood", estimate.log_likelihood), ("nis", estimate.nis),
     ):  # fmt: skip
         b = tensor(r[name])

@@ -145,7 +145,7 @@ def test_gpb_of_two_targets_is_that_of_plain_loops():
     ]
     truth = joint_models.follow(z.numpy(), targets, PD=0.9, density=2.0 / VOLUME, gate=15.0, diffuse=False)
     estimate = f(z, prior)
-    same(estimate, estimate.info.inner.regimes, truth)
+    same(estimate, estimate.info.inner.probabilities, truth)
 
 
 @each

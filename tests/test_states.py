@@ -183,7 +183,7 @@ def test_a_bias_beside_a_target_leaves_its_motion_as_it_is_also_where_that_follo
     wide = Gaussian(torch.zeros(8).double(), torch.eye(8).double())
     with torch.no_grad():
         alone, both = (
-            presets.imm_srckf(models, Position(0.5), stay=0.9)(z, given)
+            presets.imm_srckf(models, Position(0.5), self_transition=0.9)(z, given)
             for models, given in ((bank, prior), (beside, wide))
         )
     torch.testing.assert_close(both.mean[..., :6], alone.mean)

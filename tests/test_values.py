@@ -48,7 +48,7 @@ def test_what_is_given_wins_over_the_set():
     f = presets.fra(*models(), values="bearings", robust=torchfra.robust.Huber(0.7))
     assert f.robust.threshold().item() == pytest.approx(0.7)
     turns = scenarios.adsb_turns()
-    f = presets.vsimm_srckf(turns.bank, turns.sensor, values="turns", stay=0.9)
+    f = presets.vsimm_srckf(turns.bank, turns.sensor, values="turns", self_transition=0.9)
     assert f.transition()[0, 0].item() == pytest.approx(0.9)
 
 

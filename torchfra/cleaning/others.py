@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
-from torchfra.filters import GPB, Filter, GPBInfo
+from torchfra.filters import GPB, Filter
 from torchfra.filters.records import SmoothInfo
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantVelocity
@@ -89,10 +89,9 @@ def outlier_of(estimate: Estimate) -> Tensor:
 def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
     """Names of what the filter weighs at each step, and its probabilities ``(..., T, R)``; none of a single motion."""
     info = estimate.info
-    weights = info.probabilities if isinstance(info, SmoothInfo) else None
-    if weights is None:
-        info = info.filtered.info if isinstance(info, SmoothInfo) else info
-        weights = info.regimes if isinstance(info, GPBInfo) else getattr(info, "probabilities", None)
+    weights = getattr(info, "probabilities", None)
+    if weights is None and isinstance(info, SmoothInfo):
+        weights = getattr(info.filtered.info, "probabilities", None)
     motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
     if isinstance(f, GPB) and weights is not None:
         first, *others = motions
