@@ -16,9 +16,9 @@ from torchfra.comparison.comparison import FORMS, Comparison, bound_of, table_fo
 from torchfra.evaluation import (
     BASELINE,
     check_limit,
-    flight,
     headline,
     leaders,
+    mapped_run,
     measure,
     not_finite,
     recordings_table,
@@ -52,7 +52,7 @@ WORTHWHILE = 100_000
 def add_to(command: argparse.ArgumentParser) -> None:
     """Adds what the command is about, its options and its work to its parser."""
     command.description = (
-        "Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
+        "Run many tracks through several filters: one table, and one figure with a run on a map, the\n"
         "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
         "those of a scenario, or recorded together with ranges from anchors.\n\n"
         f"{FILES}\n\n{RANGES}"
@@ -91,7 +91,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     )
     best = f"the first of them, {BASELINE} and the best others"
     add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
-    add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
+    add("--map-run", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
     add_output_options(command)
     command.set_defaults(run=run)
 
@@ -152,10 +152,10 @@ def _shown(
     options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
 ) -> list[str] | None:
     """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
-    if options.flight is not None and not 0 <= options.flight < runs:
-        raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
-    if options.flight is not None and scenario.motion.dims < 2:
-        raise ValueError(f"flight: expected positions in two dimensions or more, received {scenario.name}")
+    if options.map_run is not None and not 0 <= options.map_run < runs:
+        raise ValueError(f"map-run: expected the number of a run, 0 to {runs - 1}, received {options.map_run}")
+    if options.map_run is not None and scenario.motion.dims < 2:
+        raise ValueError(f"map-run: expected positions in two dimensions or more, received {scenario.name}")
     if options.show is None:
         return None
     names = [name for name in dict.fromkeys(options.show.split(",")) if name]
@@ -211,7 +211,7 @@ def _draw(
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     errors = [comparison.metrics[name].errors() for name in shown[:2]]
     limit = next(iter(results.values()))["limit"]
-    mapped = flight(scenario, on_map, errors, options.seed, options.flight)
+    mapped = mapped_run(scenario, on_map, errors, options.seed, options.map_run)
     plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)
     if not options.quiet:
         print(f"figure: {printable(str(options.figure))}")

@@ -25,7 +25,7 @@ _VISIBLE = 1 / 30
 """Share of a map that an error takes up when it can be seen."""
 
 
-class Flight(NamedTuple):
+class MappedRun(NamedTuple):
     """A part of one run in the horizontal plane, m; ``N`` targets, ``T`` steps, ``J`` measurements of a step."""
 
     number: int
@@ -44,9 +44,9 @@ class Flight(NamedTuple):
     """``(N, T, 2)`` by name of the filter."""
 
 
-def flight(
+def mapped_run(
     scenario: Scenario, filters: Mapping[str, Filter], rmse: Sequence[Tensor], seed: int, number: int | None = None
-) -> Flight | None:
+) -> MappedRun | None:
     """A run of a scenario through filters, as a map shows it.
 
     Where errors would be too small to be seen on the whole run, it is the part around the measurement that is furthest
@@ -77,7 +77,7 @@ def flight(
     paths = {name: path[:, part] for name, path in paths.items()}
     name = scenario.recordings[number] if scenario.recordings else f"run {number}"
     places, outlying = fixes(scenario, tracks)[0, part, :, :2], off[part] > OUTLYING
-    return Flight(number, name, time[part], truth[:, part], places, outlying, paths)
+    return MappedRun(number, name, time[part], truth[:, part], places, outlying, paths)
 
 
 def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:
