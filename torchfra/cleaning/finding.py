@@ -41,7 +41,7 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
     """
     before = [part.levels for part in parts]
     for _ in range(_ROUNDS):
-        known = [two_filters(part.scaled, part.levels, part.model.of_any_offset) for part in parts]
+        known = [two_filters(part.scaled, part.levels, part.model.independent_offsets) for part in parts]
         if find_q:
             parts = [_with_shares(part, of, owner) for part, of in zip(parts, known, strict=True)]
         parts = [_with_transition(part, of, owner) for part, of in zip(parts, known, strict=True)]
@@ -74,8 +74,9 @@ def _with_shares(part: Part, known: Smoothed, owner: Tensor) -> Part:
 def _with_transition(part: Part, known: Smoothed, owner: Tensor) -> Part:
     """With the probabilities of an outlier after an inlier and after an outlier that smoothing has found."""
     both = ~(part.fixes.missing[1:] | part.fixes.missing[:-1])
-    begins, lasts = _rates(known.outlier[1:], known.outlier[:-1], both, owner, (DEFAULT.begins, DEFAULT.lasts))
-    return part._replace(model=part.model._replace(begins=begins, lasts=lasts))
+    usual = DEFAULT.after_inlier, DEFAULT.after_outlier
+    after_inlier, after_outlier = _rates(known.outlier[1:], known.outlier[:-1], both, owner, usual)
+    return part._replace(model=part.model._replace(after_inlier=after_inlier, after_outlier=after_outlier))
 
 
 def _with_evidence(parts: Sequence[Part], known: Sequence[Smoothed], owner: Tensor) -> list[Part]:
@@ -84,15 +85,19 @@ def _with_evidence(parts: Sequence[Part], known: Sequence[Smoothed], owner: Tens
         return list(parts)
     both, found = ~(parts[0].fixes.missing | parts[1].fixes.missing), []
     for part, own, other in zip(parts, known, reversed(known), strict=True):
-        alone, beside = _rates(own.outlier, other.outlier, both, owner, (DEFAULT.alone, DEFAULT.beside))
-        found.append(part._replace(model=part.model._replace(alone=alone, beside=beside)))
-    odds = [
-        _log_mean_with_one(of.evidence, part.model.beside) - _log_mean_with_one(of.evidence, part.model.alone)
+        usual = DEFAULT.beside_inlier, DEFAULT.beside_outlier
+        beside_inlier, beside_outlier = _rates(own.outlier, other.outlier, both, owner, usual)
+        found.append(
+            part._replace(model=part.model._replace(beside_inlier=beside_inlier, beside_outlier=beside_outlier))
+        )
+    log_odds = [
+        _log_mean_with_one(of.evidence, part.model.beside_outlier)
+        - _log_mean_with_one(of.evidence, part.model.beside_inlier)
         for of, part in zip(known, found, strict=True)
     ]
     return [
-        part._replace(fixes=part.fixes._replace(odds=of_other))
-        for part, of_other in zip(found, reversed(odds), strict=True)
+        part._replace(fixes=part.fixes._replace(log_odds=of_other))
+        for part, of_other in zip(found, reversed(log_odds), strict=True)
     ]
 
 
@@ -119,7 +124,9 @@ def _rates(
 def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], Tensor]:
     """What is known of each part, from all fixes or those before; and ``(T, B)`` probabilities of outliers."""
     if not smooth:  # what other axes say of an outlier, and how likely one is, is of all fixes
-        parts = [part._replace(fixes=part.fixes._replace(odds=torch.zeros_like(part.fixes.odds))) for part in parts]
+        parts = [
+            part._replace(fixes=part.fixes._replace(log_odds=torch.zeros_like(part.fixes.log_odds))) for part in parts
+        ]
         parts = [part.on_line for part in parts]
         known = [filtered(part.scaled, part.levels, part.model) for part in parts]
         return known, _outlier(parts, known)
@@ -137,7 +144,7 @@ def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
     if not len(rows):
         return known
     some = part.at(rows)
-    fixes = some.fixes._replace(odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
+    fixes = some.fixes._replace(log_odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
     position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], known.belief[:2], strict=True))
     return known._replace(belief=known.belief._replace(position=position, velocity=velocity))
@@ -145,13 +152,13 @@ def _near_fixes(part: Part, known: Smoothed, outlier: Tensor) -> Smoothed:
 
 def _outlier(parts: Sequence[Part], known: Sequence[Smoothed]) -> Tensor:
     """Probabilities ``(T, B)`` that fixes are outliers, in position or height; 0 where there is none."""
-    odds, missing = known[0].predictions.prior_outlier.logit() + known[0].evidence, parts[0].fixes.missing
+    log_odds, missing = known[0].predictions.prior_outlier.logit() + known[0].evidence, parts[0].fixes.missing
     if len(parts) == 2:
         model, height = parts[1].model, known[1].evidence
-        alone = torch.zeros_like(height) + model.alone
-        either = torch.logaddexp(odds + _log_mean_with_one(height, model.beside), alone.log() + height)
-        odds = torch.where(parts[1].fixes.missing, odds, either - torch.log1p(-alone))
-    return torch.where(missing, 0.0, odds.sigmoid())
+        alone = torch.zeros_like(height) + model.beside_inlier
+        either = torch.logaddexp(log_odds + _log_mean_with_one(height, model.beside_outlier), alone.log() + height)
+        log_odds = torch.where(parts[1].fixes.missing, log_odds, either - torch.log1p(-alone))
+    return torch.where(missing, 0.0, log_odds.sigmoid())
 
 
 def _log_mean_with_one(log_factor: Tensor, share: Tensor | float) -> Tensor:

@@ -41,7 +41,9 @@ class Part(NamedTuple):
     @property
     def on_line(self) -> Part:
         """With outliers as likely as before any fix was seen."""
-        return self._replace(model=DEFAULT._replace(reach=self.model.reach, same_offset=self.model.same_offset))
+        return self._replace(
+            model=DEFAULT._replace(least_offset=self.model.least_offset, same_offset=self.model.same_offset)
+        )
 
     @property
     def scaled(self) -> Fixes:

@@ -147,7 +147,9 @@ def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor, steady: Tensor) 
     usual = USUAL * torch.minimum(hardest * period.square() / 4, fastest * period)
     rare = period > _ANYWHERE
     offset = torch.where(rare, 0.0, torch.zeros_like(period) + DEFAULT.same_offset)
-    return DEFAULT._replace(reach=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset)
+    return DEFAULT._replace(
+        least_offset=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset
+    )
 
 
 def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:
@@ -157,11 +159,11 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
     first = torch.tensor([next(b for b, row in enumerate(rows) if row.track == of.track) for of in every])
     more = []
     for (axes, *_), part in zip(_AXES, parts, strict=False):
-        fixes, odds = _fixes(z, gap, std, axes), [np.zeros(len(steps.time)) for steps in tracks]
+        fixes, log_odds = _fixes(z, gap, std, axes), [np.zeros(len(steps.time)) for steps in tracks]
         for track, steps in enumerate(tracks):
-            odds[track][steps.measured] = _whole(part.fixes.odds, rows, track)
+            log_odds[track][steps.measured] = _whole(part.fixes.log_odds, rows, track)
         for b, row in enumerate(every):
-            fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
+            fixes.log_odds[: len(row.chosen), b] = torch.from_numpy(log_odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
         sigma, least, lowest, stops = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))

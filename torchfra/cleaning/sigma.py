@@ -50,7 +50,7 @@ _OVER_CIRCLES, _STRETCHES = 1.3, 20
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
     tried = _largest_sigma(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    likely = likeliest_sigma(fixes, levels, owner, tried, model.of_any_offset)
+    likely = likeliest_sigma(fixes, levels, owner, tried, model.independent_offsets)
     return likely.minimum(_most_by_circles(fixes, owner))
 
 
@@ -59,7 +59,8 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
     tried = part.sigma * factors.unsqueeze(1)
     alone, usual = (
-        likeliest_sigma(part.fixes, part.levels, owner, tried, of) for of in (part.model.of_any_offset, part.model)
+        likeliest_sigma(part.fixes, part.levels, owner, tried, of)
+        for of in (part.model.independent_offsets, part.model)
     )
     return alone.maximum(usual).minimum(_most_by_circles(part.fixes, owner))
 
@@ -115,11 +116,11 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
     several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
     slow = (part.fixes.period > LONGEST) & (part.levels.walk == 0).all(0)
     if slow.any():
-        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.reach), part.fixes.period))
+        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.least_offset), part.fixes.period))
         asked.append(slow)
     fits, least = [], []
     for levels, rows in zip(several, asked, strict=True):
-        log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.of_any_offset)
+        log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.independent_offsets)
         fits.append(log_likelihood.where(rows, -torch.inf))  # what is tried of some tracks changes no others
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
@@ -149,7 +150,7 @@ def _likelihoods(
         """Values ``(..., B)`` for each of the standard deviations, ``(..., G B)``."""
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
-    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
+    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.log_odds))
     rows = model.of_rows(lambda x: repeated(x[chosen]))
     every = steps(tried, Levels(*(repeated(x[:, chosen]) for x in levels)), rows)
     log_likelihood, outlier = (
