@@ -184,10 +184,10 @@ def test_a_table_says_for_how_long_fixes_have_been_wrong_and_how_far_they_are_of
     raw[5], outlier[5] = np.nan, 0.0  # a step between fixes
     table = columns(replace(of, outlier=outlier, raw=raw, row=row))
     nan = np.nan
-    np.testing.assert_allclose(table["wrong_for"], [nan, nan, nan, 0, 2, 4, 6, nan, nan, 0, nan, nan])
-    np.testing.assert_allclose(table["off"], np.linalg.norm(raw - of.position, axis=1))
+    np.testing.assert_allclose(table["outlier_duration"], [nan, nan, nan, 0, 2, 4, 6, nan, nan, 0, nan, nan])
+    np.testing.assert_allclose(table["residual"], np.linalg.norm(raw - of.position, axis=1))
 
 
 def test_a_table_of_a_filter_that_knows_no_outliers_says_nothing_of_them():
     of = straight(5)
-    assert np.isnan(columns(replace(of, outlier=np.full(5, np.nan)))["wrong_for"]).all()
+    assert np.isnan(columns(replace(of, outlier=np.full(5, np.nan)))["outlier_duration"]).all()

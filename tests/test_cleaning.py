@@ -73,10 +73,10 @@ def test_the_noise_is_found_and_said(cleaned):
     for one in cleaned[1]:
         assert one.found.sigma == pytest.approx(SIGMA, rel=0.1)
         assert one.found.nis == pytest.approx(1.0, abs=0.3)
-        assert one.found.found == {"sigma", "q", "bank"}
+        assert one.found.estimated == {"sigma", "q", "bank"}
         assert one.found.bank == "aircraft"
-        assert one.found.said[0].startswith("Kind of target: aircraft, by its speed of 1")
-        assert len(one.found.said) == one.raw.shape[1] - 1  # of the height, where there is one
+        assert one.found.notes[0].startswith("Kind of target: aircraft, by its speed of 1")
+        assert len(one.found.notes) == one.raw.shape[1] - 1  # of the height, where there is one
 
 
 def test_a_result_prints_as_one_line(cleaned):
@@ -115,7 +115,7 @@ def test_a_turn_is_a_manoeuvre_with_a_segment(cleaned):
 def test_what_is_told_is_taken():
     recording, _, _ = recorded(5, steps=40)
     (one,) = clean_tracks([recording], sigma=7.0, q=0.5, bank="vehicle")
-    assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
+    assert (one.found.sigma, one.found.bank, one.found.estimated) == (7.0, "vehicle", frozenset())
 
 
 @track
@@ -382,7 +382,7 @@ def test_other_filters_run_with_what_was_found(name):
         assert not one.failed.any()
         assert one.mean.shape == (30, 2 * one.raw.shape[1])
         assert one.found.smooth == (name != "alphabeta")
-    assert ("not smoothed" in " ".join(one.found.said)) == (name == "alphabeta")
+    assert ("not smoothed" in " ".join(one.found.notes)) == (name == "alphabeta")
 
 
 @pytest.mark.slow
@@ -498,7 +498,7 @@ def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_it
     assert one.found.sigma == pytest.approx(5.5, rel=0.1)
     assert np.linalg.norm(one.position, axis=1).mean() < 0.7 * np.linalg.norm(one.raw, axis=1).mean()
     assert 0.5 < one.found.nis < 1.2
-    assert not one.found.doubt
+    assert not one.found.sigma_unsure
     assert not one.segments
 
 
@@ -509,9 +509,9 @@ def test_what_fixes_hardly_tell_of_sigma_is_said():
         return Recording("ship", time, position, None, {}, source=Source(word="ship"))
 
     few, enough = [ship(3, 10.0)], [ship(60, dt) for dt in (900.0, 5.0)]
-    assert clean_tracks(few)[0].found.doubt == "3 fixes tell little of sigma"
-    assert clean_tracks(few, sigma=5.0)[0].found.doubt == ""
-    assert [one.found.doubt for one in clean_tracks(enough)] == ["", ""]
+    assert clean_tracks(few)[0].found.sigma_unsure == "3 fixes are too few to estimate sigma"
+    assert clean_tracks(few, sigma=5.0)[0].found.sigma_unsure == ""
+    assert [one.found.sigma_unsure for one in clean_tracks(enough)] == ["", ""]
 
 
 def laps():
@@ -544,7 +544,7 @@ def a_gull_every_five_minutes():
 
 def test_a_gull_every_five_minutes_hardly_tells_sigma(results):
     _, one = results["a_gull_every_five_minutes"]
-    assert one.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+    assert one.found.sigma_unsure == "Fixes 5 min apart hardly distinguish noise from motion: sigma is unsure"
 
 
 @track

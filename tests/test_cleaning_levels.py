@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel
-from torchfra.cleaning.finding import estimated, fitted
+from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import Part
 from torchfra.cleaning.process_noise import levels_up_to
 from torchfra.cleaning.two_filters import filtered, two_filters

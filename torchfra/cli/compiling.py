@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from torchfra.cleaning.others import Fallback
+from torchfra.cleaning.catalogue_filters import Fallback
 from torchfra.evaluation.compiling import brief
 from torchfra.types import CompileError
 

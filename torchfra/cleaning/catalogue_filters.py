@@ -1,4 +1,4 @@
-"""Filters of the catalogue on recorded tracks, with what they say of each step in the words of cleaning."""
+"""Filters of the catalogue on recorded tracks: their estimates, and probabilities of outliers and regimes."""
 
 from __future__ import annotations
 
@@ -47,34 +47,34 @@ def estimated(
     f: Filter, name: str, tracks: Sequence[Steps], sigma: Tensor, *, smooth: bool, compile: bool = False,
     fallback: Fallback | None = None,
 ) -> Estimate:  # fmt: skip
-    """What a filter says of tracks as one batch.
+    """Estimates of a filter for tracks as one batch.
 
     Raises:
         CompileError: it cannot be compiled, and there is no ``fallback``.
     """
     z, gaps, std = padded(tracks)
     n, d = f.motion.size, z.shape[-1]
-    start = torch.nan_to_num(z[:, 0])
-    mean = torch.cat([start, start.new_zeros(len(z), n - d)], -1)
+    first = torch.nan_to_num(z[:, 0])
+    mean = torch.cat([first, first.new_zeros(len(z), n - d)], -1)
     spread = torch.tensor([1.0, 300.0, 5.0], dtype=z.dtype).repeat_interleave(d)[:n]
     root = torch.cat([10 * sigma.unsqueeze(-1).expand(-1, d), torch.ones_like(mean[:, d:])], -1) * spread
     own = None if bool((std == 1).all()) else std * sigma[:, None, None]
-    given = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
+    arguments = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
     run = f.smooth if smooth else f
     with torch.no_grad():
         if not compile:
-            return run(**given)  # type: ignore[arg-type]
+            return run(**arguments)  # type: ignore[arg-type]
         try:
             from torchfra.compiler.llvm import binding  # only where it is needed
 
             binding()
             g = copy.copy(f).compile()
-            return (g.smooth if smooth else g)(**given)  # type: ignore[arg-type]
+            return (g.smooth if smooth else g)(**arguments)  # type: ignore[arg-type]
         except (CompileError, NotImplementedError) as error:
             if fallback is None:
                 raise
             fallback(name, str(error))
-        return run(**given)  # type: ignore[arg-type]
+        return run(**arguments)  # type: ignore[arg-type]
 
 
 def outlier_of(estimate: Estimate) -> Tensor:
@@ -87,7 +87,7 @@ def outlier_of(estimate: Estimate) -> Tensor:
 
 
 def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
-    """Names of what the filter weighs at each step, and its probabilities ``(..., T, R)``; none of a single motion."""
+    """Names of the regimes or models of a filter, and their probabilities ``(..., T, R)``; none of a single motion."""
     info = estimate.info
     weights = getattr(info, "probabilities", None)
     if weights is None and isinstance(info, SmoothInfo):
@@ -102,7 +102,7 @@ def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
 
 
 def _calm_first(f: GPB, weights: Tensor) -> Tensor:
-    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above, others, jumps.
+    """Sums of regimes ``(..., R)``: the first motion up to its stated process noise, above it, other motions, jumps.
 
     A climb is calm but for the vertical noise, which is the stated one.
     """
