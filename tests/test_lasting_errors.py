@@ -74,7 +74,7 @@ def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_s
 
 def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
     recording, _ = voyage(0, 6.0, 15.0, count=250)
-    bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
+    bank = Bank([ConstantVelocity(0.1, continuous=True, orders=3), ConstantVelocity(1.0, continuous=True, orders=3)])
     (line,) = said(*clean_tracks([recording], filter="srckf", bank=bank))
     assert line.startswith(SEEN)
 

@@ -24,8 +24,8 @@ def tensor(*x):
 
 LAST, FOLLOWS = tensor(3.0, 50.0, 0.01), torch.stack([tensor(0.0, 0.3, 0.7), tensor(1, 0, 0), tensor(0.5, 0.5, 0)])
 G = generator(LAST, FOLLOWS)
-BANK = [ConstantVelocity(0.1, orders=3, spectral=True), CoordinatedTurn(0.1, 1.0, orders=3),
-        ConstantVelocity(4.0, orders=3, spectral=True)]  # fmt: skip
+BANK = [ConstantVelocity(0.1, orders=3, continuous=True), CoordinatedTurn(0.1, 1.0, orders=3),
+        ConstantVelocity(4.0, orders=3, continuous=True)]  # fmt: skip
 SENSOR = Position(3.0)
 PRIOR = Gaussian(torch.zeros(6, dtype=torch.float64), torch.diag(tensor(10, 10, 10, 10, 1, 1)))
 LEVELS = {"durations": (1000.0, 60.0, 5.0, 90.0, 130.0, 0.7)}
@@ -116,7 +116,7 @@ def test_each_track_may_have_its_own_models_after_one_that_ends():
     partial(presets.vsimm_srckf, durations=LAST, neighbours=[[1], [2], [0]], first=[0, 1, 2]),
 ], ids=["even", "matrix", "subset"])  # fmt: skip
 def test_rows_without_a_measurement_do_not_change_what_a_chain_says(make):
-    (z, dt), f = measured(), make([ConstantVelocity(1.0, spectral=True)] * 3, SENSOR)
+    (z, dt), f = measured(), make([ConstantVelocity(1.0, continuous=True)] * 3, SENSOR)
     prior = Gaussian(PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
     if "initial" in f._modules and f.initial is not None:
         f.initial.set(tensor(0.7, 0.2, 0.1))
@@ -166,7 +166,7 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
 
 def test_rows_without_a_measurement_change_no_estimate_of_gpb_where_the_motion_holds():
     z, dt = measured()
-    f = presets.gpb(ConstantVelocity(1.0, spectral=True), SENSOR, manoeuvres="none", durations=(50.0, 50.0), **WRONG)
+    f = presets.gpb(ConstantVelocity(1.0, continuous=True), SENSOR, manoeuvres="none", durations=(50.0, 50.0), **WRONG)
     prior = Gaussian(PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
     one, four = (f(*x[:1], prior, dt=x[1]) for x in ((z, dt), in_parts(z, dt, 4)))
     for a, b in ((four.mean, one.mean), (four.info.outlier, one.info.outlier)):

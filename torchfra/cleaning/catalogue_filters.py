@@ -38,9 +38,9 @@ def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank
         options |= {"max_gap": LONGEST_GAP, "period": period}
     if bank is not None and bank.dims != d:
         raise ValueError(f"bank: expected motions in {d} dimensions, received {bank.dims}")
-    motion = ConstantVelocity(q, d, orders=3, spectral=True)
+    motion = ConstantVelocity(q, d, orders=3, continuous=True)
     sensor = Position(sigma.unsqueeze(-1).expand(-1, d), dims=d)
-    return make_filter(name, motion, sensor, bank or aircraft(q, d, spectral=True), **options)
+    return make_filter(name, motion, sensor, bank or aircraft(q, d, continuous=True), **options)
 
 
 def estimated(

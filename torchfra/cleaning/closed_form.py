@@ -367,7 +367,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
         restart=levels.log_restart.exp().T,
     )  # fmt: skip
     bank = Bank([
-        ConstantVelocity(q, dims, spectral=True) if not walk.any() else _Walking(q, walk, dims)
+        ConstantVelocity(q, dims, continuous=True) if not walk.any() else _Walking(q, walk, dims)
         for q, walk in zip(levels.q, levels.walk, strict=True)
     ])  # fmt: skip
     sensor = Position(sigma.unsqueeze(-1).expand(-1, dims), dims=dims)
@@ -379,7 +379,7 @@ class _Walking(ConstantVelocity):
     """Constant velocity with white acceleration noise, and a random walk of the position."""
 
     def __init__(self, q: Tensor, walk: Tensor, dims: int) -> None:
-        super().__init__(q, dims, spectral=True)
+        super().__init__(q, dims, continuous=True)
         self.register_buffer("walk", walk)
 
     def process_noise(self, dt: Tensor) -> Tensor:

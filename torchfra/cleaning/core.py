@@ -301,7 +301,7 @@ def _by_filter(
             for x in ([every[i].sigma for i in chosen], [every[i].q for i in chosen], [period_of(x) for x in part])
         )
         name, smooth = every[0].filter, every[0].smooth
-        f = make(name, d, sigma, q, period, own or BANKS[bank](q, d, spectral=True))
+        f = make(name, d, sigma, q, period, own or BANKS[bank](q, d, continuous=True))
         smooths, notes = _smooths(f, smooth)
         estimate = estimated(f, name, part, sigma, smooth=smooths, compile=compile, fallback=fallback)
         names, regimes = regimes_of(f, estimate)
