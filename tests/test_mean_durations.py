@@ -156,10 +156,10 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
     regimes = regimes._replace(
         seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])), first=first
     )
-    qualities = oracle.Qualities(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
+    modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
                                  (15.0, 2.5), dt)  # fmt: skip
     prior, models = gpb_oracle.PRIOR, [gpb_oracle.carried(m, dt) for m in bank]
-    r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, qualities,
+    r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, modes,
                    options["prior_outlier"], options["prior_inflation"])  # fmt: skip
     gpb_oracle.same(f(torch.from_numpy(case.z), prior, dt=torch.from_numpy(dt)), r)
 
