@@ -189,7 +189,7 @@ def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_pat
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [
         "recorded-ranges: 2 of 2 recordings, up to 60 steps",
-        "srckf: 0.10 m, no run lost; best of the others: rsrckf, 0.01 m", f"1: {walks}/a", f"2: {walks}/b"
+        "srckf: 0.10 m, no run diverged; best of the others: rsrckf, 0.01 m", f"1: {walks}/a", f"2: {walks}/b"
     ]  # fmt: skip
     (line,) = (line.split() for line in lines if line.startswith("srckf "))
     assert line[1:4] == [f"{x:.2f}" for x in (*error["srckf"], sum(error["srckf"]) / 2)]

@@ -86,7 +86,7 @@ def test_rows_are_sorted_by_the_median_with_the_best_on_top():
 def test_lost_runs_are_counted_beside_their_filter_and_leave_the_axis_where_errors_can_be_read():
     results = {"good": result(20.0), "lost": result(25.0, diverged=3), "nan": result(float("nan"), diverged=8)}
     axes = panels(plotting.comparison(results, list(results), 1.0, LIMIT, ""))["runs"]
-    assert texts(axes) == ["8 lost", "3 lost"]
+    assert texts(axes) == ["8 diverged", "3 diverged"]
     low, high = axes.get_xlim()
     assert 5 < low < 10
     assert high < 3 * LIMIT

@@ -70,7 +70,7 @@ def drawn(motion: Motion, sensor: Sensor, spread: Tensor, dt: float, steps: int)
     z = sensor(truth)
     z = z + sensor.measurement_noise(z).std * torch.randn(z.shape, generator=generator, dtype=torch.float64)
     prior = Gaussian(torch.zeros_like(spread), spread.diag())
-    return scenarios.given(Tracks(truth[None], z[None], None, prior), motion, sensor, dt=dt)
+    return scenarios.of_tracks(Tracks(truth[None], z[None], None, prior), motion, sensor, dt=dt)
 
 
 class Inertial(Motion):

@@ -82,8 +82,8 @@ def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: floa
         axes.plot([least, most], [row, row], color=colour, linewidth=6, alpha=0.45, solid_capstyle="butt")
         axes.plot(worst, row, marker="|" if values[row, 3] <= high else ">", color=colour, markersize=6, clip_on=False)
         axes.plot(median, row, "o", color=colour, markersize=5, clip_on=False)
-        if lost := results[name]["diverged"]:
-            axes.annotate(f"{lost} lost", (1.0, row), (6, 0), xycoords=("axes fraction", "data"),
+        if diverged := results[name]["diverged"]:
+            axes.annotate(f"{diverged} diverged", (1.0, row), (6, 0), xycoords=("axes fraction", "data"),
                           textcoords="offset points", va="center", fontsize=SIZE, color="black")  # fmt: skip
     if low < limit < high:
         axes.axvline(limit, color="black", linestyle=":", linewidth=1)
@@ -91,7 +91,7 @@ def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: floa
     for label, name in zip(axes.get_yticklabels(), names, strict=True):
         label.set(color=colours.get(name, "black"), fontweight="bold" if name in colours else "normal")
     axes.set(xscale="log", xlim=(low, high), ylim=(-0.6, len(names) - 0.4), xlabel="RMSE of the position in a run, m")
-    axes.set_title(f"all runs: median, 5 to 95 %, worst; lost: over {limit:g} m", fontsize=10)
+    axes.set_title(f"all runs: median, 5 to 95 %, worst; diverged: over {limit:g} m", fontsize=10)
     axes.tick_params(axis="y", length=0)
     plain_ticks(axes.xaxis)
     axes.grid(axis="x", alpha=0.25)
