@@ -211,6 +211,6 @@ def test_a_run_is_taken_as_arguments_and_factors(tmp_path):
     learned = {"inner.motion.models.0.q": 3.0, "transition[0,0]": 0.9, "transition[0,1]": 0.1, "unlikely": 0.2}
     result = {"config": config, "values": {"start": start, "learned": learned}, "versions": {}}
     (tmp_path / "results.json").write_text(json.dumps(result))
-    record = measured.taken(tmp_path)
+    record = measured.set_of(tmp_path)
     assert record["factors"] == {"motion.models.0.q": 1.5}
     assert record["arguments"] == {"transition": [[0.9, 0.1]], "unlikely": 0.2}

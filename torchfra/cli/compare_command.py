@@ -44,13 +44,13 @@ _EXAMPLES = """examples:
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
 MOST_SHOWN, MOST_ON_MAP = 5, 3
-"""Filters whose errors are drawn over time, and estimates on the map."""
+"""Largest numbers of filters whose errors are drawn over time, and whose estimates are on the map."""
 WORTHWHILE = 100_000
-"""Steps of all runs together from which compiling takes no longer than it saves."""
+"""Steps of all runs together from which compiling saves time."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
-    """Adds what the command is about, its options and its work to its parser."""
+    """Adds the description, the options and the function of the command to its parser."""
     command.description = (
         "Run many tracks through several filters: one table, and one figure with a run on a map, the\n"
         "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
@@ -168,12 +168,12 @@ def _shown(
 def _write(
     options: argparse.Namespace, comparison: Comparison, filters: Mapping[str, Filter], shown: Sequence[str] | None
 ) -> None:
-    """Prints the results, and writes the files that are asked for."""
+    """Prints the results, and writes the requested files."""
     scenario, results, failures = comparison.scenario, comparison.results, Failures()
     title = _title(scenario, comparison.runs, options.seed)
     if not options.quiet:
         numbers = recordings_table(results, scenario) if scenario.recordings else table(results, every=options.all)
-        print(f"{title}\n{headline(results, comparison.runs)}\n{numbers}", flush=True)  # whatever becomes of the files
+        print(f"{title}\n{headline(results, comparison.runs)}\n{numbers}", flush=True)  # before a file can fail
         if _for_paper(options):
             print(f"\n{_TWO_TABLES}\n\n{comparison}", flush=True)
     if options.json is not None:
@@ -198,7 +198,7 @@ _TWO_TABLES = (
 
 
 def _for_paper(options: argparse.Namespace) -> bool:
-    """Whether intervals, tests and the bound are asked for."""
+    """Whether the user wants intervals, tests and the bound."""
     return options.table is not None or options.printed is not None
 
 
@@ -218,7 +218,7 @@ def _draw(
 
 
 def _title(scenario: Scenario, runs: int, seed: int) -> str:
-    """What was tracked, and how often."""
+    """The scenario, with its numbers of runs and steps."""
     if scenario.recordings:
         return f"{scenario.name}: {runs} of {len(scenario.recordings)} recordings, up to {scenario.steps} steps"
     settings = ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))
