@@ -40,13 +40,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from lists import check_list
 from recorded_bench import autoferry
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
-from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_json_option, check_files, exit_status, make_parser
 from torchfra.motion import Bank, ConstantVelocity
 from torchfra.running.versions import write_results
 from torchfra.sensors import Position

@@ -162,7 +162,10 @@ def test_a_loss_is_a_power_of_the_ratios_to_what_is_allowed_within_bounds(traini
 
 @pytest.mark.usefixtures("short_tracks")
 def test_rivals_have_the_same_runs_as_the_filters(training):
-    for cases, runs in ((training.cases, training.config.batch), (training.validation_cases, training.config.validation_runs)):
+    for cases, runs in (
+        (training.cases, training.config.batch),
+        (training.validation_cases, training.config.validation_runs),
+    ):
         assert all(len(batch.z) == runs * len(tasks) for tasks, batch in cases.groups)
     rival = training.best_rival(
         0, held_out=True, runs=training.config.validation_runs, seed=training.config.validation_seed
