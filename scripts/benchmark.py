@@ -34,10 +34,11 @@ from benchmarks.scaling import draw, scaling
 from benchmarks.timing import Row, table
 from benchmarks.tracks import positions, step, tracks
 from benchmarks.training import training
+from lists import check_list
 
 from torchfra import keep_memory
 from torchfra.catalogue import SCENARIOS, track_filters
-from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_json_option, check_files, exit_status, make_parser
 from torchfra.running.versions import write_results
 
 BEARINGS = [name for name in SCENARIOS if name.startswith("bearings")]

@@ -18,6 +18,7 @@ from functools import partial
 from typing import Any
 
 import torch
+from lists import check_list
 from regrets.cells import Cell, all_cells, chosen_cells
 
 import torchfra
@@ -43,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     def run() -> None:
         options = p.parse_args(arguments)
         if options.filters is not None:
-            command.check_list(p, "filters", options.filters, FILTERS)
+            check_list(p, "filters", options.filters, FILTERS)
         bounds(options)
 
     return command.exit_status("bounds", run)

@@ -45,9 +45,10 @@ from cleaning.bounds import bounds_table, cases_table, table, verdicts
 from cleaning.figures import Counts, add, figures
 from cleaning.measured import GHOSTS, Case, Measured, measured
 from cleaning.truths import HARDER, KINDS, truths
+from lists import numbers_in
 
 from torchfra.cleaning import Cleaned
-from torchfra.cli.command import Failures, add_output_options, check_files, exit_status, make_parser, numbers_in
+from torchfra.cli.command import Failures, add_output_options, check_files, exit_status, make_parser
 from torchfra.readers.recording import Recording
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results

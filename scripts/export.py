@@ -19,10 +19,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
+from lists import check_list
 from torch import Tensor
 
 from torchfra.catalogue import SCENARIOS, scenario_filter, track_filters
-from torchfra.cli.command import IncompleteError, check_folder, check_list, exit_status, make_parser
+from torchfra.cli.command import IncompleteError, check_folder, exit_status, make_parser
 from torchfra.compiler.export import export
 from torchfra.filters import Filter
 from torchfra.running.atomic_write import write_text

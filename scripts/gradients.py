@@ -30,6 +30,7 @@ from typing import Any
 
 import torch
 from learned.lorenz import DT, Setting, Tracks, models, simulate
+from lists import check_list, numbers_in
 from matplotlib.figure import Figure
 from torch import Tensor
 from torch.autograd.graph import saved_tensors_hooks
@@ -83,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def run() -> None:
         options = p.parse_args(arguments)
-        command.check_list(p, "filters", options.filters, names.split(","))
+        check_list(p, "filters", options.filters, names.split(","))
         gradients(options)
 
     return command.exit_status("gradients", run)
@@ -96,7 +97,7 @@ def gradients(options: argparse.Namespace) -> None:
         ValueError: steps that are no whole numbers above 0, or fewer than 2 runs.
     """
     command.check_files({"json": options.json, "figure": options.figure})
-    steps = command.numbers_in("steps", options.steps)
+    steps = numbers_in("steps", options.steps)
     if any(number % 1 for number in steps):
         raise ValueError(f"steps: expected whole numbers, received {options.steps!r}")
     command.check_least(options, runs=2)

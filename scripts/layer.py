@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lists import check_list
 from torch import nn
 
 from torchfra import losses, presets
-from torchfra.cli.command import add_output_options, check_files, check_least, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_least, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results

@@ -25,6 +25,7 @@ import torch
 from learned.gaussian_sum import followed
 from learned.kalmannet import KalmanNet, trained
 from learned.lorenz import DT, SETTINGS, Setting, Tracks, models, simulate
+from lists import check_list, numbers_in
 
 import torchfra
 from torchfra.catalogue import make_filter, track_filters
@@ -64,9 +65,9 @@ def main(arguments: list[str] | None = None) -> int:
 
     def run() -> None:
         options = p.parse_args(arguments)
-        command.check_list(p, "settings", options.settings, SETTINGS)
-        command.check_list(p, "filters", options.filters, track_filters())
-        command.check_list(p, "fit", options.fit, ["", *track_filters()])
+        check_list(p, "settings", options.settings, SETTINGS)
+        check_list(p, "filters", options.filters, track_filters())
+        check_list(p, "fit", options.fit, ["", *track_filters()])
         compare(options)
 
     return command.exit_status("lorenz", run)
@@ -79,7 +80,7 @@ def compare(options: argparse.Namespace) -> None:
         ValueError: variances that are no numbers above 0, fewer than 1 run or 0 iterations.
     """
     command.check_files({"json": options.json})
-    variances = command.numbers_in("variances", options.variances)
+    variances = numbers_in("variances", options.variances)
     command.check_least(options, runs=1, network=0)
     cells = [
         (name, variance)

@@ -25,10 +25,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow
+from lists import numbers_in
 from pyarrow import dataset, parquet
 
 from torchfra.cleaning.many import summed
-from torchfra.cli.command import add_json_option, check_files, check_least, exit_status, make_parser, numbers_in
+from torchfra.cli.command import add_json_option, check_files, check_least, exit_status, make_parser
 from torchfra.running.jobs import add_jobs_option
 from torchfra.running.versions import write_results
 from torchfra.tables import text_table

@@ -33,11 +33,12 @@ from typing import Any, NamedTuple
 import torch
 from learned import lidar, radar
 from learned.okf import OKF, AnyNoise, Model, Tracks, mse, optimised, prior, sampled, squared
+from lists import check_list
 from torch import Tensor
 
 import torchfra
 from torchfra import presets
-from torchfra.cli.command import add_output_options, check_files, check_least, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, check_files, check_least, exit_status, make_parser
 from torchfra.fitting import Batch
 from torchfra.motion import ConstantVelocity, UnknownTurn
 from torchfra.running.progress import progress_bar

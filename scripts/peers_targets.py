@@ -40,13 +40,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from lists import check_list
 from recorded_bench import autoferry
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
-from torchfra.cli.command import add_json_option, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_json_option, check_files, exit_status, make_parser
 from torchfra.motion import Bank, ConstantVelocity
 from torchfra.running.versions import write_results
 from torchfra.sensors import Position
@@ -182,7 +183,7 @@ def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
     """Truth ``(R, N, T, 4)``, NaN where a target is not there, and scans ``(R, T, J, 2)``."""
     rng = np.random.default_rng(options.seed)
     runs, count, steps = options.runs, options.targets, options.scans
-    motion, dt = ConstantVelocity(Q, spectral=True), torch.tensor(1.0, dtype=torch.float64)
+    motion, dt = ConstantVelocity(Q, continuous=True), torch.tensor(1.0, dtype=torch.float64)
     matrix, root = motion.transition(dt).numpy(), motion.process_noise(dt).numpy()
     place = rng.uniform(0, SIDE, (runs, count, 2))
     state = np.concatenate([place, SPEED * rng.standard_normal((runs, count, 2))], -1)
@@ -217,10 +218,10 @@ def simulated(options: argparse.Namespace) -> tuple[Tensor, Tensor]:
 def tracker(name: str, options: argparse.Namespace) -> Targets:
     """Torchfra's manager around a filter."""
     sensor, false = Position(STD), Clutter(SIDE**2, rate=float(options.clutter))
-    motion: Any = ConstantVelocity(Q, spectral=True)
+    motion: Any = ConstantVelocity(Q, continuous=True)
     inner: Callable[..., Any] = getattr(presets, name)
     if name == "imm":
-        motion = Bank([motion, ConstantVelocity(16 * Q, spectral=True)])
+        motion = Bank([motion, ConstantVelocity(16 * Q, continuous=True)])
     joint = presets.jpda(motion, sensor, inner=inner, clutter=false, detection=DETECTION, gate=ChiSquare(GATE))
     birth, confirmation = BIRTHS[options.birth], CONFIRMATIONS[options.confirmation]
     return Targets(

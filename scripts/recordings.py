@@ -31,11 +31,12 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from lists import check_list
 from recorded_bench import autoferry, nclt, smartloc, uwb
 from recorded_bench.tracks import Figures, Followed, followed, judged, picture
 
 from torchfra.catalogue import track_filters
-from torchfra.cli.command import Failures, add_output_options, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import Failures, add_output_options, check_files, exit_status, make_parser
 from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.evaluation.compiling import compiled
 from torchfra.filters import Filter

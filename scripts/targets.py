@@ -22,12 +22,13 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 import torch
+from lists import check_list
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchfra import metrics, presets, readers, scenarios
 from torchfra.association import ChiSquare, Clutter
-from torchfra.cli.command import add_output_options, add_runs_options, check_files, check_list, exit_status, make_parser
+from torchfra.cli.command import add_output_options, add_runs_options, check_files, exit_status, make_parser
 from torchfra.motion import ConstantVelocity
 from torchfra.plotting import save
 from torchfra.readers import Recording, resample

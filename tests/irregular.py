@@ -6,7 +6,7 @@ from torchfra.motion import ConstantVelocity
 from torchfra.types import Gaussian
 
 F64 = {"dtype": torch.float64}
-MOTION = ConstantVelocity(0.3, spectral=True)
+MOTION = ConstantVelocity(0.3, continuous=True)
 PRIOR = Gaussian(torch.tensor([1.0, -2, 3, 4], **F64), torch.tensor([5.0, 6, 2, 1], **F64).diag())
 DT = torch.tensor([0.5, 1, 3, 1, 0.2, 8, 1, 1, 2, 1], **F64)
 

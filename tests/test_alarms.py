@@ -46,15 +46,15 @@ def test_alarms_are_those_of_loops_over_steps_and_blocks(make, chain):
     options = {name: x for name, x in options.items() if not name.startswith("outlier_transition")} | chain
     f = presets.gpb(motion, case.sensor, **options)
     estimate = f(torch.as_tensor(case.z), PRIOR, dt=torch.as_tensor(DT))
-    qualities = oracle.Qualities(
+    modes = oracle.OutlierModes(
         case.blocks, np.array(chain.get("outlier_transition", np.eye(2))), cases.VALUES["outlier_sizes"],
         cases.VALUES["outlier_shares"], chain.get("outlier_durations"), DT,
     )  # fmt: skip
     r = oracle.gpb(
         case.z, PRIOR.mean.numpy(), PRIOR.covariance.numpy(), [cases.carried(motion, DT)], case.model, of_oracle,
-        qualities, 0.3, 50.0,
+        modes, 0.3, 50.0,
     )  # fmt: skip
-    expected = oracle.alarms(r, case.z, case.model, case.blocks, DT, qualities)
+    expected = oracle.alarms(r, case.z, case.model, case.blocks, DT, modes)
     for name, values in expected.items():
         close(getattr(estimate.info.alarm, name), values)
     assert expected["duration"][11, 0] == DT[5:12].sum()  # the fault was seen, from its first step on
@@ -184,10 +184,10 @@ def test_a_table_says_for_how_long_fixes_have_been_wrong_and_how_far_they_are_of
     raw[5], outlier[5] = np.nan, 0.0  # a step between fixes
     table = columns(replace(of, outlier=outlier, raw=raw, row=row))
     nan = np.nan
-    np.testing.assert_allclose(table["wrong_for"], [nan, nan, nan, 0, 2, 4, 6, nan, nan, 0, nan, nan])
-    np.testing.assert_allclose(table["off"], np.linalg.norm(raw - of.position, axis=1))
+    np.testing.assert_allclose(table["outlier_duration"], [nan, nan, nan, 0, 2, 4, 6, nan, nan, 0, nan, nan])
+    np.testing.assert_allclose(table["residual"], np.linalg.norm(raw - of.position, axis=1))
 
 
 def test_a_table_of_a_filter_that_knows_no_outliers_says_nothing_of_them():
     of = straight(5)
-    assert np.isnan(columns(replace(of, outlier=np.full(5, np.nan)))["wrong_for"]).all()
+    assert np.isnan(columns(replace(of, outlier=np.full(5, np.nan)))["outlier_duration"]).all()

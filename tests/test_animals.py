@@ -118,9 +118,9 @@ def test_where_fixes_do_not_tell_noise_from_motion_the_path_is_no_farther_off_th
 
 def test_it_is_said_where_a_far_lower_sigma_is_as_likely(hardly_told):
     one = hardly_told[100.0, 4][1][0]
-    assert one.found.doubt == "Fixes 4 h apart hardly tell noise from motion: sigma is unsure"
+    assert one.found.sigma_unsure == "Fixes 4 h apart hardly distinguish noise from motion: sigma is unsure"
     (one,) = clean_tracks([one.recording], sigma=100.0)
-    assert not one.found.doubt
+    assert not one.found.sigma_unsure
 
 
 def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():

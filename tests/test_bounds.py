@@ -69,7 +69,7 @@ def test_steps_without_a_measurement_add_nothing():
     tracks = scenario.simulate(2)
     z = torch.where(torch.arange(30).view(1, -1, 1) % 3 == 0, torch.nan, tracks.z)
     estimate = presets.srckf(scenario.motion, scenario.sensor)(z, tracks.prior)
-    given = scenarios.given(tracks._replace(z=z), scenario.motion, scenario.sensor)
+    given = scenarios.of_tracks(tracks._replace(z=z), scenario.motion, scenario.sensor)
     torch.testing.assert_close(
         bound(replace(given, law=scenario.law), runs=2).covariance, estimate.covariance[0], rtol=1e-10, atol=1e-10
     )

@@ -73,10 +73,10 @@ def test_the_noise_is_found_and_said(cleaned):
     for one in cleaned[1]:
         assert one.found.sigma == pytest.approx(SIGMA, rel=0.1)
         assert one.found.nis == pytest.approx(1.0, abs=0.3)
-        assert one.found.found == {"sigma", "q", "bank"}
+        assert one.found.estimated == {"sigma", "q", "bank"}
         assert one.found.bank == "aircraft"
-        assert one.found.said[0].startswith("Kind of target: aircraft, by its speed of 1")
-        assert len(one.found.said) == one.raw.shape[1] - 1  # of the height, where there is one
+        assert one.found.notes[0].startswith("Kind of target: aircraft, by its speed of 1")
+        assert len(one.found.notes) == one.raw.shape[1] - 1  # of the height, where there is one
 
 
 def test_a_result_prints_as_one_line(cleaned):
@@ -115,7 +115,7 @@ def test_a_turn_is_a_manoeuvre_with_a_segment(cleaned):
 def test_what_is_told_is_taken():
     recording, _, _ = recorded(5, steps=40)
     (one,) = clean_tracks([recording], sigma=7.0, q=0.5, bank="vehicle")
-    assert (one.found.sigma, one.found.bank, one.found.found) == (7.0, "vehicle", frozenset())
+    assert (one.found.sigma, one.found.bank, one.found.estimated) == (7.0, "vehicle", frozenset())
 
 
 @track
@@ -382,7 +382,7 @@ def test_other_filters_run_with_what_was_found(name):
         assert not one.failed.any()
         assert one.mean.shape == (30, 2 * one.raw.shape[1])
         assert one.found.smooth == (name != "alphabeta")
-    assert ("not smoothed" in " ".join(one.found.said)) == (name == "alphabeta")
+    assert ("not smoothed" in " ".join(one.found.notes)) == (name == "alphabeta")
 
 
 @pytest.mark.slow
@@ -395,7 +395,7 @@ def test_compiled_a_track_is_cleaned_alike():
 
 def test_a_bank_of_your_own_is_used_as_it_is():
     recording, _, _ = recorded(15, steps=60, outliers=0.0)
-    bank = Bank([ConstantVelocity(0.1, spectral=True), CoordinatedTurn(0.035, 0.1, spectral=True)])
+    bank = Bank([ConstantVelocity(0.1, continuous=True), CoordinatedTurn(0.035, 0.1, continuous=True)])
     (one,) = clean_tracks([recording], bank=bank, sigma=SIGMA, smooth=False)
     assert one.found.bank == "own"
     assert any("turn +2" in name for name in one.regimes)
@@ -498,7 +498,7 @@ def test_a_moored_ship_that_is_heard_every_three_minutes_is_known_better_than_it
     assert one.found.sigma == pytest.approx(5.5, rel=0.1)
     assert np.linalg.norm(one.position, axis=1).mean() < 0.7 * np.linalg.norm(one.raw, axis=1).mean()
     assert 0.5 < one.found.nis < 1.2
-    assert not one.found.doubt
+    assert not one.found.sigma_unsure
     assert not one.segments
 
 
@@ -509,9 +509,9 @@ def test_what_fixes_hardly_tell_of_sigma_is_said():
         return Recording("ship", time, position, None, {}, source=Source(word="ship"))
 
     few, enough = [ship(3, 10.0)], [ship(60, dt) for dt in (900.0, 5.0)]
-    assert clean_tracks(few)[0].found.doubt == "3 fixes tell little of sigma"
-    assert clean_tracks(few, sigma=5.0)[0].found.doubt == ""
-    assert [one.found.doubt for one in clean_tracks(enough)] == ["", ""]
+    assert clean_tracks(few)[0].found.sigma_unsure == "3 fixes are too few to estimate sigma"
+    assert clean_tracks(few, sigma=5.0)[0].found.sigma_unsure == ""
+    assert [one.found.sigma_unsure for one in clean_tracks(enough)] == ["", ""]
 
 
 def laps():
@@ -544,7 +544,7 @@ def a_gull_every_five_minutes():
 
 def test_a_gull_every_five_minutes_hardly_tells_sigma(results):
     _, one = results["a_gull_every_five_minutes"]
-    assert one.found.doubt == "Fixes 5 min apart hardly tell noise from motion: sigma is unsure"
+    assert one.found.sigma_unsure == "Fixes 5 min apart hardly distinguish noise from motion: sigma is unsure"
 
 
 @track
@@ -789,7 +789,7 @@ def test_a_bank_of_ones_own_is_calm_while_its_stated_process_noise_holds():
     velocity = np.array([100.0, 20.0]) + np.cumsum(0.3 * rng.standard_normal((80, 2)), 0)
     path = np.cumsum(velocity, 0)
     recording = Recording("drifting", 1.7e9 + np.arange(80.0), path + 5 * rng.standard_normal(path.shape), None, {})
-    bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), CoordinatedTurn(0.2, q=0.1, orders=3)])
+    bank = Bank([ConstantVelocity(0.1, continuous=True, orders=3), CoordinatedTurn(0.2, q=0.1, orders=3)])
     (of,) = clean_tracks([recording], bank=bank, sigma=5.0, smooth=False)
     assert len(of.regimes) == of.regime.shape[1] == 4
     assert of.manoeuvre[10:].mean() < 0.1

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel
-from torchfra.cleaning.finding import estimated, fitted
+from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import Part
 from torchfra.cleaning.process_noise import levels_up_to
 from torchfra.cleaning.two_filters import filtered, two_filters
 
-SURE = OutlierModel(begins=1e-300, lasts=1e-300)
+SURE = OutlierModel(after_inlier=1e-300, after_outlier=1e-300)
 Q, SIGMA = 0.3, 4.0
 
 
@@ -119,8 +119,8 @@ def test_how_likely_outliers_are_after_clean_fixes_and_after_outliers_is_found(b
     clean, after = (~wrong[:-1]).sum(), wrong[:-1].sum()
     begun, lasted = (wrong[1:] & ~wrong[:-1]).sum(), (wrong[1:] & wrong[:-1]).sum()
     expected = (4.5 + begun) / (300 + clean), (10.5 + lasted) / (30 + after)
-    assert found.model.begins[0].item() == pytest.approx(expected[0], rel=0.1, abs=0.005)
-    assert found.model.lasts[0].item() == pytest.approx(expected[1], rel=0.1, abs=0.05)
+    assert found.model.after_inlier[0].item() == pytest.approx(expected[0], rel=0.1, abs=0.005)
+    assert found.model.after_outlier[0].item() == pytest.approx(expected[1], rel=0.1, abs=0.05)
 
 
 def test_a_fix_is_an_outlier_where_its_position_or_its_height_is_one():
@@ -131,7 +131,7 @@ def test_a_fix_is_an_outlier_where_its_position_or_its_height_is_one():
         off = rng.choice([0.0, 2.0, 4.0, 8.0, 15.0], (steps, 1, 1))
         z = SIGMA * (rng.standard_normal((steps, axes, 1)) + off)
         fixes = Fixes(torch.from_numpy(z), gap, gap, torch.zeros_like(gap))
-        model = OutlierModel(alone=alone, beside=beside)
+        model = OutlierModel(beside_inlier=alone, beside_outlier=beside)
         sigma = torch.full((1,), SIGMA, dtype=torch.float64)
         parts.append(Part(fixes, one_level(1), sigma, torch.zeros_like(sigma), sigma, sigma < 0, model))
     parts[1].fixes.z[::7] = torch.nan

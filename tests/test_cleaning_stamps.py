@@ -7,7 +7,7 @@ import pytest
 from cleaning.simulated import ship
 
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning.stamps import earlier, in_place, stamps_are_cut, stamps_are_off
+from torchfra.cleaning.time_stamps import at_truncated_times, moved_along, stamps_are_truncated, stamps_are_wrong
 from torchfra.readers.recording import Recording, Source
 
 TIME = np.arange(0.0, 600.0, 5.0)
@@ -38,13 +38,13 @@ def late():
 
 def test_late_stamps_are_seen_and_noise_and_outliers_are_not(late):
     rng = np.random.default_rng(1)
-    assert stamps_are_off(late, "aircraft")
-    assert not stamps_are_off(flight(path(TIME)), "aircraft")
+    assert stamps_are_wrong(late, "aircraft")
+    assert not stamps_are_wrong(flight(path(TIME)), "aircraft")
     for std in (3.0, 30.0):
         noisy = path(TIME) + std * rng.standard_normal((len(TIME), 2))
-        assert not stamps_are_off(flight(noisy), "aircraft")
+        assert not stamps_are_wrong(flight(noisy), "aircraft")
         noisy[rng.random(len(TIME)) < 0.03] += 3000.0
-        assert not stamps_are_off(flight(noisy), "aircraft")
+        assert not stamps_are_wrong(flight(noisy), "aircraft")
 
 
 def error(position):
@@ -52,7 +52,7 @@ def error(position):
 
 
 def test_fixes_move_along_the_path_to_where_they_belong(late):
-    assert error(in_place(late, "aircraft")[0].position) < 0.75 * error(late.position)
+    assert error(moved_along(late, "aircraft")[0].position) < 0.75 * error(late.position)
 
 
 @pytest.mark.slow
@@ -63,8 +63,8 @@ def test_cleaned_tracks_are_nearer_the_truth_say_so_and_keep_the_fixes_as_record
     assert np.square(speed[0]).mean() < np.square(speed[1]).mean() / 4
     np.testing.assert_array_equal(mended.raw, late.position)
     assert mended.recording is late
-    assert any("Time stamps were off" in line for line in mended.found.said)
-    assert not any("time stamps" in line for line in plain.found.said)
+    assert any("Time stamps were off" in line for line in mended.found.notes)
+    assert not any("time stamps" in line for line in plain.found.notes)
     course = mended.velocity[20] / np.linalg.norm(mended.velocity[20])
     along = course @ mended.covariance[20, :2, :2] @ course
     across = course[::-1] * [-1, 1] @ mended.covariance[20, :2, :2] @ (course[::-1] * [-1, 1])
@@ -74,7 +74,7 @@ def test_cleaned_tracks_are_nearer_the_truth_say_so_and_keep_the_fixes_as_record
 @pytest.mark.slow
 def test_a_filter_on_line_takes_them_as_they_come(late):
     (online,) = clean_tracks([late], smooth=False)
-    assert not any("time stamps" in line for line in online.found.said)
+    assert not any("time stamps" in line for line in online.found.notes)
 
 
 # ---------------------------------------------------------------- ships, and all else that moves
@@ -124,13 +124,13 @@ def test_fixes_of_a_ship_with_wrong_stamps_are_no_outliers(sailed):
 
 def test_a_fix_beside_the_path_is_an_outlier_where_stamps_are_off_too(sailed):
     _, _, mended, _ = sailed
-    assert any("Time stamps were off" in line for line in mended[2].found.said)
+    assert any("Time stamps were off" in line for line in mended[2].found.notes)
     assert (mended[2].flag[BESIDE[0]] == "outlier").all()
 
 
 def test_fixes_may_be_missing_where_stamps_are_off(sailed):
     _, truth, mended, _ = sailed
-    assert any("Time stamps were off" in line for line in mended[3].found.said)
+    assert any("Time stamps were off" in line for line in mended[3].found.notes)
     assert np.isnan(mended[3].raw[100:103]).all()
     assert np.linalg.norm(mended[3].position - truth, axis=1)[100:103].max() < 20.0
 
@@ -142,7 +142,7 @@ def test_a_bus_that_stops_and_goes_has_right_stamps():
         along = np.cumsum(speed)[::period]
         noise = std * np.random.default_rng(0).standard_normal((len(along), 2))
         fixes = np.stack([along, 0 * along], 1) + noise
-        assert not stamps_are_off(Recording("bus", period * np.arange(len(along)) * 1.0, fixes, None, {}), "vehicle")
+        assert not stamps_are_wrong(Recording("bus", period * np.arange(len(along)) * 1.0, fixes, None, {}), "vehicle")
 
 
 # ---------------------------------------------------------------- times that are cut to whole seconds
@@ -179,7 +179,7 @@ def test_bands_hold_where_times_are_cut(reports):
     held = [np.abs(one.position - truth) < one.std for one, truth in zip(done, truths, strict=True)]
     assert 0.6 < np.mean(held) < 0.9
     assert all(
-        "Times are taken as cut to whole seconds, not as rounded (--no-repair)" in " ".join(one.found.said)
+        "Times are taken as truncated to whole seconds, not as rounded (--no-repair)" in " ".join(one.found.notes)
         for one in done
     )
 
@@ -194,20 +194,20 @@ def test_path_and_fixes_are_half_a_second_apart_where_times_are_cut(reports, pla
 
 
 def test_distances_are_from_where_the_target_was_when_each_fix_was_made(plain):
-    np.testing.assert_allclose(earlier(plain).off, plain.off, rtol=1e-9)
+    np.testing.assert_allclose(at_truncated_times(plain).residual, plain.residual, rtol=1e-9)
 
 
 def test_cut_times_are_seen_of_any_target():
-    assert stamps_are_cut(reported(1.0, word="target")[0])
+    assert stamps_are_truncated(reported(1.0, word="target")[0])
 
 
 def test_times_with_fractions_regular_times_and_positions_that_are_where_they_should_be_are_not_cut():
     recording, truth = reported(1.0)
     rng = np.random.default_rng(3)
-    assert not stamps_are_cut(replace(recording, time=recording.time + 0.25))
-    assert not stamps_are_cut(voyage(0.2)[0])
-    assert not stamps_are_cut(replace(recording, position=truth + 1.0 * rng.standard_normal(truth.shape)))
+    assert not stamps_are_truncated(replace(recording, time=recording.time + 0.25))
+    assert not stamps_are_truncated(voyage(0.2)[0])
+    assert not stamps_are_truncated(replace(recording, position=truth + 1.0 * rng.standard_normal(truth.shape)))
 
 
-def test_where_noise_hides_whether_times_are_cut_they_are_taken_as_they_are():
-    assert not stamps_are_cut(reported(8.0)[0])
+def test_where_noise_hides_whether_times_are_truncated_they_are_taken_as_they_are():
+    assert not stamps_are_truncated(reported(8.0)[0])

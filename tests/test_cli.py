@@ -142,7 +142,7 @@ def test_compare_draws_the_filters_and_the_flight_that_it_is_told(tmp_path, monk
     monkeypatch.setattr(plotting, "comparison", comparison)
     arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "ukf,rmckf,srckf,mr_ckf,rsrckf", "--quiet"]
     out = ["--runs", "4", "--figure", str(tmp_path / "f.png")]
-    assert cli.main([*arguments, *out, "--show", "rsrckf,ukf,mr_ckf,rmckf", "--flight", "2"]) == 0
+    assert cli.main([*arguments, *out, "--show", "rsrckf,ukf,mr_ckf,rmckf", "--map-run", "2"]) == 0
     assert cli.main([*arguments, *out]) == 0
     (names, shown, mapped, number), (_, by_itself, _, _) = drawn
     assert names == ["ukf", "rmckf", "srckf", "mr_ckf", "rsrckf"]
@@ -189,7 +189,7 @@ def test_compare_runs_recorded_ranges_and_shows_the_error_on_each(walks, tmp_pat
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [
         "recorded-ranges: 2 of 2 recordings, up to 60 steps",
-        "srckf: 0.10 m, no run lost; best of the others: rsrckf, 0.01 m", f"1: {walks}/a", f"2: {walks}/b"
+        "srckf: 0.10 m, no run diverged; best of the others: rsrckf, 0.01 m", f"1: {walks}/a", f"2: {walks}/b"
     ]  # fmt: skip
     (line,) = (line.split() for line in lines if line.startswith("srckf "))
     assert line[1:4] == [f"{x:.2f}" for x in (*error["srckf"], sum(error["srckf"]) / 2)]
@@ -263,8 +263,8 @@ def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options
             "show: expected 1 to 5 of ukf, fra, received ukf,srckf\n",
         ),
         (
-            ["compare", "--scenario", "growth", "--runs", "9", "--flight", "9"],
-            "flight: expected the number of a run, 0 to 8, received 9\n",
+            ["compare", "--scenario", "growth", "--runs", "9", "--map-run", "9"],
+            "map-run: expected the number of a run, 0 to 8, received 9\n",
         ),
         (["compare", "--scenario", "growth", "--limit", "-1"], "limit: expected metres above 0, received -1.0\n"),
         (

@@ -308,9 +308,9 @@ def test_without_a_home_a_temporary_one_is_made(monkeypatch):
 
 
 def test_an_option_that_does_nothing_with_a_scenario_is_refused(capsys):
-    arguments = ["compare", "--scenario", "growth", "--runs", "3", "--flight", "1"]
+    arguments = ["compare", "--scenario", "growth", "--runs", "3", "--map-run", "1"]
     assert cli.main(arguments) == 2
-    assert "flight: expected positions in two dimensions or more, received growth\n" in capsys.readouterr().err
+    assert "map-run: expected positions in two dimensions or more, received growth\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["figure", "print"])

@@ -153,7 +153,7 @@ def test_what_cannot_be_compared_is_refused():
     with pytest.raises(ValueError, match="filters: expected filters by name with Tracks"):
         torchfra.compare(["srckf"], SCENARIO.simulate(2))
     with pytest.raises(ValueError, match=r"tracks: expected truth \(B, T, n\)"):
-        torchfra.scenarios.given(SCENARIO.simulate(2)._replace(z=torch.zeros(2)), SCENARIO.motion, SCENARIO.sensor)
+        torchfra.scenarios.of_tracks(SCENARIO.simulate(2)._replace(z=torch.zeros(2)), SCENARIO.motion, SCENARIO.sensor)
 
 
 # ---------------------------------------------------------------- divergence
@@ -231,7 +231,7 @@ import torchfra
 
 def walks():
     like = torchfra.scenarios.bearings_outliers()
-    return torchfra.scenarios.given(like.simulate(2), like.motion, like.sensor)
+    return torchfra.scenarios.of_tracks(like.simulate(2), like.motion, like.sensor)
 """)
     assert cli.main(["compare", "--scenario", "walks.py:walks", "--filters", "srckf", "--figure", "f.png"]) == 0
     assert "1: track 1\n2: track 2\n" in capsys.readouterr().out

@@ -132,7 +132,7 @@ def test_size_and_duration_are_learned_from_measurements_alone():
     for _ in range(80):
         error = keeps * error + 4 * math.sqrt(1 - keeps**2) * torch.randn(30, 2, generator=rng, **F64)
         z.append(error + torch.randn(30, 2, generator=rng, **F64))
-    still = ConstantVelocity(1e-9, spectral=True)
+    still = ConstantVelocity(1e-9, continuous=True)
     prior = Gaussian(torch.zeros(4, **F64), torch.tensor([1e-3, 1e-3, 1e-5, 1e-5], **F64).diag())
     f = presets.srckf(still, Correlated(Position(2.0), 2.0, 60.0))
     data = {"z": torch.stack(z, 1), "prior": prior}

@@ -15,9 +15,9 @@ from scipy.optimize import least_squares
 from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.cleaning.outputs.colours import APART
-from torchfra.evaluation import evaluate, flight, leaders, measure, results_of
+from torchfra.evaluation import evaluate, leaders, mapped_run, measure, results_of
 from torchfra.evaluation.fixes import deviations, fixes
-from torchfra.evaluation.flights import OUTLYING, typical_run
+from torchfra.evaluation.mapped_run import OUTLYING, typical_run
 from torchfra.plotting.labels import spread_apart
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded
@@ -39,7 +39,7 @@ def bearings():
     scenario = make_scenario("bearings-outliers", initial="truth")
     filters = scenario_filters(["srckf", "rmckf", "rsrckf"], scenario)
     metrics = measure(scenario, filters, runs=8)
-    mapped = flight(scenario, filters, [metrics[name].errors() for name in ("srckf", "rmckf")], 0)
+    mapped = mapped_run(scenario, filters, [metrics[name].errors() for name in ("srckf", "rmckf")], 0)
     return scenario, results_of(metrics, filters, scenario, 8), mapped
 
 
@@ -86,7 +86,7 @@ def test_rows_are_sorted_by_the_median_with_the_best_on_top():
 def test_lost_runs_are_counted_beside_their_filter_and_leave_the_axis_where_errors_can_be_read():
     results = {"good": result(20.0), "lost": result(25.0, diverged=3), "nan": result(float("nan"), diverged=8)}
     axes = panels(plotting.comparison(results, list(results), 1.0, LIMIT, ""))["runs"]
-    assert texts(axes) == ["8 lost", "3 lost"]
+    assert texts(axes) == ["8 diverged", "3 diverged"]
     low, high = axes.get_xlim()
     assert 5 < low < 10
     assert high < 3 * LIMIT
@@ -136,7 +136,7 @@ def test_one_run_of_one_filter_makes_a_figure(tmp_path):
     scenario = make_scenario("bearings-outliers")
     filters = scenario_filters(["srckf"], scenario)
     metrics = measure(scenario, filters, runs=1)
-    mapped = flight(scenario, filters, [metrics["srckf"].errors()], 0)
+    mapped = mapped_run(scenario, filters, [metrics["srckf"].errors()], 0)
     assert mapped.number == 0
     figure = plotting.comparison(results_of(metrics, filters, scenario, 1), ["srckf"], 1.0, LIMIT, "one", mapped)
     assert len(panels(figure)["time"].lines) == 1
@@ -145,7 +145,7 @@ def test_one_run_of_one_filter_makes_a_figure(tmp_path):
 def test_where_the_position_has_one_dimension_there_is_no_map():
     scenario = make_scenario("growth")
     filters = scenario_filters(["ukf"], scenario)
-    assert flight(scenario, filters, [], 0, 0) is None
+    assert mapped_run(scenario, filters, [], 0, 0) is None
     figure = plotting.comparison({"ukf": result(5.0)}, ["ukf"], 1.0, LIMIT, "")
     assert panels(figure).keys() == {"runs", "time"}
 
@@ -153,7 +153,7 @@ def test_where_the_position_has_one_dimension_there_is_no_map():
 @pytest.mark.slow
 def test_several_targets_in_clutter_are_on_one_map():
     scenario = make_scenario("clutter-crossing")
-    mapped = flight(scenario, scenario_filters(["ukf_jpda"], scenario), [torch.arange(1.0, 7.0)], 0)
+    mapped = mapped_run(scenario, scenario_filters(["ukf_jpda"], scenario), [torch.arange(1.0, 7.0)], 0)
     steps = len(mapped.time)
     assert mapped.truth.shape == mapped.estimates["ukf_jpda"].shape == (2, steps, 2)
     assert mapped.fixes.shape[:2] == mapped.outlying.shape
@@ -208,7 +208,7 @@ def test_the_typical_run_is_one_of_the_middle_runs():
 
 def test_a_flight_is_the_run_of_that_number(bearings):
     scenario, _, _ = bearings
-    mapped = flight(scenario, scenario_filters(["srckf"], scenario), [], 5, 3)
+    mapped = mapped_run(scenario, scenario_filters(["srckf"], scenario), [], 5, 3)
     tracks = scenario.simulate(4, 5)
     part = slice(int(mapped.time[0]) - 1, int(mapped.time[-1]))
     torch.testing.assert_close(mapped.truth[0], tracks.truth[3, part, :2])

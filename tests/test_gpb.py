@@ -83,7 +83,7 @@ def same(one, other, tolerance=1e-9):
     for a, b in ((one, other), *((getattr(one.info, k), getattr(other.info, k)) for k in ("filtered", "lagged"))):
         close(a.mean, b.mean, tolerance)
         close(a.scale_tril @ a.scale_tril.mT, b.scale_tril @ b.scale_tril.mT, tolerance)
-    for name in ("regimes", "outlier"):
+    for name in ("probabilities", "outlier"):
         close(getattr(one.info, name), getattr(other.info, name), tolerance)
     close(one.nis, other.nis, tolerance)
     close(one.log_likelihood, other.log_likelihood, tolerance)
@@ -131,7 +131,7 @@ def test_without_outliers_and_jumps_a_bank_is_imm_srckf():
     expected = presets.imm_srckf(motions, SENSORS["position"], transition=matrix, initial=initial)(z, PRIOR)
     close(e.mean, expected.mean)
     close(e.covariance, expected.covariance)
-    close(e.info.regimes[..., :3], expected.info.probabilities)
+    close(e.info.probabilities[..., :3], expected.info.probabilities)
     close(e.log_likelihood, expected.log_likelihood)
 
 
@@ -179,9 +179,9 @@ def test_probabilities_are_probabilities(seed, name, spread, outlier, jump):
         "outlier_transition": ((1 - outlier, outlier), (0.6, 0.4)),
     }
     e = presets.gpb(MOTION, SENSORS[name], **options)(z, PRIOR)
-    for of in (e.info.regimes, e.info.outlier):
+    for of in (e.info.probabilities, e.info.outlier):
         assert ((of >= 0) & (of <= 1 + 1e-12)).all()
-    close(e.info.regimes.sum(-1), torch.ones(2, STEPS).double(), 1e-12)
+    close(e.info.probabilities.sum(-1), torch.ones(2, STEPS).double(), 1e-12)
     assert e.info.outlier.shape == (2, STEPS, len(SENSORS[name].blocks))
 
 
@@ -252,7 +252,7 @@ def test_nothing_measured_is_a_prediction_that_jumps_nowhere():
     e, one = f(z, PRIOR), torch.tensor(1.0).double()
     matrix, noise = MOTION.transition(one), MOTION.process_noise(one)
     for k in range(10, STEPS):
-        level = (e.info.regimes[:, k] * tensor([0.1, 30, 30])).sum(-1)[:, None, None]
+        level = (e.info.probabilities[:, k] * tensor([0.1, 30, 30])).sum(-1)[:, None, None]
         close(e.mean[:, k], e.mean[:, k - 1] @ matrix.mT)
         close(e.covariance[:, k], matrix @ e.covariance[:, k - 1] @ matrix.mT + level * noise @ noise.mT)
     assert (e.nis[:, 10:] == 0).all()

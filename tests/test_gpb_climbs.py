@@ -47,18 +47,18 @@ def test_a_climb_is_what_the_oracle_says():
     """Of a motion in the plane, of which the second axis is called vertical."""
     case, motion, vertical = position(), ConstantAcceleration(0.05), (1, 3, 5)
     levels, jumps = (0.1, 1.0, 60.0), [30.0]
-    stay, renew = [0.9, 0.5, 0.6, 0.9, 0.2], [0.4, 0.2, 0.1, 0.1, 0.2]
+    stay, restart = [0.9, 0.5, 0.6, 0.9, 0.2], [0.4, 0.2, 0.1, 0.1, 0.2]
     f = presets.gpb(motion, case.sensor, **VALUES)
     f.regimes = Regimes(
-        1, noise_levels=levels, jump_factors=jumps, self_transition=stay, restart=renew, separate_levels=1,
+        1, noise_levels=levels, jump_factors=jumps, self_transition=stay, restart=restart, separate_levels=1,
         vertical=vertical,
     )  # fmt: skip
     root = np.full(6, np.sqrt(levels[0]))
     root[list(vertical)] = 1.0
     odds = np.array([0.2, 0.2, 0.1, 0.2, 0.2])  # of levels, the climb, the jump: calm is shared, others are impossible
-    chain = oracles.gpb.renewing_chain([0.9, 0.5, 0.6, 0.9, 0.2], list(odds / odds.sum()))
+    chain = oracles.gpb.restart_transition([0.9, 0.5, 0.6, 0.9, 0.2], list(odds / odds.sum()))
     r = oracles.gpb.Regimes(
-        [1, 0, 0, 2], [*levels, np.outer(root, root)], jumps, chain, np.eye(5), oracles.gpb.long_run(chain), 2
+        [1, 0, 0, 2], [*levels, np.outer(root, root)], jumps, chain, np.eye(5), oracles.gpb.stationary(chain), 2
     )
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 3, r))
 

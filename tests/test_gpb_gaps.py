@@ -12,8 +12,8 @@ from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 SENSOR = Position(2.0)
-MOTIONS = {"one motion": ConstantVelocity(1.0, spectral=True),
-           "bank": [ConstantAcceleration(q, spectral=True) for q in (0.1, 4.0)]}  # fmt: skip
+MOTIONS = {"one motion": ConstantVelocity(1.0, continuous=True),
+           "bank": [ConstantAcceleration(q, continuous=True) for q in (0.1, 4.0)]}  # fmt: skip
 every_motion = pytest.mark.parametrize("motion", MOTIONS)
 RUNS, STEPS, TURN = 60, 40, 20
 

@@ -33,7 +33,9 @@ FEW_OUTLIERS = {"outlier_sizes": (100.0,), "outlier_shares": (1.0,), "adaptive_l
 
 
 def gpb(manoeuvres, motion=None, **options):
-    return presets.gpb(motion or ConstantVelocity(0.1, spectral=True), Position(STD), manoeuvres=manoeuvres, **options)
+    return presets.gpb(
+        motion or ConstantVelocity(0.1, continuous=True), Position(STD), manoeuvres=manoeuvres, **options
+    )
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.05])
@@ -67,7 +69,7 @@ def test_with_none_a_target_moves_as_it_is_stated_to_and_outliers_are_still_foun
     z = z.clone()
     z[:, 20] += 300
     e = gpb("none")(z[:, :30], PRIOR)
-    assert e.info.regimes.shape[-1] == 1
+    assert e.info.probabilities.shape[-1] == 1
     assert (e.info.outlier[:, 20] > 0.99).all()
 
 
@@ -78,7 +80,7 @@ def test_what_is_given_wins_over_the_word():
 
 @pytest.mark.slow
 def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
-    line = ConstantVelocity(0.1, dims=1, spectral=True)  # and no bank, for the compiler's time
+    line = ConstantVelocity(0.1, dims=1, continuous=True)  # and no bank, for the compiler's time
     prior = Gaussian(torch.zeros(2).double(), torch.diag(torch.tensor([10, 40]).double()))
     z, found = turn(0.05)[1][:3, 36:46, 1:], []
     for compiled in (False, True):

@@ -61,8 +61,12 @@ def test_other_motions_may_last_and_begin_each_in_its_own_way():
     case, motions = position(), bank()
     stay, restart = [0.9, 0.8, 0.7, 0.5, 0.1], [0.3, 0.3, 0.2, 0.15, 0.05]
     options, r = regimes((0.9, 0.8, 0.7, 0.1), (0.3, 0.3, 0.3, 0.1), (0.1, 1.0), motions=3)
-    chain = oracle.renewing_chain(stay, restart)
-    r = r._replace(chain=chain, silent=oracle.silent_chain(stay, restart, range(2, 4)), first=oracle.long_run(chain))
+    chain = oracle.restart_transition(stay, restart)
+    r = r._replace(
+        transition=chain,
+        unmeasured=oracle.unmeasured_transition(stay, restart, range(2, 4)),
+        first=oracle.stationary(chain),
+    )
     f = presets.gpb(motions, case.sensor, **options | {"self_transition": stay, "restart": restart})
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0) for motion in motions], r))
 

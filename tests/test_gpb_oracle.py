@@ -107,29 +107,31 @@ def carried(motion, dt, u=None):
 
 
 def expected(case, motions, regimes, prior=PRIOR, **more):
-    qualities = oracle.Qualities(
+    modes = oracle.OutlierModes(
         case.blocks, np.array(VALUES["outlier_transition"]), VALUES["outlier_sizes"], VALUES["outlier_shares"], **more
     )
     call = (VALUES["prior_outlier"], VALUES["prior_inflation"])
-    return oracle.gpb(
-        case.z, prior.mean.numpy(), prior.covariance.numpy(), motions, case.model, regimes, qualities, *call
-    )
+    return oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), motions, case.model, regimes, modes, *call)
 
 
-def regimes(stay, renew, levels, jumps=(200.0,), motions=1, manoeuvres=(), separate=0):
+def regimes(stay, restart, levels, jumps=(200.0,), motions=1, manoeuvres=(), separate=0):
     """Options of the preset, and regimes of the oracle: levels, other motions, manoeuvres, jumps."""
     options = {"noise_levels": levels, "manoeuvre_factors": manoeuvres, "jump_factors": jumps, "self_transition": stay,
-               "restart": renew, "separate_levels": separate}  # fmt: skip
+               "restart": restart, "separate_levels": separate}  # fmt: skip
     count, others = len(levels), motions - 1
-    stay, renew = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, renew))
-    renew[count : count + others] = [x / others for x in renew[count : count + others]]
-    odds = np.array(renew) / sum(renew)
-    chain = oracle.renewing_chain(stay, odds)
-    silent = oracle.silent_chain(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
+    stay, restart = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, restart))
+    restart[count : count + others] = [x / others for x in restart[count : count + others]]
+    odds = np.array(restart) / sum(restart)
+    chain = oracle.restart_transition(stay, odds)
+    unmeasured = (
+        oracle.unmeasured_transition(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
+    )
     factors = [*levels, *[1.0] * others]
     which = [*range(motions, motions + separate), *[0] * (count - separate), *range(1, motions)]
-    first = oracle.long_run(chain)
-    return options | VALUES, oracle.Regimes(which, factors, list(jumps), chain, silent, first, count - 1, manoeuvres)
+    first = oracle.stationary(chain)
+    return options | VALUES, oracle.Regimes(
+        which, factors, list(jumps), chain, unmeasured, first, count - 1, manoeuvres
+    )
 
 
 TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))
@@ -140,8 +142,8 @@ def same(estimate, r, tolerance=1e-9):
     """Every result is that of the oracle, relative to its largest entry."""
     info = estimate.info
     for name, a in (
-        ("mean", info.filtered.mean), ("P", info.filtered.covariance), ("settled_mean", info.lagged.mean),
-        ("settled_P", info.lagged.covariance), ("regimes", info.regimes), ("outlier", info.outlier),
+        ("mean", info.filtered.mean), ("P", info.filtered.covariance), ("lagged_mean", info.lagged.mean),
+        ("lagged_P", info.lagged.covariance), ("regimes", info.probabilities), ("outlier", info.outlier),
         ("log_likelihood", estimate.log_likelihood), ("nis", estimate.nis),
     ):  # fmt: skip
         b = tensor(r[name])
@@ -158,8 +160,8 @@ def same(estimate, r, tolerance=1e-9):
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_three_levels_and_two_jumps(sensor):
     case, motion = sensor(), ConstantAcceleration(0.05)
-    stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
-    options, r = regimes(stay, renew, (0.1, 1.0, 60.0), (30.0, 2000.0))
+    stay, restart = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
+    options, r = regimes(stay, restart, (0.1, 1.0, 60.0), (30.0, 2000.0))
     f = presets.gpb(motion, case.sensor, **options)
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r))
 
@@ -168,16 +170,16 @@ def test_three_levels_and_two_jumps(sensor):
 def test_the_lowest_of_three_levels_keeps_a_belief_of_its_own(sensor):
     """Which for the oracle is a second motion, the same as the first."""
     case, motion = sensor(), ConstantAcceleration(0.05)
-    stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
-    options, r = regimes(stay, renew, (0.1, 1.0, 60.0), (30.0, 2000.0), separate=1)
+    stay, restart = (0.9, 0.5, 0.6, 0.9, 0.2, 0.1), (0.4, 0.2, 0.1, 0.1, 0.15, 0.05)
+    options, r = regimes(stay, restart, (0.1, 1.0, 60.0), (30.0, 2000.0), separate=1)
     f = presets.gpb(motion, case.sensor, **options)
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 2, r))
 
 
 def test_two_levels_of_the_first_of_three_motions_keep_beliefs_of_their_own():
     case, motions = position(), bank()
-    stay, renew = (0.9, 0.5, 0.6, 0.9, 0.2), (0.4, 0.2, 0.1, 0.15, 0.15)
-    options, r = regimes(stay, renew, (0.1, 1.0, 60.0), motions=3, separate=2)
+    stay, restart = (0.9, 0.5, 0.6, 0.9, 0.2), (0.4, 0.2, 0.1, 0.15, 0.15)
+    options, r = regimes(stay, restart, (0.1, 1.0, 60.0), motions=3, separate=2)
     f = presets.gpb(Bank(motions), case.sensor, **options)
     each = [carried(m, 1.0) for m in motions]
     same(f(tensor(case.z), PRIOR), expected(case, [*each, each[0], each[0]], r))
@@ -289,8 +291,8 @@ def test_a_bank_with_one_level_two_jumps_and_time_steps_of_their_own(sensor):
 
 @pytest.mark.parametrize("motions", [1, 3])
 def test_a_manoeuvre_is_as_large_as_the_measurement_asks_for(motions):
-    case, stay, renew = position(), (0.8, 0.7, 0.6, 0.3, 0.1), (0.3, 0.3, 0.2, 0.15, 0.05)
-    options, r = regimes(stay, renew, (0.1, 1.0), (200.0,), motions, (3.0,))
+    case, stay, restart = position(), (0.8, 0.7, 0.6, 0.3, 0.1), (0.3, 0.3, 0.2, 0.15, 0.05)
+    options, r = regimes(stay, restart, (0.1, 1.0), (200.0,), motions, (3.0,))
     each = bank() if motions == 3 else [ConstantAcceleration(0.05)]
     f = presets.gpb(each, case.sensor, **options)
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0) for motion in each], r))

@@ -116,7 +116,7 @@ def test_a_measurement_without_bounds_fails_its_own_track_only(name):
 def test_single_precision_is_close_to_double(name):
     f, z = FILTERS[name]()
     single, double = f(z.float(), PRIOR), f(z, PRIOR)
-    assert single.mean.dtype == single.info.regimes.dtype == torch.float32
+    assert single.mean.dtype == single.info.probabilities.dtype == torch.float32
     std = double.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
     assert ((single.mean - double.mean).abs() < 0.01 * std).all()
     assert (single.info.outlier - double.info.outlier).abs().max() < 1e-3
@@ -158,7 +158,7 @@ def test_gradients_of_values_measurements_and_prior_are_those_of_finite_differen
     def outcome(x, mean, root, *values):
         given = (torch.where(missing, torch.nan, x), Gaussian(mean, root.tril()))
         e = torch.func.functional_call(f, dict(zip(paths, values, strict=True)), given)
-        return e.mean / 10, e.info.lagged.mean / 10, e.info.outlier, e.info.regimes, e.log_likelihood
+        return e.mean / 10, e.info.lagged.mean / 10, e.info.outlier, e.info.probabilities, e.log_likelihood
 
     inputs = [x.detach().clone().requires_grad_() for x in (z.nan_to_num(), *prior, *values)]
     assert torch.autograd.gradcheck(outcome, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
@@ -175,7 +175,9 @@ def test_gradients_are_finite_at_extreme_outliers_and_missing_data(name):
     e = f(z, PRIOR)
     assert not e.failed.any()
     score = e.mean.square().mean() + e.scale_tril.square().mean() + e.info.lagged.mean.square().mean()
-    (score + e.log_likelihood.mean() + e.nis.mean() + e.info.outlier.sum() + e.info.regimes[..., 0].sum()).backward()
+    (
+        score + e.log_likelihood.mean() + e.nis.mean() + e.info.outlier.sum() + e.info.probabilities[..., 0].sum()
+    ).backward()
     assert z.grad.isfinite().all()
     assert all(p.grad.isfinite().all() for p in f.parameters())
 

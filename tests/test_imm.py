@@ -112,7 +112,7 @@ def test_models_that_are_the_same_stay_as_likely_as_they_were():
 
 def test_a_probability_too_small_for_a_number_comes_back():
     models = [ConstantVelocity(1e-8, orders=3), ConstantVelocity(1e-3, orders=3)]
-    f = presets.imm(models, Position(0.01), stay=0.999)
+    f = presets.imm(models, Position(0.01), self_transition=0.999)
     t = torch.arange(-19, 41, dtype=torch.float64).unsqueeze(-1)
     z = 5 * (t.clamp(0, 10) ** 2 + 20 * (t - 10).clamp_min(0)).expand(-1, 2)  # at rest, speeding up, at constant speed
     prior = Gaussian(torch.zeros(6, dtype=torch.float64), 0.01 * torch.eye(6, dtype=torch.float64))
@@ -292,8 +292,8 @@ def test_a_bank_that_knows_the_turn_follows_it_with_a_robust_filter_inside():
         return rmse(f(tracks.z, tracks.prior, u=tracks.u).mean, tracks.truth, scenario.position).mean()
 
     alone = error(presets.fra(scenario.motion, scenario.sensor))
-    assert error(presets.imm(models, scenario.sensor, inner=presets.rsrckf, stay=0.99)) < 0.5 * alone
-    assert error(presets.imm_fra(models, scenario.sensor, stay=0.99)) < 0.5 * alone
+    assert error(presets.imm(models, scenario.sensor, inner=presets.rsrckf, self_transition=0.99)) < 0.5 * alone
+    assert error(presets.imm_fra(models, scenario.sensor, self_transition=0.99)) < 0.5 * alone
 
 
 # ---------------------------------------------------------------- errors
@@ -308,8 +308,8 @@ def test_what_does_not_fit_is_named():
         presets.imm(ConstantAcceleration(1.0), SENSOR)
     with pytest.raises(ValueError, match=r"models: .*none"):
         presets.imm([], SENSOR)
-    with pytest.raises(ValueError, match="stay: expected a probability above 0 and below 1"):
-        presets.imm(bank(), SENSOR, stay=1.0)
+    with pytest.raises(ValueError, match="self_transition: expected a probability above 0 and below 1"):
+        presets.imm(bank(), SENSOR, self_transition=1.0)
     with pytest.raises(ValueError, match=r"transition: expected \(5, 5\) that reaches every model"):
         presets.imm(bank(), SENSOR, transition=torch.eye(3))
     with pytest.raises(ValueError, match="transition"):
@@ -320,7 +320,7 @@ def test_what_does_not_fit_is_named():
         with pytest.raises(
             ValueError, match="inner: expected SRCKF or FRA around a Bank, or a filter with mixes = True"
         ):
-            IMM(preset(models, SENSOR), stay=0.9)
+            IMM(preset(models, SENSOR), self_transition=0.9)
     with pytest.raises(ValueError, match="out, into"):
         Embedded(ConstantVelocity(1.0), torch.eye(4), torch.eye(4), orders=3)
     with pytest.raises(ValueError, match="motion: expected a linear one"):

@@ -18,9 +18,9 @@ from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 
-def both(models, sensor=SENSOR, inner=presets.srckf, stay=0.95, **options):
-    """By ``stay``, and by rows."""
-    even = IMM(inner(Bank(models), sensor), stay=stay, **options)
+def both(models, sensor=SENSOR, inner=presets.srckf, self_transition=0.95, **options):
+    """By ``self_transition``, and by rows."""
+    even = IMM(inner(Bank(models), sensor), self_transition=self_transition, **options)
     return even, IMM(inner(Bank(models), sensor), transition=even.matrix(), **options)
 
 
@@ -46,7 +46,7 @@ def test_it_is_what_whole_rows_give(count, position, seed, inner):
     generator = torch.Generator().manual_seed(seed)
     stay = 1 / count + (1 - 1 / count) * position
     initial = torch.rand(count, dtype=torch.float64, generator=generator) + 1e-3
-    models = {"stay": stay, "initial": initial / initial.sum(), "inner": getattr(presets, inner)}
+    models = {"self_transition": stay, "initial": initial / initial.sum(), "inner": getattr(presets, inner)}
     z = measured(2, seed)
     z[0, 3], z[1, 7] = torch.nan, z[1, 7] + 300
     even, rows = both(bank()[:count], **models)
@@ -56,7 +56,7 @@ def test_it_is_what_whole_rows_give(count, position, seed, inner):
 def test_beliefs_of_any_weights_mix_alike():
     """From states whose models differ as much as they like, one of them without any weight."""
     generator = torch.Generator().manual_seed(1)
-    even, rows = both(bank(), stay=0.8)
+    even, rows = both(bank(), self_transition=0.8)
     state = even.init(PRIOR)
     mean = PRIOR.mean + 100 * torch.randn(20, 5, 6, dtype=torch.float64, generator=generator)
     root = torch.randn(20, 5, 6, 6, dtype=torch.float64, generator=generator).tril()
@@ -79,22 +79,24 @@ def test_beliefs_of_any_weights_mix_alike():
 
 
 def test_over_no_time_no_model_gives_way_and_gradients_are_numbers():
-    f = IMM(presets.srckf(Bank(bank()), SENSOR), stay=0.9, initial=torch.tensor([0.4, 0.3, 0.2, 0.1, 0]).double())
+    f = IMM(
+        presets.srckf(Bank(bank()), SENSOR), self_transition=0.9, initial=torch.tensor([0.4, 0.3, 0.2, 0.1, 0]).double()
+    )
     prior = Gaussian(*(x.clone().requires_grad_() for x in PRIOR))
-    _, rows = both(bank(), stay=0.9, initial=f.initial())
+    _, rows = both(bank(), self_transition=0.9, initial=f.initial())
     dt = times()
     dt[6] = 0
     e = f(measured(2), prior, dt=dt)
     equal(e, rows(measured(2), PRIOR, dt=dt))
-    f.stay.learn()
+    f.self_transition.learn()
     e = f(measured(2), prior, dt=dt)
     (e.log_likelihood.sum() + e.mean.sum()).backward()
-    assert all(x.grad.isfinite().all() and (x.grad != 0).any() for x in (*prior, f.stay.raw))
+    assert all(x.grad.isfinite().all() and (x.grad != 0).any() for x in (*prior, f.self_transition.raw))
 
 
 @pytest.mark.parametrize("turn", [0.0, 3.1, 6.2])
 def test_angles_mix_alike_wherever_the_circle_is_cut(turn):
-    even, rows = both([Heading(1e-4), Heading(1e-3), Heading(0.01)], Compass(), stay=0.6)
+    even, rows = both([Heading(1e-4), Heading(1e-3), Heading(0.01)], Compass(), self_transition=0.6)
     generator = torch.Generator().manual_seed(0)
     z = wrap(turn + 0.1 * torch.randn(4, STEPS, 1, dtype=torch.float64, generator=generator).cumsum(-2))
     prior = Gaussian(torch.tensor([turn, 0.1]).double(), 0.3 * torch.eye(2, dtype=torch.float64))
@@ -106,9 +108,9 @@ def test_angles_mix_alike_wherever_the_circle_is_cut(turn):
 
 
 def test_motions_that_are_not_linear_and_the_backward_pass():
-    even, rows = both([Curved(0.1), Curved(0.01), Curved(0.3)], stay=0.7)
+    even, rows = both([Curved(0.1), Curved(0.01), Curved(0.3)], self_transition=0.7)
     equal(even(measured(2), PRIOR, dt=times()), rows(measured(2), PRIOR, dt=times()))
-    even, rows = both(bank(), stay=0.7)
+    even, rows = both(bank(), self_transition=0.7)
     a, b = (f.smooth(measured(2), PRIOR, dt=times()) for f in (even, rows))
     same(a.mean, b.mean, 1e-10)
     same(a.covariance, b.covariance, 1e-10)
@@ -116,13 +118,13 @@ def test_motions_that_are_not_linear_and_the_backward_pass():
 
 def test_a_stay_for_each_track():
     stays, z = torch.tensor([0.5, 0.9, 0.99]).double(), measured(3)
-    whole = IMM(presets.srckf(Bank(bank()), SENSOR), stay=stays)(z, PRIOR, dt=times())
+    whole = IMM(presets.srckf(Bank(bank()), SENSOR), self_transition=stays)(z, PRIOR, dt=times())
     for i, stay in enumerate(stays.tolist()):
-        same(whole.mean[i], presets.imm(bank(), SENSOR, stay=stay)(z[i], PRIOR, dt=times()).mean, 1e-12)
+        same(whole.mean[i], presets.imm(bank(), SENSOR, self_transition=stay)(z[i], PRIOR, dt=times()).mean, 1e-12)
 
 
 def test_in_single_precision_too():
-    even, rows = both(bank(), stay=0.99)
+    even, rows = both(bank(), self_transition=0.99)
     single = Gaussian(*(x.float() for x in PRIOR))
     a, b = (f(measured(3).float(), single, dt=times().float()) for f in (even, rows))
     assert a.mean.dtype == torch.float32
@@ -134,7 +136,7 @@ def test_in_single_precision_too():
 
 @pytest.mark.slow
 def test_its_gradient_is_exact():
-    f = presets.imm(bank()[:3], SENSOR, learn=("stay", "initial"))
+    f = presets.imm(bank()[:3], SENSOR, learn=("self_transition", "initial"))
     z, dt = measured(2)[:, 3:8], times()[3:8]
     names = [name for name, _ in f.named_parameters()]
 
@@ -161,28 +163,30 @@ def test_a_preset_stays_alike_unless_rows_are_given_or_learn(capsys):
     def learned(**options):
         return {name for name, _ in presets.imm(bank(), SENSOR, **options).named_parameters()}
 
-    assert learned(learn=("stay",)) == {"stay.raw"}
+    assert learned(learn=("self_transition",)) == {"self_transition.raw"}
     assert learned(learn=("transition",)) == {"transition.raw"}
-    assert {"stay.raw", "initial.raw"} < learned(learn="all")
-    f = presets.imm(bank(), SENSOR, stay=0.8, learn="transition")
-    same(f.matrix(), IMM(presets.srckf(Bank(bank()), SENSOR), stay=0.8).matrix())
+    assert {"self_transition.raw", "initial.raw"} < learned(learn="all")
+    f = presets.imm(bank(), SENSOR, self_transition=0.8, learn="transition")
+    same(f.matrix(), IMM(presets.srckf(Bank(bank()), SENSOR), self_transition=0.8).matrix())
     same(f.matrix().sum(-1), torch.ones(5, dtype=torch.float64))
-    assert presets.imm(bank(), SENSOR, stay=0.1).stay is None  # below 1 / K: gives way more often than to any other
+    assert (
+        presets.imm(bank(), SENSOR, self_transition=0.1).self_transition is None
+    )  # below 1 / K: gives way more often than to any other
     summary(presets.imm(bank(), SENSOR))
     assert "[0.2, 1)" in capsys.readouterr().out
 
 
 def test_what_does_not_fit_is_named():
     inner = presets.srckf(Bank(bank()), SENSOR)
-    with pytest.raises(ValueError, match="transition, stay: expected one of the two, received neither"):
+    with pytest.raises(ValueError, match="transition, self_transition: expected one of the two, received neither"):
         IMM(inner)
-    with pytest.raises(ValueError, match="transition, stay: expected one of the two, received both"):
-        IMM(inner, stay=0.9, transition=torch.full((5, 5), 0.2))
+    with pytest.raises(ValueError, match="transition, self_transition: expected one of the two, received both"):
+        IMM(inner, self_transition=0.9, transition=torch.full((5, 5), 0.2))
     for stay in (0.19, 1.0):
-        with pytest.raises(ValueError, match=r"stay: expected a value in \[0.2, 1\), received"):
-            IMM(inner, stay=stay)
-    with pytest.raises(ValueError, match="stay: expected None for a single model"):
-        IMM(presets.srckf(Bank([ConstantVelocity(1.0)]), SENSOR), stay=0.9)
+        with pytest.raises(ValueError, match=r"self_transition: expected a value in \[0.2, 1\), received"):
+            IMM(inner, self_transition=stay)
+    with pytest.raises(ValueError, match="self_transition: expected None for a single model"):
+        IMM(presets.srckf(Bank([ConstantVelocity(1.0)]), SENSOR), self_transition=0.9)
 
 
 # ---------------------------------------------------------------- rows where they are named
@@ -193,7 +197,7 @@ def test_a_finished_filter_has_rows_once_they_are_to_learn(named):
     f = presets.imm_srckf([ConstantVelocity(0.1), ConstantVelocity(2.0)], Position(1.0))
     before = f.matrix()
     torchfra.learnable(f, named)
-    assert f.stay is None
+    assert f.self_transition is None
     assert f.transition.raw.requires_grad
     torch.testing.assert_close(f.matrix(), before)
 
@@ -204,15 +208,17 @@ def test_learned_rows_load_into_a_filter_that_has_none():
     fixed = presets.imm_srckf(motions, Position(1.0))
     fixed.load_state_dict(learned.state_dict())
     torch.testing.assert_close(fixed.matrix(), learned.matrix())
-    assert fixed.stay is None
+    assert fixed.self_transition is None
 
 
 def test_rows_of_each_target_stay_those_of_each_target():
     motions, stay = Bank([ConstantVelocity(0.1), ConstantVelocity(2.0)]), torch.tensor([0.8, 0.9])
 
     def made():
-        return presets.jpda(motions, Position(1.0), inner=lambda *models: IMM(presets.srckf(*models), stay=stay),
-                            clutter=Clutter(400.0))  # fmt: skip
+        def inner(*models):
+            return IMM(presets.srckf(*models), self_transition=stay)
+
+        return presets.jpda(motions, Position(1.0), inner=inner, clutter=Clutter(400.0))
 
     z = torch.randn(6, 3, 2, dtype=torch.float64)
     prior = Gaussian(torch.zeros(2, 4, dtype=torch.float64), torch.eye(4, dtype=torch.float64).expand(2, 4, 4))

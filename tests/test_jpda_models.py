@@ -128,24 +128,24 @@ def test_gpb_of_two_targets_is_that_of_plain_loops():
     )  # fmt: skip
     F, SQ = carried(motion)
     # One motion: its two levels, and the jump after the second of them.
-    stay, renew = (np.delete(GPB[name], 2) for name in ("self_transition", "restart"))
-    odds = renew / renew.sum()
-    chain = regimes.renewing_chain(list(stay), list(odds))
-    first = regimes.long_run(chain)
+    stay, restart = (np.delete(GPB[name], 2) for name in ("self_transition", "restart"))
+    odds = restart / restart.sum()
+    chain = regimes.restart_transition(list(stay), list(odds))
+    first = regimes.stationary(chain)
     r = regimes.Regimes([0, 0], list(GPB["noise_levels"]), list(GPB["jump_factors"]), chain, np.eye(3), first, 1)
-    q = regimes.Qualities(
+    q = regimes.OutlierModes(
         [[0, 1]], np.array(GPB["outlier_transition"]), list(GPB["outlier_sizes"]), list(GPB["outlier_shares"])
     )
     model = oracles.Model(F, SQ, STD * np.eye(2), lambda x, k: x[:2], np.zeros(2))
     targets = [
         joint_models.regimes(
-            mean, P, [regimes.carried(F, SQ)], model, r, q, GPB["prior_outlier"], GPB["prior_inflation"]
+            mean, P, [regimes.linear_motion(F, SQ)], model, r, q, GPB["prior_outlier"], GPB["prior_inflation"]
         )
         for mean, P in zip(prior.mean.numpy(), prior.covariance.numpy(), strict=True)
     ]
     truth = joint_models.follow(z.numpy(), targets, PD=0.9, density=2.0 / VOLUME, gate=15.0, diffuse=False)
     estimate = f(z, prior)
-    same(estimate, estimate.info.inner.regimes, truth)
+    same(estimate, estimate.info.inner.probabilities, truth)
 
 
 @each

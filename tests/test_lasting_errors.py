@@ -9,7 +9,7 @@ from cleaning.simulated import lasting, ship
 from oracles import lasting as oracle
 
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning.correlation import Lasting, _of_a_mean, log_likelihood, widened
+from torchfra.cleaning.correlation import CorrelatedErrors, _variance_of_mean, log_likelihood, widened
 from torchfra.cleaning.outputs import notes, overview
 from torchfra.motion import ConstantVelocity
 from torchfra.motion.bank import Bank
@@ -48,14 +48,14 @@ def test_bands_hold_the_truth_where_errors_last(cleaned):
 
 
 SEEN, ASSUMED = (
-    "Time-correlated errors seen: ",
+    "Time-correlated errors detected: ",
     "Time-correlated errors possible: not distinguishable from motion ",
 )
 
 
 def said(one):
     """What is said of time-correlated errors."""
-    return [line for line in one.found.said if line.startswith("Time-correlated errors")]
+    return [line for line in one.found.notes if line.startswith("Time-correlated errors")]
 
 
 def test_errors_that_last_are_said_with_their_size_and_time(cleaned):
@@ -68,24 +68,24 @@ def test_errors_that_last_are_said_with_their_size_and_time(cleaned):
 
 def test_errors_that_last_are_counted_among_several_tracks_and_are_no_doubt_of_sigma(cleaned):
     results = [cleaned[name][0][0] for name in ("15 s", "few and white")]
-    assert "Time-correlated errors seen: 1 of 2" in notes(results)
+    assert "Time-correlated errors detected: 1 of 2" in notes(results)
     assert not any(line.startswith("Sigma is unsure") for line in overview(results))
 
 
 def test_errors_that_last_are_said_with_a_bank_of_ones_own_too():
     recording, _ = voyage(0, 6.0, 15.0, count=250)
-    bank = Bank([ConstantVelocity(0.1, spectral=True, orders=3), ConstantVelocity(1.0, spectral=True, orders=3)])
+    bank = Bank([ConstantVelocity(0.1, continuous=True, orders=3), ConstantVelocity(1.0, continuous=True, orders=3)])
     (line,) = said(*clean_tracks([recording], filter="srckf", bank=bank))
     assert line.startswith(SEEN)
 
 
 def test_white_noise_is_not_seen_as_errors_that_last(cleaned):
-    assert not any(SEEN in line for one, _ in cleaned["white"] for line in one.found.said)
+    assert not any(SEEN in line for one, _ in cleaned["white"] for line in one.found.notes)
 
 
 def test_a_stated_deviation_that_is_twice_the_noise_is_not_seen_as_errors_that_last():
     several = [voyage(seed, 3.0)[0] for seed in range(3)]
-    assert not any(SEEN in line for one in clean_tracks(several, sigma=6.0) for line in one.found.said)
+    assert not any(SEEN in line for one in clean_tracks(several, sigma=6.0) for line in one.found.notes)
 
 
 def test_fixes_that_are_good_to_a_millimetre_have_bands():
@@ -113,10 +113,10 @@ def test_fixes_that_are_missing_do_no_harm_and_few_say_nothing(cleaned):
 
 def test_an_estimate_is_left_alone_and_its_variance_grows_by_that_of_the_errors_in_their_mean():
     (one,) = clean_tracks([voyage(0, 6.0, count=210)[0]], bank="aircraft")
-    errors = Lasting(np.array([0.5]), np.array([4.0]), np.array([20.0]), one.found.sigma)
+    errors = CorrelatedErrors(np.array([0.5]), np.array([4.0]), np.array([20.0]), one.found.sigma)
     wider = widened(one, errors)
     count = one.found.sigma**2 / one.covariance[200, 0, 0]
-    more = 0.5 * 4.0**2 * _of_a_mean(np.exp(-1 / 20), np.array([count]))[0]
+    more = 0.5 * 4.0**2 * _variance_of_mean(np.exp(-1 / 20), np.array([count]))[0]
     assert wider.covariance[200, 0, 0] == pytest.approx(one.covariance[200, 0, 0] + more)
     np.testing.assert_array_equal(wider.mean, one.mean)
 
@@ -143,4 +143,4 @@ def test_the_variance_of_a_mean_is_the_sum_of_all_covariances():
     for count in (1, 2, 25):
         step = np.arange(count)
         expected = (kept ** np.abs(step[:, None] - step)).mean()
-        assert _of_a_mean(kept, np.array([count]))[0] == pytest.approx(expected)
+        assert _variance_of_mean(kept, np.array([count]))[0] == pytest.approx(expected)

@@ -288,7 +288,7 @@ def refused(capsys, *arguments, **named):
 
 
 def test_parts_of_other_settings_or_data_are_refused(data, whole, tmp_path, capsys):
-    assert "were made with, sigma null, received 30.0: name" in refused(capsys, data, whole, "--sigma", "30")
+    assert "sigma null, received 30.0: name" in refused(capsys, data, whole, "--sigma", "30")
     assert "rows 120, received 60: name" in refused(capsys, data, whole, rows="60")
     assert 'reading nothing more, received units "ft": name' in refused(capsys, data, whole, "--units", "ft")
     more = shutil.copytree(data, tmp_path / "more")

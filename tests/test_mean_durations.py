@@ -24,8 +24,8 @@ def tensor(*x):
 
 LAST, FOLLOWS = tensor(3.0, 50.0, 0.01), torch.stack([tensor(0.0, 0.3, 0.7), tensor(1, 0, 0), tensor(0.5, 0.5, 0)])
 G = generator(LAST, FOLLOWS)
-BANK = [ConstantVelocity(0.1, orders=3, spectral=True), CoordinatedTurn(0.1, 1.0, orders=3),
-        ConstantVelocity(4.0, orders=3, spectral=True)]  # fmt: skip
+BANK = [ConstantVelocity(0.1, orders=3, continuous=True), CoordinatedTurn(0.1, 1.0, orders=3),
+        ConstantVelocity(4.0, orders=3, continuous=True)]  # fmt: skip
 SENSOR = Position(3.0)
 PRIOR = Gaussian(torch.zeros(6, dtype=torch.float64), torch.diag(tensor(10, 10, 10, 10, 1, 1)))
 LEVELS = {"durations": (1000.0, 60.0, 5.0, 90.0, 130.0, 0.7)}
@@ -116,7 +116,7 @@ def test_each_track_may_have_its_own_models_after_one_that_ends():
     partial(presets.vsimm_srckf, durations=LAST, neighbours=[[1], [2], [0]], first=[0, 1, 2]),
 ], ids=["even", "matrix", "subset"])  # fmt: skip
 def test_rows_without_a_measurement_do_not_change_what_a_chain_says(make):
-    (z, dt), f = measured(), make([ConstantVelocity(1.0, spectral=True)] * 3, SENSOR)
+    (z, dt), f = measured(), make([ConstantVelocity(1.0, continuous=True)] * 3, SENSOR)
     prior = Gaussian(PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
     if "initial" in f._modules and f.initial is not None:
         f.initial.set(tensor(0.7, 0.2, 0.1))
@@ -156,17 +156,17 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
     regimes = regimes._replace(
         seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])), first=first
     )
-    qualities = oracle.Qualities(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
+    modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
                                  (15.0, 2.5), dt)  # fmt: skip
     prior, models = gpb_oracle.PRIOR, [gpb_oracle.carried(m, dt) for m in bank]
-    r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, qualities,
+    r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, modes,
                    options["prior_outlier"], options["prior_inflation"])  # fmt: skip
     gpb_oracle.same(f(torch.from_numpy(case.z), prior, dt=torch.from_numpy(dt)), r)
 
 
 def test_rows_without_a_measurement_change_no_estimate_of_gpb_where_the_motion_holds():
     z, dt = measured()
-    f = presets.gpb(ConstantVelocity(1.0, spectral=True), SENSOR, manoeuvres="none", durations=(50.0, 50.0), **WRONG)
+    f = presets.gpb(ConstantVelocity(1.0, continuous=True), SENSOR, manoeuvres="none", durations=(50.0, 50.0), **WRONG)
     prior = Gaussian(PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
     one, four = (f(*x[:1], prior, dt=x[1]) for x in ((z, dt), in_parts(z, dt, 4)))
     for a, b in ((four.mean, one.mean), (four.info.outlier, one.info.outlier)):
@@ -201,7 +201,7 @@ def test_regimes_over_a_gap_are_as_likely_whatever_the_steps():
         )
         for parts in (1, 3)
     )
-    torch.testing.assert_close(three.info.regimes[:, -1], one.info.regimes[:, -1], rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(three.info.probabilities[:, -1], one.info.probabilities[:, -1], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.slow

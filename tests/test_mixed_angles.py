@@ -104,8 +104,8 @@ def headings(offset, steps=30, tracks=4):
 
 BANK = Bank([Heading(1e-4), Heading(0.3)])
 FILTERS = {
-    "imm_srckf": lambda: presets.imm_srckf(BANK, Compass(), stay=0.9),
-    "imm_fra": lambda: presets.imm_fra(BANK, Compass(), stay=0.9),
+    "imm_srckf": lambda: presets.imm_srckf(BANK, Compass(), self_transition=0.9),
+    "imm_fra": lambda: presets.imm_fra(BANK, Compass(), self_transition=0.9),
     "gpb": lambda: presets.gpb(BANK, Compass()),
     "gpb of one": lambda: presets.gpb(Heading(1e-3), Compass()),
     "vsimm": lambda: presets.vsimm_srckf(
@@ -155,7 +155,7 @@ def test_a_bank_of_bicycles_follows_a_vehicle_round_and_round():
     prior = Gaussian(tensor(0, 0, 8, -3.2, 0.0), tensor(1, 1, 1, 0.2, 0.1).diag())
     bank = Bank([Bicycle(2.7, 0.1, 1e-4), Bicycle(2.7, 4.0, 0.1)])
     with torch.no_grad():
-        for f in (presets.imm_srckf(bank, Position(0.3), stay=0.95), presets.gpb(bank, Position(0.3))):
+        for f in (presets.imm_srckf(bank, Position(0.3), self_transition=0.95), presets.gpb(bank, Position(0.3))):
             mean = f(z, prior, dt=dt).mean
             assert (mean - truth)[:, 20:, :2].norm(dim=-1).mean() < 0.3
             assert wrap(mean - truth)[:, 50:, 3].abs().max() < 0.2

@@ -67,7 +67,7 @@ def flow(speeds, x, time, steps=24):
     return table[-1][-1]
 
 
-def exact(speeds, mean, inputs, densities, *, spectral):
+def exact(speeds, mean, inputs, densities, *, continuous):
     """Covariance that disturbances of some components leave, linearised along the way to a mean, by quadrature."""
     with mpmath.workdps(30):
         end, small = [mpf(float(v)) for v in mean], mpf(10) ** -8
@@ -83,7 +83,7 @@ def exact(speeds, mean, inputs, densities, *, spectral):
                 columns[i].append([(a - b) / (2 * small) for a, b in zip(*ends, strict=True)])
         total = mpmath.zeros(len(end))
         for i, q in zip(inputs, densities, strict=True):
-            if spectral:
+            if continuous:
                 for w, c in zip(weights, columns[i], strict=True):
                     total += q * w * mpmath.matrix(c) * mpmath.matrix(c).T
             else:
@@ -97,16 +97,16 @@ def exact(speeds, mean, inputs, densities, *, spectral):
 @pytest.mark.parametrize("rate", [0.0, 0.3, -1.2])
 def test_the_noise_of_a_turn_whose_rate_drifts_is_its_integral_along_the_turn(rate):
     mean = tensor(3, 4, 12, -5, rate)
-    motion = UnknownTurn(0.7, 0.02, spectral=True)
-    expected = exact(turning, mean, (2, 3, 4), (0.7, 0.7, 0.02), spectral=True)
+    motion = UnknownTurn(0.7, 0.02, continuous=True)
+    expected = exact(turning, mean, (2, 3, 4), (0.7, 0.7, 0.02), continuous=True)
     torch.testing.assert_close(covariance(motion, mean=mean), expected, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(("rear", "steering", "spectral"), [(0.0, 0.0, True), (1.3, 0.25, True), (0.4, -0.4, False)])
-def test_the_noise_of_a_bicycle_is_its_integral_along_the_arc(rear, steering, spectral):
+@pytest.mark.parametrize(("rear", "steering", "continuous"), [(0.0, 0.0, True), (1.3, 0.25, True), (0.4, -0.4, False)])
+def test_the_noise_of_a_bicycle_is_its_integral_along_the_arc(rear, steering, continuous):
     mean = tensor(3, 4, 7, 2.0, steering)
-    motion = Bicycle(2.7, 0.7, 0.02, rear=rear, spectral=spectral)
-    expected = exact(rolling(rear), mean, (2, 4), (0.7, 0.02), spectral=spectral)
+    motion = Bicycle(2.7, 0.7, 0.02, rear=rear, continuous=continuous)
+    expected = exact(rolling(rear), mean, (2, 4), (0.7, 0.02), continuous=continuous)
     torch.testing.assert_close(covariance(motion, mean=mean), expected, rtol=1e-8, atol=1e-8)
 
 
@@ -134,8 +134,8 @@ def test_a_reentry_by_the_method_of_runge_and_kutta_needs_no_finer_steps_and_one
 
 
 @pytest.mark.parametrize("motion", [
-    UnknownTurn(0.7, 0.02, spectral=True), UnknownTurn(0.7, 0.02, 3, spectral=True),
-    Bicycle(2.7, 0.7, 0.02, rear=1.0, spectral=True), ConstantSpeed(0.7, 0.02, spectral=True),
+    UnknownTurn(0.7, 0.02, continuous=True), UnknownTurn(0.7, 0.02, 3, continuous=True),
+    Bicycle(2.7, 0.7, 0.02, rear=1.0, continuous=True), ConstantSpeed(0.7, 0.02, continuous=True),
 ])  # fmt: skip
 def test_two_half_steps_are_one_whole(motion):
     x = tensor(1, 2, 3, 10, -5, 4, 0.3)[: motion.size]
@@ -156,7 +156,7 @@ def test_the_direction_wanders_across_the_velocity_and_the_speed_along_it():
     constant = torch.kron(gain @ gain.mT, acceleration)
     white = torch.kron(tensor([STEP**3 / 3, STEP**2 / 2], [STEP**2 / 2, STEP]), acceleration)
     torch.testing.assert_close(covariance(ConstantSpeed(q, wander), mean=mean), constant)
-    torch.testing.assert_close(covariance(ConstantSpeed(q, wander, spectral=True), mean=mean), white)
+    torch.testing.assert_close(covariance(ConstantSpeed(q, wander, continuous=True), mean=mean), white)
     at_rest = ConstantSpeed(q, wander)
     torch.testing.assert_close(covariance(at_rest, mean=torch.zeros(6).double()), covariance(at_rest))
     x = torch.zeros(6).double().requires_grad_()
@@ -205,9 +205,9 @@ def test_a_correlated_error_keeps_its_standard_deviation_and_is_forgotten_over_i
 
 @pytest.mark.parametrize("motion", [
     GaussMarkov(0.3, 5.0, 3), Odometry(0.1, 0.02, 1e-3), RandomWalk(0.3), Clock(0.3, 0.02),
-    IntegratedOrnsteinUhlenbeck(0.3, 0.1), ConstantSpeed(0.3, 0.1, spectral=True),
-    UnknownTurn(0.7, 0.02), UnknownTurn(0.7, 0.02, spectral=True), Bicycle(2.7, 0.7, 0.02),
-    Bicycle(2.7, 0.7, 0.02, spectral=True),
+    IntegratedOrnsteinUhlenbeck(0.3, 0.1), ConstantSpeed(0.3, 0.1, continuous=True),
+    UnknownTurn(0.7, 0.02), UnknownTurn(0.7, 0.02, continuous=True), Bicycle(2.7, 0.7, 0.02),
+    Bicycle(2.7, 0.7, 0.02, continuous=True),
 ], ids=lambda motion: motion.describe())  # fmt: skip
 def test_a_step_of_no_time_leaves_the_state_and_adds_no_noise_with_finite_gradients(motion):
     motion = learnable(copy.deepcopy(motion), "all")

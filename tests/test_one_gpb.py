@@ -13,7 +13,7 @@ from torchfra.linalg.triangular import tria
 from torchfra.types import Gaussian
 
 TRACKS, STEPS, SIGMA = 4, 60, 4.0
-MODEL = OutlierModel(begins=torch.full((TRACKS,), 0.03, dtype=torch.float64), lasts=0.6, same_offset=0.4)
+MODEL = OutlierModel(after_inlier=torch.full((TRACKS,), 0.03, dtype=torch.float64), after_outlier=0.6, same_offset=0.4)
 
 
 class Alike(GPB):
@@ -115,10 +115,10 @@ def test_a_cleaned_track_gives_its_filters_which_track_on_from_its_end(dims):
         assert wrong > 0.95
 
 
-@pytest.mark.parametrize("value", [lambda x: x.sigma, lambda x: x.levels.q, lambda x: x.model.begins])
+@pytest.mark.parametrize("value", [lambda x: x.sigma, lambda x: x.levels.q, lambda x: x.model.after_inlier])
 def test_gradients_flow_through_what_a_track_was_cleaned_with(value):
     time = np.arange(0.0, 40.0, 2.0)
-    (used,) = torchfra.clean((time, np.outer(time, [30.0, 10.0])), bank="aircraft").used
+    (used,) = torchfra.clean((time, np.outer(time, [30.0, 10.0])), bank="aircraft").parameters
     factor = torch.ones(1, dtype=torch.float64, requires_grad=True)
     (factor * value(used)).sum().backward()
     assert_close(factor.grad, value(used).sum().reshape(1))
@@ -138,4 +138,4 @@ def test_fixes_that_state_how_good_they_are_give_a_sensor_in_metres(tmp_path):
     file.write_text("\n".join(["time,x,y,accuracy", *rows]))
     (cleaned,) = torchfra.clean(file, bank="person")
     assert cleaned.found.stated
-    assert 15 < cleaned.used[0].sigma.item() < 45
+    assert 15 < cleaned.parameters[0].sigma.item() < 45

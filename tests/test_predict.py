@@ -13,7 +13,7 @@ NAMES = ["srckf", "ghckf", "rsrckf", "iaukf", "fra", "gpb", "alphabeta", "imm_sr
 
 
 def made(name, **options):
-    motion = aircraft(spectral=True) if "imm" in name else ConstantVelocity(1.0)
+    motion = aircraft(continuous=True) if "imm" in name else ConstantVelocity(1.0)
     return getattr(presets, name)(motion, GPS, **options)
 
 

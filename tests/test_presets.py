@@ -51,7 +51,7 @@ def test_the_defaults_of_presets_are_those_of_the_classes_but_for_what_they_chan
     for outer, inner, changed in (
         (presets.fra, presets.fra_srckf, {"rcond": 0.2, "decision": "likelihood", "memory": "weighted"}),
         (presets.imm_fra, presets.fra, {"preference": 5.0}),
-        (presets.imm_fra, presets.imm, {"stay": 0.99}),
+        (presets.imm_fra, presets.imm, {"self_transition": 0.99}),
         (presets.iaukf_jpda, presets.iaukf, {}),
         (presets.iaukf_jpda, presets.jpda, {"lost": 1e-3}),
         (presets.ukf_jpda, presets.jpda, {}),

@@ -80,7 +80,7 @@ PAIRS = {
     "ukf": Pair(presets.ukf, motion.Bicycle(2.5, 1.0, 0.1), Position(2.0), DRIVEN),
     "srckf": Pair(presets.srckf, motion.CurrentStatistical(0.3, 5.0), Position(2.0), ACCELERATED, noise="noise"),
     "srckf of time differences": Pair(
-        presets.srckf, ConstantVelocity(1.0, spectral=True), sensors.TimeDifferences(FLAT, 3.0), PLANE, noise="noise"
+        presets.srckf, ConstantVelocity(1.0, continuous=True), sensors.TimeDifferences(FLAT, 3.0), PLANE, noise="noise"
     ),
     "srckf of a camera": Pair(
         presets.srckf, ConstantVelocity(1.0, 3),
@@ -108,7 +108,9 @@ PAIRS = {
         presets.srckf, motion.ConstantSpeed(1.0, 0.01), RangeBearing((2.0, 0.02, 0.02), dims=3), SPACE
     ),
     "hghckf2": Pair(presets.hghckf2, VELOCITY, Ranges(ANCHORS, 1.0, height=1.0), PLANE),
-    "hghckf": Pair(presets.hghckf, CoordinatedTurn(0.1, 1.0, spectral=True), Bearings(0.01, stations=FLAT[1:3]), PLANE),
+    "hghckf": Pair(
+        presets.hghckf, CoordinatedTurn(0.1, 1.0, continuous=True), Bearings(0.01, stations=FLAT[1:3]), PLANE
+    ),
     "iaukf": Pair(presets.iaukf, motion.Bicycle(2.5, 1.0, 0.1), RangeBearing((2.0, 0.02)), DRIVEN),
     "iaukf in spherical coordinates": Pair(
         presets.iaukf, motion.Spherical(ConstantVelocity(1.0, 3)), sensors.InfraredLaser((0.002, 0.002, 5.0)),

@@ -51,7 +51,7 @@ OTHER = Position(torch.tensor([1.0, 3.0], **F64))
 
 
 def motion_of(name):
-    return aircraft(spectral=True) if "imm" in name else ConstantVelocity(1.0)
+    return aircraft(continuous=True) if "imm" in name else ConstantVelocity(1.0)
 
 
 def made(name, sensor=GPS, **options):

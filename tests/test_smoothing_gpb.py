@@ -86,7 +86,7 @@ def test_on_short_tracks_it_is_close_to_the_exact_mixture_of_all_histories():
     assert off(smoothed.mean) < 0.18
     assert off(smoothed.mean) < 0.2 * off(filtered.mean)
     of_regimes, of_outliers = wrong(smoothed.info.probabilities, smoothed.info.outlier)
-    regimes_before, outliers_before = wrong(filtered.info.regimes, filtered.info.outlier)
+    regimes_before, outliers_before = wrong(filtered.info.probabilities, filtered.info.outlier)
     assert of_outliers < min(0.01, 0.3 * outliers_before)
     assert of_regimes < regimes_before
     spread = np.trace(smoothed.covariance.numpy()[..., :2, :2], axis1=-2, axis2=-1) / size**2

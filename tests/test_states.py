@@ -142,7 +142,9 @@ def covariance(motion, mean=None, dt=DT):
     return root @ root.mT
 
 
-@pytest.mark.parametrize("first", [ConstantVelocity(0.3), UnknownTurn(0.3, 0.1, spectral=True), Bicycle(2.7, 0.3, 0.1)])
+@pytest.mark.parametrize(
+    "first", [ConstantVelocity(0.3), UnknownTurn(0.3, 0.1, continuous=True), Bicycle(2.7, 0.3, 0.1)]
+)
 def test_each_motion_moves_its_own_part_for_itself(first):
     motion = Augmented(first, BIASES, Clock(0.1, 0.2))
     x = tensor(1, 2, 3, 4, 0.1)[: first.size]
@@ -183,7 +185,7 @@ def test_a_bias_beside_a_target_leaves_its_motion_as_it_is_also_where_that_follo
     wide = Gaussian(torch.zeros(8).double(), torch.eye(8).double())
     with torch.no_grad():
         alone, both = (
-            presets.imm_srckf(models, Position(0.5), stay=0.9)(z, given)
+            presets.imm_srckf(models, Position(0.5), self_transition=0.9)(z, given)
             for models, given in ((bank, prior), (beside, wide))
         )
     torch.testing.assert_close(both.mean[..., :6], alone.mean)
@@ -194,7 +196,7 @@ def test_a_bias_beside_a_target_leaves_its_motion_as_it_is_also_where_that_follo
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "motion",
-    [UnknownTurn(0.1, 0.01, spectral=True), Augmented(Bicycle(2.7, 0.1, 0.01), RandomWalk(0.1, 1, kind="bias"))],
+    [UnknownTurn(0.1, 0.01, continuous=True), Augmented(Bicycle(2.7, 0.1, 0.01), RandomWalk(0.1, 1, kind="bias"))],
     ids=["turn", "bicycle with a bias"],
 )
 def test_motions_learn_and_compile(motion):

@@ -45,9 +45,9 @@ def test_where_runs_are_lost_far_away_their_number_stands_for_the_mean_errors():
 
 
 @pytest.mark.parametrize(("names", "said"), [
-    (RESULTS, "gpb: 60 m, no run lost; best of the others: fra, 72 m; plain srckf: 92 m"),
-    (["srckf", "gpb"], "srckf: 92 m, no run lost; best of the others: gpb, 60 m"),
-    (["asrckf"], "asrckf: more than 1000 km, 4 of 867 runs lost"),
+    (RESULTS, "gpb: 60 m, no run diverged; best of the others: fra, 72 m; plain srckf: 92 m"),
+    (["srckf", "gpb"], "srckf: 92 m, no run diverged; best of the others: gpb, 60 m"),
+    (["asrckf"], "asrckf: more than 1000 km, 4 of 867 runs diverged"),
 ])  # fmt: skip
 def test_a_sentence_says_how_the_first_filter_compares(names, said):
     assert headline({name: RESULTS[name] for name in names}, 867) == said

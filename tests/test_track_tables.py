@@ -192,8 +192,8 @@ def test_of_many_targets_there_is_a_row_for_each_and_what_they_share_is_said_onc
 
 
 def test_what_is_said_of_some_targets_is_counted():
-    off = replace(straight(10), found=replace(FOUND, said=("Kind of target: aircraft, as the file says", "Late: 3 s")))
-    later = replace(off, found=replace(FOUND, said=("Kind of target: ship, as the file says", "Late: 4 s")))
+    off = replace(straight(10), found=replace(FOUND, notes=("Kind of target: aircraft, as the file says", "Late: 3 s")))
+    later = replace(off, found=replace(FOUND, notes=("Kind of target: ship, as the file says", "Late: 4 s")))
     assert notes([off, later, straight(10)]) == ["Late: 2 of 3", "fixes 20 m off, say the innovations: 1 of 3"]
 
 

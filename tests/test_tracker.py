@@ -22,7 +22,7 @@ SENSORS = {"gps": GPS, "radar": RADAR}
 
 
 def made(name="srckf", **options):
-    motion = aircraft(spectral=True) if "imm" in name else ConstantVelocity(1.0)
+    motion = aircraft(continuous=True) if "imm" in name else ConstantVelocity(1.0)
     return getattr(presets, name)(motion, GPS, **options)
 
 
@@ -229,7 +229,10 @@ def test_a_track_of_other_models_or_sensors_is_not_loaded():
     for other, message in (
         (tracker(made("rsrckf")), r"values: expected filter.robust 'Huber\(\)', received 'Robust\(\)'"),
         (tracker(presets.srckf(ConstantVelocity(9.0), GPS)), r"values: expected filter.motion.q 'Hyper\(9,"),
-        (tracker(presets.srckf(ConstantVelocity(1.0, spectral=True), GPS)), r"values: expected filter.motion .*=True"),
+        (
+            tracker(presets.srckf(ConstantVelocity(1.0, continuous=True), GPS)),
+            r"values: expected filter.motion .*=True",
+        ),
         (tracker(presets.srckf(CoordinatedTurn(0.1, 1.0), GPS)), r"values: expected filter.motion 'CoordinatedTurn"),
         (tracker(made(), sensors={"gps": RADAR, "radar": GPS}), r"values: expected sensor gps 'RangeBearing"),
     ):

@@ -229,7 +229,7 @@ def _cut(tracks):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ("rate=1", "expected KEY=VALUE with a key out of"),
+    ("rate=1", "expected KEY=VALUE with a key of"),
     ("lr", "expected KEY=VALUE"),
     ("lr=fast", "lr: expected float, received 'fast'"),
     ("lr=-1", "lr: expected a value above 0"),

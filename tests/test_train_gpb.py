@@ -162,12 +162,15 @@ def test_a_loss_is_a_power_of_the_ratios_to_what_is_allowed_within_bounds(traini
 
 @pytest.mark.usefixtures("short_tracks")
 def test_rivals_have_the_same_runs_as_the_filters(training):
-    for cases, runs in ((training.cases, training.config.batch), (training.unseen, training.config.validation_runs)):
+    for cases, runs in (
+        (training.cases, training.config.batch),
+        (training.validation_cases, training.config.validation_runs),
+    ):
         assert all(len(batch.z) == runs * len(tasks) for tasks, batch in cases.groups)
     rival = training.best_rival(
         0, held_out=True, runs=training.config.validation_runs, seed=training.config.validation_seed
     )[1]
-    assert training.unseen.rivals[0] == rival
+    assert training.validation_cases.rivals[0] == rival
 
 
 @pytest.mark.slow
@@ -277,7 +280,7 @@ def test_the_named_run_has_several_sensors_bursts_recorded_flights_and_both_kind
     ('tasks=[{"scenario":"growth","models":"bank"}]', "models: expected 'motion'"),
     ('tasks=[{"scenario":"bearings-outliers","weight":0}]', "tasks: expected one of a weight above 0"),
     ("population=2", "population: expected at least 4"),
-    ('hold={"noise_levels":[9]}', "hold, noise_levels: expected places among 4 entries"),
+    ('fixed={"noise_levels":[9]}', "fixed, noise_levels: expected indices below 4, received"),
 ])  # fmt: skip
 def test_a_setting_that_makes_no_sense_is_named_before_any_work(change, message, tmp_path, capsys):
     few = f"tasks={json.dumps(TASKS[:1])}"  # unless the change is of these

@@ -15,7 +15,7 @@ from torchfra.targets import Deletion, Existence, FieldOfView, OnePoint, Targets
 
 STD, RATE, SPEED = 0.005, 0.5, 15.0
 PLACES = {"left": (0.0, 0.0), "right": (800.0, 0.0), "third": (400.0, -300.0)}
-MOTION = ConstantVelocity(0.5, spectral=True)
+MOTION = ConstantVelocity(0.5, continuous=True)
 
 
 def camera(sensor=None):

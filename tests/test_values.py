@@ -48,7 +48,7 @@ def test_what_is_given_wins_over_the_set():
     f = presets.fra(*models(), values="bearings", robust=torchfra.robust.Huber(0.7))
     assert f.robust.threshold().item() == pytest.approx(0.7)
     turns = scenarios.adsb_turns()
-    f = presets.vsimm_srckf(turns.bank, turns.sensor, values="turns", stay=0.9)
+    f = presets.vsimm_srckf(turns.bank, turns.sensor, values="turns", self_transition=0.9)
     assert f.transition()[0, 0].item() == pytest.approx(0.9)
 
 
@@ -211,6 +211,6 @@ def test_a_run_is_taken_as_arguments_and_factors(tmp_path):
     learned = {"inner.motion.models.0.q": 3.0, "transition[0,0]": 0.9, "transition[0,1]": 0.1, "unlikely": 0.2}
     result = {"config": config, "values": {"start": start, "learned": learned}, "versions": {}}
     (tmp_path / "results.json").write_text(json.dumps(result))
-    record = measured.taken(tmp_path)
+    record = measured.set_of(tmp_path)
     assert record["factors"] == {"motion.models.0.q": 1.5}
     assert record["arguments"] == {"transition": [[0.9, 0.1]], "unlikely": 0.2}

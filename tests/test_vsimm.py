@@ -160,8 +160,8 @@ def test_what_does_not_fit_is_named():
         make(first=(0, 0, 1))
     with pytest.raises(ValueError, match="0 <= unlikely < principal < 1"):
         make(unlikely=0.6)
-    with pytest.raises(ValueError, match="stay: expected a probability above 0 and below 1"):
-        make(stay=1.5)
+    with pytest.raises(ValueError, match="self_transition: expected a probability above 0 and below 1"):
+        make(self_transition=1.5)
     with pytest.raises(ValueError, match=r"transition: expected \(5, 5\) above 0"):
         make(transition=torch.eye(5))
 

@@ -25,9 +25,9 @@ def task_scenario(task: Task, config: Config, *, held_out: bool) -> Scenario:
     """The scenario of a task.
 
     Args:
-        task: which.
+        task: of the run.
         config: names the files of recorded tracks.
-        held_out: of recorded tracks every fifth, which training never sees, instead of the others.
+        held_out: whether recorded tracks are every fifth, which is not trained on, instead of the others.
 
     Raises:
         ValueError: a bank is asked for where there is none.
@@ -48,13 +48,13 @@ def simulated(task: Task) -> Scenario:
 
 def _recorded(task: Task, config: Config, held_out: bool) -> Scenario:
     options = {"max_gap": 30.0, "repair": True, **task.options}
-    mended = _mended(config.files, held_out, options["max_gap"] if options.pop("repair") else None)
-    return scenarios.recorded(mended, repair=False, **options)
+    corrected = _corrected(config.files, held_out, options["max_gap"] if options.pop("repair") else None)
+    return scenarios.recorded(corrected, repair=False, **options)
 
 
 @cache
-def _mended(files: tuple[str, ...], held_out: bool, max_gap: float | None) -> list[readers.Recording]:
-    """Recorded tracks with corrected time stamps, which takes seconds; as they are if there is no ``max_gap``."""
+def _corrected(files: tuple[str, ...], held_out: bool, max_gap: float | None) -> list[readers.Recording]:
+    """Recorded tracks with corrected time stamps, which takes seconds; unchanged without a ``max_gap``."""
     paths = [Path(file) for file in files] or readers.samples("calibration", "gliders")
     recordings = [recording for path in paths for recording in readers.read(path)]
     kept = [recording for i, recording in enumerate(recordings) if (i % 5 == 4) == held_out]
@@ -69,7 +69,7 @@ def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, dev
         first: number of the first run; run i of a seed is always the same track.
         runs: tracks of each task, over all processes.
         seed: of the random numbers.
-        device: where the tensors go.
+        device: of the tensors.
     """
     share = distributed.share(runs)
     count, steps = len(share), max(scenario.steps for scenario in tasks)

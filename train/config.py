@@ -1,4 +1,4 @@
-"""The settings of a run of ``train.tune``, how the command line changes them, and their ranges."""
+"""The settings of a run of ``train.tune``, their changes on the command line, and their ranges."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from torchfra.hyper import one_of
 LOSSES = ("mse", "robust", "nll", "innovation", "teacher", "regret")
 MODELS = ("motion", "bank", "any")
 LARGEST = 10**9
-"""Largest seed, and largest number of anything that is counted."""
+"""Largest seed and largest count."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """Tracks to learn from, and how much they count."""
+    """Tracks to learn from, and their weight in the loss."""
 
     scenario: str
-    """A name of ``torchfra.catalogue.SCENARIOS``, ``"bearings-outliers"`` for example, a function of one's own that
+    """A name of ``torchfra.catalogue.SCENARIOS``, ``"bearings-outliers"`` for example, a function of the user that
     makes a ``Scenario``, as ``module:function`` or ``file.py:function``, or ``"recorded"``."""
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of the scenario, such as ``outliers`` and ``truth_noise``."""
     weight: float = 1.0
     """Weight of this task's mean loss in the loss of the run.  Loss ``"regret"``: 0 for tracks to test on only."""
     allowed: float = 0.0
-    """Loss ``"regret"``: how far behind the best rival a filter may be; what is beyond that counts for much more."""
+    """Loss ``"regret"``: the regret that is tolerated; a larger one counts for much more."""
     runs: int = 0
-    """Loss ``"regret"``: tracks of this task, to learn from and later; 0 for as many as the run has of each."""
+    """Loss ``"regret"``: number of tracks of this task, for learning and reports; 0 for that of the run."""
     models: str = "any"
-    """What a filter that takes either is given of the scenario: its ``"motion"``, its ``"bank"``, or ``"any"``: the
-    bank if it has one."""
+    """Models of the scenario for filters that take either: its ``"motion"``, its ``"bank"``, or ``"any"``: the bank
+    if it has one."""
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,16 @@ class Config:
     start: dict[str, Any] = field(default_factory=dict)
     """Initial values, in natural units, instead of the preset's and the scenario's.  Loss ``"regret"``: arguments of
     the preset."""
-    hold: dict[str, list[int]] = field(default_factory=dict)
-    """Loss ``"regret"``: places in values that learn whose entries stay at their start, such as a level of 1."""
+    fixed: dict[str, list[int]] = field(default_factory=dict)
+    """Loss ``"regret"``: indices of entries of learned values that keep their initial value, such as a level of 1."""
     rivals: tuple[str, ...] = ("srckf", "rsrckf", "mr_ckf", "fra", "imm_srckf", "imm_fra")
-    """Loss ``"regret"``: filters whose best in a task, at its defaults, an error is compared with."""
+    """Loss ``"regret"``: filters at their defaults; an error is compared with that of the best of them in a task."""
     search: dict[str, list[float]] = field(default_factory=dict)
-    """Candidate values of hyperparameters that no gradient reaches.  They are tried after the last iteration, on the
+    """Candidate values of hyperparameters without a gradient.  They are tried after the last iteration, on the
     validation tracks, one hyperparameter after the other."""
     loss: str = "robust"
     """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"``, ``"teacher"`` or ``"regret"``: errors as
-    ratios to the best rival's, of several filters that share values.  That one is searched without gradients
+    ratios to the best rival's, of several filters that share values, which are searched without gradients
     (``train/regret.py``)."""
     scale: float = 100.0
     """Position error, m, above which the robust loss flattens."""
@@ -82,18 +82,18 @@ class Config:
     """Largest norm of one track's gradient.  Large, because tracks about to diverge have large gradients."""
 
     truncate: int = 0
-    """Steps after which backpropagation through time is cut; 0 for never."""
+    """Steps after which backpropagation through time is truncated; 0 for never."""
     temperature: float = 1.0
     """Initial temperature of FRA's decision; falls geometrically to ``cold``.  0 trains the hard decision."""
     cold: float = 0.1
     """Final temperature."""
     validate_every: int = 10
-    """Iterations between validations, with the hard decision, on tracks that are never trained on."""
+    """Iterations between validations, with the hard decision, on validation tracks."""
     validation_runs: int = 128
     patience: int = 5
     """Validations without improvement after which training stops."""
     test_runs: int = 500
-    """Unseen tracks of each task for the figures before and after; 0 for none."""
+    """Test tracks of each task for the errors before and after; 0 for none."""
     seed: int = 0
     validation_seed: int = 1
     test_seed: int = 2
@@ -119,7 +119,7 @@ def read_changes(changes: Sequence[str]) -> dict[str, Any]:
             continue
         if not equals or key not in types:
             known = ", ".join(("scenario", *types))
-            raise ValueError(f"config: expected KEY=VALUE with a key out of {known}, received {change!r}")
+            raise ValueError(f"config: expected KEY=VALUE with a key of {known}, received {change!r}")
         try:
             fields[key] = _read(text, types[key])
         except (ValueError, KeyError, TypeError):
@@ -149,7 +149,7 @@ def _type_name(kind: Any) -> str:
 
 
 def check(config: Config) -> Config:
-    """The same settings, if they are possible.
+    """The settings, after a check of their ranges.
 
     Raises:
         ValueError: a value out of its range.

@@ -1,4 +1,4 @@
-"""A search without gradients, for losses that cost little and scatter."""
+"""A search without gradients, for losses that are cheap and noisy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class Evolution:
-    """Evolution strategy that learns a standard deviation for each number: separable CMA-ES.
+    """Evolution strategy that adapts a standard deviation for each number: separable CMA-ES.
 
     Each generation draws candidates around the mean, which moves to the better ones; the random numbers follow from the
     seed and the number of the generation.
@@ -40,7 +40,7 @@ class Evolution:
         self.step_rate = (mass + 2) / (n + mass + 5)
         self.damping = 1 + self.step_rate + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1)
         self.path_rate = (4 + mass / n) / (n + 4 + 2 * mass / n)
-        faster = (n + 2) / 3  # as there are n variances to learn instead of a whole matrix
+        faster = (n + 2) / 3  # because n variances are learned instead of a full matrix
         self.one_rate = min(1.0, faster * 2 / ((n + 1.3) ** 2 + mass))
         many = faster * 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass)
         self.many_rate = max(0.0, min(1 - self.one_rate, many))
@@ -50,13 +50,13 @@ class Evolution:
         return self.mean + self.step * self.variances.sqrt() * self._draws()
 
     def tell(self, losses: Tensor) -> None:
-        """Moves on to the next generation, from the losses ``(population,)`` of the candidates; NaN is the worst."""
+        """Updates the distribution by the losses ``(population,)`` of the candidates; NaN is the worst."""
         best = losses.nan_to_num(nan=math.inf, posinf=math.inf).argsort(stable=True)[: len(self.weights)]
         draws = self._draws()[best]
         drawn = self.weights @ draws  # the mean's move, in units of the spread
         self.mean = self.mean + self.step * self.variances.sqrt() * drawn
-        self.step_path = _followed(self.step_path, drawn, self.step_rate, self.mass)
-        self.path = _followed(self.path, self.variances.sqrt() * drawn, self.path_rate, self.mass)
+        self.step_path = _updated_path(self.step_path, drawn, self.step_rate, self.mass)
+        self.path = _updated_path(self.path, self.variances.sqrt() * drawn, self.path_rate, self.mass)
         spread = self.weights @ (self.variances * draws.square())
         keep = 1 - self.one_rate - self.many_rate
         self.variances = keep * self.variances + self.one_rate * self.path.square() + self.many_rate * spread
@@ -74,7 +74,7 @@ class Evolution:
         return {key: getattr(self, key) for key in keys}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Takes values that ``state_dict`` has given.
+        """Restores values of ``state_dict``.
 
         Raises:
             KeyError: a value is missing.
@@ -83,10 +83,10 @@ class Evolution:
         for key, own in self.state_dict().items():
             value = state[key]
             if type(value) is not type(own) or (isinstance(own, Tensor) and value.shape != own.shape):
-                raise TypeError(f"{key}: expected what state_dict gives, received {value!s:.100}")
+                raise TypeError(f"{key}: expected a value of state_dict, received {value!s:.100}")
             setattr(self, key, value.to(own.device) if isinstance(own, Tensor) else value)
 
 
-def _followed(path: Tensor, move: Tensor, rate: float, mass: float) -> Tensor:
-    """A path that fades at this rate, and is normally distributed if moves are random."""
+def _updated_path(path: Tensor, move: Tensor, rate: float, mass: float) -> Tensor:
+    """An evolution path with this learning rate, of unit variance if moves are random."""
     return (1 - rate) * path + math.sqrt(rate * (2 - rate) * mass) * move

@@ -1,4 +1,4 @@
-"""A target that does what ``filters.GPB`` believes: process noise that changes between levels, outliers in runs."""
+"""A target of the model of ``filters.GPB``: process noise that switches between levels, outliers in bursts."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def regimes(
 
     Args:
         noise_levels: factors on the variance of the process noise, whose acceleration changes by 0.1 m/s^2 per step.
-        self_transition: self-transition probabilities of these; the first step has the first level.
-        restart: odds of the level after one that does not stay.
-        outlier_transition: ``(2, 2)`` of clean and outlier; the first measurement is clean.
+        self_transition: self-transition probabilities of the levels; the first step has the first level.
+        restart: restart distribution of the levels.
+        outlier_transition: ``(2, 2)`` of inlier and outlier; the first measurement is an inlier.
         size: factor on the covariance of an outlier's noise.
     """
-    chain = np.diag(self_transition) + (1 - np.asarray(self_transition))[:, None] * np.asarray(restart)
+    transition = np.diag(self_transition) + (1 - np.asarray(self_transition))[:, None] * np.asarray(restart)
     motion, sensor, dt = ConstantAcceleration(Q), Position(STD), torch.tensor(DT, dtype=torch.float64)
     step, root = motion.transition(dt), motion.process_noise(dt)
     scales = torch.tensor(noise_levels, dtype=torch.float64).sqrt()
@@ -42,7 +42,7 @@ def regimes(
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         start, noise = (torch.from_numpy(rng.standard_normal(shape)) for shape in ((BLOCK, 6), (BLOCK, STEPS, 2)))
         push = torch.from_numpy(rng.standard_normal((STEPS, BLOCK, root.shape[-1])))
-        push = push * scales[_states(rng, chain)].mT.unsqueeze(-1)
+        push = push * scales[_states(rng, transition)].mT.unsqueeze(-1)
         outlier = _states(rng, outlier_transition).unsqueeze(-1)
         state, path = start @ _ROOT, []
         for shock in push:
@@ -62,9 +62,9 @@ def regimes(
     return Scenario("regimes", motion, sensor, Gaussian(torch.zeros_like(_ROOT[0]), _ROOT), DT, STEPS, block, settings)
 
 
-def _states(rng: np.random.Generator, chain: ArrayLike) -> Tensor:
+def _states(rng: np.random.Generator, transition: ArrayLike) -> Tensor:
     """``(BLOCK, STEPS)`` numbers of the states of a Markov chain, from the first state on."""
-    upper, draw = np.cumsum(np.asarray(chain), -1)[:, :-1], rng.random((STEPS, BLOCK, 1))
+    upper, draw = np.cumsum(np.asarray(transition), -1)[:, :-1], rng.random((STEPS, BLOCK, 1))
     states = [np.zeros(BLOCK, dtype=np.int64)]
     for u in draw[1:]:
         states.append((u > upper[states[-1]]).sum(-1))

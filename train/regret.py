@@ -26,13 +26,13 @@ from train.evolution import Evolution
 from train.training import Training
 
 POWER = 60
-"""Exponent of the ratios in the loss: the sum over the tasks is about as large as the worst of them."""
-AHEAD, BEHIND = 0.7, 12.0
-"""Ratios beyond which nothing is gained or lost: in a task that is far ahead there is no need to get further."""
+"""Exponent of the ratios in the loss, whose sum over the tasks is about that of the worst task."""
+LEAST_RATIO, LARGEST_RATIO = 0.7, 12.0
+"""Bounds on the ratios in the loss: a task with a far smaller error than its rivals needs no further gain."""
 
 
 class Cases(NamedTuple):
-    """Tracks of the tasks that count, and how well the best rivals do on them."""
+    """Tracks of the tasks that count, and the errors of the best rivals on them."""
 
     groups: list[tuple[list[int], Batch]]
     """Tasks with the same models, and the tracks of all of them."""
@@ -46,8 +46,8 @@ class Regrets(Training):
     ``filter`` has the values by the names of the preset's arguments.  The loss of a task is the mean of two ratios to
     the power ``POWER``: of the filtered and of the lagged error to that of the best rival times 1 and the regret that
     is ``allowed`` in the task.  An error is the mean over time of the root mean square position error over the runs:
-    one number for all runs together.  Rivals have the same runs, and all iterations too: so a ratio does not depend on
-    which runs there were.  It needs no gradient: an evolution strategy searches the values.
+    one number for all runs together.  Rivals have the same runs, and so have all iterations, so that ratios do not
+    depend on the choice of runs.  An evolution strategy searches the values without gradients.
 
     Args:
         config: of the run.
@@ -62,10 +62,10 @@ class Regrets(Training):
         super().__init__(config)
         values = parameters_to_vector(self.filter.parameters()).detach().clone()
         self.optimiser = Evolution(values, step=config.lr, population=config.population, seed=config.seed)
-        self.held = values, self._held()
+        self.initial, self.fixed = values, self._fixed()
 
     def make(self) -> nn.Module:
-        """The values; ``filters`` of the tasks take them."""
+        """The values, which the ``filters`` of the tasks share."""
         config = self.config
         if distributed.size() > 1:
             raise ValueError(f"loss: expected another than 'regret' in {distributed.size()} processes")
@@ -80,20 +80,20 @@ class Regrets(Training):
             if kind not in made:
                 made[kind] = self._sharing(values, scenario)
             self.filters.append(made[kind])
-        for name, places in config.hold.items():
+        for name, places in config.fixed.items():
             entries = values[name]().numel() if name in values else 0
             if not all(0 <= place < entries for place in places):
-                raise ValueError(f"hold, {name}: expected places among {entries} entries, received {places}")
+                raise ValueError(f"fixed, {name}: expected indices below {entries}, received {places}")
         if config.compile:
             for i in self.counted:
                 self.filters[i].compile()
         self.start = copy.deepcopy(values.state_dict())
         self.cases = self._cases(config.batch, config.seed, held_out=False)
-        self.unseen = self._cases(config.validation_runs, config.validation_seed, held_out=True)
+        self.validation_cases = self._cases(config.validation_runs, config.validation_seed, held_out=True)
         return values
 
     def _sharing(self, values: nn.ModuleDict, scenario: Scenario) -> Filter:
-        """A filter around the models of a scenario, and the values; the first filter brings them."""
+        """A filter around the models of a scenario, with the shared values, which are those of the first filter."""
         config = self.config
         f = scenario_filter(config.filter, copy.deepcopy(scenario), **config.options | config.start)
         for name in config.start:
@@ -106,25 +106,24 @@ class Regrets(Training):
             setattr(f.get_submodule(owner), key, values[name])
         return f.to(config.device)
 
-    def _held(self) -> Tensor:
+    def _fixed(self) -> Tensor:
         """Bool, the numbers of all parameters that do not change."""
-        held = []
+        fixed = []
         for path, value in self.filter.named_parameters():
-            which = torch.tensor(self.config.hold.get(path.removesuffix(".raw"), []), dtype=torch.long)
-            held.append(torch.zeros(value.numel(), dtype=torch.bool).index_fill(0, which, True))
-        return torch.cat(held).to(self.config.device)
+            which = torch.tensor(self.config.fixed.get(path.removesuffix(".raw"), []), dtype=torch.long)
+            fixed.append(torch.zeros(value.numel(), dtype=torch.bool).index_fill(0, which, True))
+        return torch.cat(fixed).to(self.config.device)
 
     def _take(self, candidate: Tensor) -> None:
-        """Gives the parameters these values, but for those that are held."""
-        start, held = self.held
-        vector_to_parameters(torch.where(held, start, candidate), self.filter.parameters())
+        """Sets the parameters to these values, except the fixed ones."""
+        vector_to_parameters(torch.where(self.fixed, self.initial, candidate), self.filter.parameters())
 
     def _cases(self, runs: int, seed: int, *, held_out: bool) -> Cases:
         """Tracks, and the best rivals on them; tasks with the same models are one batch."""
         config, scenarios = self.config, self.held_out if held_out else self.scenarios
         best, known = torch.ones(len(scenarios), dtype=torch.float64), dict[str, float]()
         together: dict[tuple[str, int], list[int]] = {}
-        for i in progress_bar(self.counted, "best rivals, unseen" if held_out else "best rivals", not self.quiet):
+        for i in progress_bar(self.counted, "best rivals, validation" if held_out else "best rivals", not self.quiet):
             task = config.tasks[i]
             scenario = repr((task.scenario, task.options, task.runs))
             if scenario not in known:
@@ -162,15 +161,19 @@ class Regrets(Training):
 
     @torch.no_grad()
     def validation(self) -> Tensor:
-        """The weighted loss on tracks that are never trained on."""
-        return self.task_weights @ self.losses_of(self.unseen)
+        """The weighted loss on validation tracks."""
+        return self.task_weights @ self.losses_of(self.validation_cases)
 
     def losses_of(self, cases: Cases) -> Tensor:
         """``(tasks,)`` losses; 0 of tasks that do not count."""
         losses = torch.zeros(len(self.filters), dtype=torch.float64)
         allowed = 1 + torch.tensor([task.allowed for task in self.config.tasks], dtype=torch.float64)
         for tasks, batch in cases.groups:
-            ratios = (self.errors(tasks, batch) / cases.rivals[tasks]).nan_to_num(nan=math.inf).clamp(AHEAD, BEHIND)
+            ratios = (
+                (self.errors(tasks, batch) / cases.rivals[tasks])
+                .nan_to_num(nan=math.inf)
+                .clamp(LEAST_RATIO, LARGEST_RATIO)
+            )
             losses[tasks] = (ratios / allowed[tasks]).pow(POWER).mean(0)
         return losses
 
@@ -192,13 +195,13 @@ class Regrets(Training):
 
 
 def _models(of: Filter | Scenario) -> list[nn.Module]:
-    """Its motions and its sensor."""
+    """The motions and the sensor of a filter or a scenario."""
     motion = getattr(of, "bank", None) or of.motion
     return [*(motion.models if isinstance(motion, Bank) else [motion]), of.sensor]
 
 
 def _kind(scenario: Scenario) -> str:
-    """Models and their places, without the values that they hold: what a filter around them is known by."""
+    """Key of the models and their geometry, without the values of their hyperparameters."""
     models = nn.ModuleList(_models(scenario))
     saved = models.state_dict()
     made = [(type(m).__name__, m.extra_repr()) for m in models.modules() if not isinstance(m, Hyper)]
@@ -207,6 +210,6 @@ def _kind(scenario: Scenario) -> str:
 
 
 def _values(scenario: Scenario) -> str:
-    """Models with all their values, and the time step: tracks of the same are one batch."""
+    """Key of the models with all their values, and the time step: tracks with equal keys are one batch."""
     values = [(name, x.tolist()) for name, x in nn.ModuleList(_models(scenario)).state_dict().items()]
     return repr((_kind(scenario), values, scenario.dt))

@@ -1,4 +1,4 @@
-"""The report of a run: values before and after, and position errors on unseen tracks."""
+"""The report of a run: values before and after, and position errors on test tracks."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def report(training: Training, descent: Descent, start: dict[str, float], *, qui
     """The contents of results.json.
 
     Args:
-        training: its filter gets the best values.
-        descent: at its end.
+        training: whose filter is set to the best values.
+        descent: after its last iteration.
         start: the values before the first iteration.
         quiet: whether to show no progress bar.
     """
@@ -55,7 +55,7 @@ def report(training: Training, descent: Descent, start: dict[str, float], *, qui
 
 
 def _errors(training: Training, quiet: bool) -> list[dict[str, Any]]:
-    """For each task the errors on unseen tracks before and after, decided hard."""
+    """For each task the errors on test tracks before and after, with hard decisions."""
     config, tasks = training.config, []
     filters = {
         "before": make_filter(config, training.scenarios[0], config.start, learn=False).to("cpu"),
@@ -74,7 +74,7 @@ def _errors(training: Training, quiet: bool) -> list[dict[str, Any]]:
 
 @torch.no_grad()
 def _regrets(training: Regrets, quiet: bool) -> list[dict[str, Any]]:
-    """For each task the best rival on unseen tracks, and errors before and after, filtered and lagged."""
+    """For each task the best rival on test tracks, and errors before and after, filtered and lagged."""
     config, tasks = training.config, []
     learned = copy.deepcopy(training.filter.state_dict())
     for i in progress_bar(range(len(config.tasks)), "test", not quiet):

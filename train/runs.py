@@ -10,8 +10,8 @@ from train.config import Config, Task, check, read_changes
 
 SINGLE = ("bearings-outliers", "ranges-outliers")
 """Scenarios in which ``gpb`` learns with one motion too; the others need a bank."""
-HOLDS, CASES, OFF = 0.015, 0.035, 0.07
-"""Regrets that are allowed: where the stated model holds, in scenarios, and where process noise is ten times off."""
+TRUE_MODEL, SCENARIOS, WRONG_NOISE = 0.015, 0.035, 0.07
+"""Tolerated regrets: with the true model, in scenarios, and with process noise that is wrong by a factor of 10."""
 
 
 def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
@@ -19,16 +19,16 @@ def _bearings(name: str, weight: float = 1.0, **options: Any) -> Task:
 
 
 def fra_bearings() -> Config:
-    """Both bearings scenarios at once: one set of values for a bad prior, a good one, outliers and a manoeuvre.
+    """Both bearings scenarios at once: one set of values for bad and good priors, outliers and a manoeuvre.
 
-    Good priors end near 60 m and the manoeuvre near 250 m: the weights make relative errors count, most of all where
-    the plain robust filters are hard to beat.  The scale is beyond the error of any track that does not diverge, so
+    Errors are near 60 m with good priors and near 250 m in the manoeuvre: by the weights relative errors count, most of
+    all where the plain robust filters are good.  The scale is beyond the error of any track that does not diverge, so
     that the loss is nearly the mean squared error and the worst tracks dominate.
     """
     return Config(
         name="fra_bearings",
         tasks=(
-            _bearings("outliers", 2.4, truth_noise=0.01),  # disturbed as the filter assumes
+            _bearings("outliers", 2.4, truth_noise=0.01),  # with the process noise of the filter
             _bearings("manoeuvre", 0.8, truth_noise=0.01),
             _bearings("outliers", 5.0, initial="truth"),
             _bearings("outliers", 13.0, initial="truth", outliers="covariance"),
@@ -36,17 +36,17 @@ def fra_bearings() -> Config:
         ),
         learn=("threshold", "weakening", "forgetting", "fading_max", "gate", "preference", "q", "std"),
         scale=500.0,
-        skip=9,  # the errors of the first steps are those of the bad prior, whatever the filter does
+        skip=9,  # the errors of the first steps are those of the bad prior, for any filter
         batch=48,
         iterations=90,
         lr=0.15,
-        patience=9,  # the loss has a flat valley: validation scores scatter more than they fall along it
+        patience=9,  # the loss has a flat valley, along which validation scores fall by less than their scatter
         validation_runs=128,
     )
 
 
 def fra_recorded() -> Config:
-    """The likelihood of the measurements alone: needs no truth.  Every fifth recorded track is held out."""
+    """By the likelihood of the measurements, without a truth.  Every fifth recorded track is held out."""
     return Config(
         name="fra_recorded",
         tasks=(Task("recorded"),),
@@ -59,7 +59,7 @@ def fra_recorded() -> Config:
 
 
 def noise() -> Config:
-    """Process and measurement noise of a plain filter, a factor 3 off, from measurements alone."""
+    """Process and measurement noise of a plain filter, wrong by a factor of 3 at first, by measurements alone."""
     return Config(
         name="noise",
         tasks=(Task("bearings-outliers", {"outliers": "none", "truth_noise": 0.04, "initial": "truth"}),),
@@ -73,7 +73,7 @@ def noise() -> Config:
 
 
 def recover() -> Config:
-    """A filter with known values is the teacher; another, a factor 3 off at first, recovers them from its estimates."""
+    """Recovers known values from the estimates of a teacher that has them; at first they are wrong by a factor of 3."""
     known = {"threshold": 1.0, "weakening": 4.0, "q": 0.03}
     return Config(
         name="recover",
@@ -87,7 +87,7 @@ def recover() -> Config:
         lr=0.1,
         validation_runs=16,
         patience=100,
-        cold=1.0,  # both filters make soft decisions at one temperature: nothing is gained by hard ones
+        cold=1.0,  # both filters make soft decisions at one temperature; hard ones would gain nothing
         test_runs=0,
     )
 
@@ -95,8 +95,9 @@ def recover() -> Config:
 def switching() -> Config:
     """Three of five models at a time on the ADS-B tracks: transition probabilities, noise levels, when the set changes.
 
-    Both forms of the turns, so that what is learned is not one path.  The scale is near the error of a track: each
-    counts by its relative error.  Turn rates stay fixed: at the learning rate of the other values they jump.
+    Both forms of the turns are learned, so that values do not fit a single path.  The scale is near the error of a
+    track: each counts by its relative error.  Turn rates stay fixed: at the learning rate of the other values they
+    jump.
     """
     return Config(
         name="switching",
@@ -124,13 +125,13 @@ def contaminated() -> Config:
         tasks=(Task("growth", {"outliers": "std", "size": 15.0}),),
         learn=("threshold", "eps"),
         filter="hghckf2",
-        options={"eps": 0.0579148930},  # what "minimax" gives at 1.345
+        options={"eps": 0.0579148930},  # that of "minimax" at 1.345
         search={"eps": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]},  # the gradient is small compared with its scatter
         scale=10.0,
         batch=256,
         iterations=100,
         lr=0.05,
-        clip=1.0,  # gradients through 500 chaotic steps can be of any size: their direction is what counts
+        clip=1.0,  # gradients through 500 chaotic steps can be of any size; only their direction is used
         temperature=0.0,
         validation_runs=1024,
         patience=8,
@@ -139,7 +140,7 @@ def contaminated() -> Config:
 
 
 def association() -> Config:
-    """Detection, gate, and how fast to follow the measurement noise: from the likelihood of scans alone.
+    """Detection, gate, and the adaptation to the measurement noise: by the likelihood of scans.
 
     Two targets among Poisson false measurements (the likelihood of a non-parametric number of them would reward small
     gates, as it counts only those inside); the measurement noise becomes four times what the filter assumes.  Detection
@@ -171,9 +172,9 @@ def gpb() -> Config:
     """Values of ``gpb``: one set over starts, manoeuvres, outliers alone and in bursts, sensors, and stated models.
 
     Filters of a bank and of one motion learn the same values.  Half of the tasks are the papers' scenarios, recorded
-    flights and ranges, where targets do not move as stated; the others are tracks drawn from the stated models, or with
-    a stated noise that is several times off.  Each task allows a regret; what is above that counts, so that the worst
-    regret falls.  Tasks of weight 0 do not count; the report has them.
+    flights and ranges, where targets do not follow the stated motion; the others are tracks of the stated models, or
+    with a stated noise that is wrong by a factor.  Each task tolerates a regret; more than that counts, so that the
+    worst regret falls.  Tasks of weight 0 do not count, but are in the report.
     """
     kinds = ("none", "covariance", "std", "bursts")
     bearings = [Task("bearings-outliers", {"initial": initial}, runs=320) for initial in ("paper", "truth")]
@@ -184,12 +185,12 @@ def gpb() -> Config:
     ]
     tasks += [Task("ranges-outliers", {"outliers": kind}, runs=24) for kind in ("short", "both")]
     tasks += [replace(task, models="motion") for task in tasks if task.scenario in SINGLE]
-    unseen = [Task("ranges-outliers", {"outliers": "nlos", "anchors": "around"}, weight=0.0)]
+    tested = [Task("ranges-outliers", {"outliers": "nlos", "anchors": "around"}, weight=0.0)]
     return Config(
         name="gpb",
         filter="gpb",
         loss="regret",
-        tasks=(*(replace(task, allowed=CASES) for task in tasks), *stated(), *unseen),
+        tasks=(*(replace(task, allowed=SCENARIOS) for task in tasks), *stated(), *tested),
         learn=("all",),
         start={
             "noise_levels": [0.00406, 1.0, 5.04, 104.0], "jump_factors": [8.23],
@@ -199,8 +200,8 @@ def gpb() -> Config:
             "outlier_sizes": [9.04, 60.9, 1540.0, 19500.0],
             "outlier_shares": [0.651967, 0.347, 0.000327, 0.000706], "prior_outlier": 0.0128, "prior_inflation": 89.8,
         },
-        # The process noise that is stated; and how long calm lasts: if longer, covariances miss the onset of turns.
-        hold={"noise_levels": [1], "self_transition": [0]},
+        # The stated process noise; and the duration of calm flight, as longer ones miss the onset of turns.
+        fixed={"noise_levels": [1], "self_transition": [0]},
         rivals=("srckf", "rsrckf", "mr_ckf", "asrckf", "rmckf", "hghckf1", "iaukf", "fra", "imm_srckf", "imm_fra"),
         batch=64,
         iterations=24,
@@ -218,31 +219,31 @@ def gpb() -> Config:
 
 
 def stated() -> list[Task]:
-    """Tracks drawn from the stated models, or with a stated noise that is several times off."""
+    """Tracks of the stated models, or with a stated noise that is wrong by a factor."""
 
     def drawn(allowed: float, index: float = 0.1, outliers: str = "none", **options: Any) -> Task:
         return Task("as-stated", {"index": index, "outliers": outliers, **options}, allowed=allowed)
 
     indices = (0.001, 0.01, 0.1, 1.0)
-    tasks = [drawn(HOLDS, index, motion=motion) for index in indices for motion in ("velocity", "bank")]
-    tasks += [drawn(HOLDS, 1.0, sensor="ranges"), drawn(HOLDS, motion="acceleration")]
+    tasks = [drawn(TRUE_MODEL, index, motion=motion) for index in indices for motion in ("velocity", "bank")]
+    tasks += [drawn(TRUE_MODEL, 1.0, sensor="ranges"), drawn(TRUE_MODEL, motion="acceleration")]
     for outliers in ("covariance", "std", "bursts"):
         tasks += [drawn(0.05, index, outliers) for index in indices]
         tasks += [drawn(0.05, outliers=outliers, motion=motion) for motion in ("acceleration", "bank")]
     tasks.append(drawn(0.05, outliers="bursts", sensor="ranges"))
-    tasks += [drawn(OFF, index, q=q) for index in indices for q in (0.1, 10.0)]
-    tasks += [drawn(OFF, q=q, motion="acceleration") for q in (0.1, 10.0)]
-    tasks += [drawn(OFF, outliers="std", q=q) for q in (0.1, 10.0)]
+    tasks += [drawn(WRONG_NOISE, index, q=q) for index in indices for q in (0.1, 10.0)]
+    tasks += [drawn(WRONG_NOISE, q=q, motion="acceleration") for q in (0.1, 10.0)]
+    tasks += [drawn(WRONG_NOISE, outliers="std", q=q) for q in (0.1, 10.0)]
     tasks += [drawn(1.0, index, q=0.01) for index in indices]
     return tasks + [drawn(0.4, index, std=std) for index in indices for std in (0.5, 2.0)]
 
 
 def recover_gpb() -> Config:
-    """As ``recover``, for ``gpb``, on tracks drawn from its own model: levels, chains and sizes.
+    """As ``recover``, for ``gpb``, on tracks of its own model: levels, transitions and sizes.
 
-    The likelihood of the measurements would identify sizes and the chain of outliers too, but not the levels and their
-    self-transition probabilities: the filter merges the levels of a motion in each step, and a larger agile level makes
-    up for that.
+    The likelihood of the measurements would identify sizes and transitions of outliers too, but not the levels and
+    their self-transition probabilities: the filter merges the levels of a motion in each step, and a larger agile level
+    compensates for that.
     """
     known = {
         "noise_levels": [1.0, 100.0],

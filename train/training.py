@@ -1,4 +1,4 @@
-"""The filter of a run, its losses, its iterations and validation."""
+"""The filter of a run, its losses, iterations and validation."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Training:
         return f
 
     def step(self, iteration: int) -> dict[str, float]:
-        """Changes the values once; what the log has of it."""
+        """One iteration; a row of the log."""
         begun = time.perf_counter()
         losses, columns = self.iterate(iteration)
         row = {"loss": float(self.task_weights @ losses)}
@@ -66,7 +66,7 @@ class Training:
         return row | columns | {"seconds": time.perf_counter() - begun}
 
     def iterate(self, iteration: int) -> tuple[Tensor, dict[str, float]]:
-        """Changes the values once; the losses ``(tasks,)`` and further columns of the log."""
+        """One iteration; the losses ``(tasks,)`` and further columns of the log."""
         # New tracks in each iteration.  Their numbers follow from the iteration, so a resumed run sees the same ones.
         c, progress = self.config, iteration / self.config.iterations
         batch = simulate(self.scenarios, first=iteration * c.batch, runs=c.batch, seed=c.seed, device=c.device)
@@ -82,17 +82,17 @@ class Training:
     def task_means(self, batch: Batch) -> tuple[Tensor, Tensor, int]:
         """The mean loss ``(tasks,)`` and mean clipped gradient ``(tasks, P)`` of each task, over all processes.
 
-        Tracks whose loss or gradient is NaN or infinite do not count; their number is the third that is returned.
+        Tracks whose loss or gradient is NaN or infinite do not count; the third value is their number.
         """
         each, gradient = self.objective.gradients(self.objective.vector.raw()[None, None], batch)
         losses, gradients, used = means(self._by_task(summands(each[0], gradient[0], self.config.clip)))
         return losses, gradients, len(self.scenarios) * self.config.batch - used
 
     def validation(self) -> Tensor:
-        """The weighted loss on tracks that are never trained on, with hard decisions; infinite if one is NaN."""
+        """The weighted loss on validation tracks, with hard decisions; infinite if one is NaN."""
         c = self.config
         batch = simulate(self.held_out, first=0, runs=c.validation_runs, seed=c.validation_seed, device=c.device)
-        # A teacher that decides softly is compared with a filter that does so too.
+        # A teacher with soft decisions is compared with a filter with soft decisions.
         self.decide(c.temperature if c.loss == "teacher" else 0.0)
         losses = self.objective.of_filter(self.objective.filter, batch).nan_to_num(nan=math.inf)
         return self.task_weights @ distributed.summed(self._by_task(losses)) / c.validation_runs
@@ -110,7 +110,7 @@ class Training:
             set_temperature(self.teacher, temperature)
 
     def natural(self, start: int = 0) -> dict[str, float]:
-        """The values that learn or are searched, in natural units; there is one start."""
+        """The values that are learned or searched, in natural units."""
         paths = {name.removesuffix(".raw") for name in self.parameters} | set(named(self.filter, self.config.search))
         return {path: value for path, value in natural_values(self.filter).items() if path.partition("[")[0] in paths}
 
@@ -129,13 +129,13 @@ def _objective(config: Config, f: Filter, teacher: Filter | None, scenario: Scen
         loss = losses.innovation_nll(estimate)
         return loss.mean(-1) if f.scans else loss  # over the targets of a scene
 
-    def taught(estimate: Estimate, batch: Batch) -> Tensor:
+    def from_teacher(estimate: Estimate, batch: Batch) -> Tensor:
         assert teacher is not None
         with torch.no_grad():
             target = teacher(batch.z, batch.belief(teacher), u=batch.u, dt=batch.dt).mean[..., config.skip :, :]
         return losses.robust_mse(estimate.mean, target, teacher.motion.position, config.scale)
 
-    own: dict[str, LossFunction] = {"innovation": innovation, "teacher": taught}
+    own: dict[str, LossFunction] = {"innovation": innovation, "teacher": from_teacher}
     convert = scenario.cartesian if teacher is None else None  # a teacher is in the coordinates of the motion
     return Objective(
         f, Vector(f), own.get(config.loss, config.loss), scale=config.scale, states=scenario.truth_position,
@@ -147,8 +147,8 @@ def make_filter(config: Config, scenario: Scenario, values: Mapping[str, float],
     """The filter of a run around copies of a scenario's models.
 
     Args:
-        config: names the filter, its options, what it learns, and where it runs.
-        scenario: with the models; they stay as they are.
+        config: names the filter, its options, its learned values, and the device.
+        scenario: with the models, which are not changed.
         values: of hyperparameters by name, in natural units; the others keep the preset's and the scenario's.
         learn: whether the hyperparameters of ``config.learn`` become parameters.
 
@@ -174,7 +174,7 @@ def check_candidates(f: Filter, config: Config) -> None:
     """Checks that the filter takes all values of ``config.search``.
 
     Raises:
-        ValueError: it has no such hyperparameter, or the value is outside its range.
+        ValueError: an unknown hyperparameter, or a value out of its range.
     """
     for name, values in config.search.items():
         try:
@@ -187,7 +187,7 @@ def check_candidates(f: Filter, config: Config) -> None:
 
 
 def set_temperature(f: nn.Module, temperature: float) -> None:
-    """Makes the filter's decisions soft, or hard at 0; nothing happens to a filter without decisions."""
+    """Makes the decisions of a filter soft, or hard at 0; a filter without decisions is unchanged."""
     for part in f.modules():
         if isinstance(part, Soft):
             part.temperature = temperature

@@ -4,14 +4,14 @@
     python -m train.tune fra_bearings --resume                 continues from the last checkpoint, bit by bit
     python -m train.tune fra_bearings iterations=50 lr=0.1     any field of train.config.Config
     python -m train.tune fra_recorded files=a.csv,b.csv        recorded tracks: needs no truth
-    python -m train.tune noise scenario=own.py:make            one's own simulator: a function that makes a Scenario
+    python -m train.tune noise scenario=own.py:make            your simulator: a function that makes a Scenario
     python -m train.tune gpb                                   one set of values for all models, without gradients
     torchrun --nproc-per-node 2 -m train.tune fra_bearings     two processes share each batch
 
 Runs (train/runs.py): fra_bearings, fra_recorded, gpb, switching (interacting models), contaminated (the
 Huber score), association (scans of several targets in clutter), noise, recover, recover_gpb.  Written to out/train/RUN:
 config.json, log.csv, checkpoint.pt, the learned state_dict.pt (of the best validation), learning.png and results.json
-with the errors on unseen tracks before and after.  To use the learned values:
+with the errors on test tracks before and after.  To use the learned values:
 
     fra = torchfra.presets.fra(scenario.motion, scenario.sensor)
     fra.load_state_dict(torch.load("out/train/fra_bearings/state_dict.pt", weights_only=True))
@@ -47,14 +47,14 @@ WRITTEN = (NEWEST, checkpoints.previous(Path(NEWEST)).name, BEST, LOG, "config.j
 
 
 def train(descent: Descent, out: Path, name: str, *, board: Any = None, quiet: bool = False) -> None:
-    """Iterates until the end, and saves at each validation before it.
+    """Iterates until the end, and saves at each validation.
 
     Args:
         descent: of a training.
-        out: where it is saved.
+        out: the folder.
         name: of the run.
         board: the TensorBoard log, if there is one.
-        quiet: whether to show nothing: neither a progress bar nor, where there is none, a line for each validation.
+        quiet: whether to show neither a progress bar nor, without one, a line for each validation.
     """
     bar = progress_bar(descent.ahead, name, not quiet)
     for row in descent.run(bar):
@@ -72,7 +72,7 @@ def save(descent: Descent, out: Path) -> None:
     """The first process writes checkpoint.pt, the best values as state_dict.pt, and log.csv.
 
     Raises:
-        OSError: a file cannot be written; of a checkpoint the message says what is left.
+        OSError: a file cannot be written; the message on a checkpoint names the remaining one.
     """
     if distributed.rank() > 0:
         return
@@ -87,7 +87,7 @@ def save(descent: Descent, out: Path) -> None:
 
 
 def search(training: Training, descent: Descent) -> None:
-    """Coordinate search over values that no gradient reaches: each in turn takes the one of the best validation."""
+    """Coordinate search over values without a gradient: each in turn is set to that of the best validation."""
     f = training.filter
     f.load_state_dict(descent.best)
     for name, values in training.config.search.items():
@@ -107,12 +107,12 @@ def _tensorboard(out: Path) -> Any:
 
 
 def tune(config: Config, out: Path, *, resume: bool = False, quiet: bool = False) -> dict[str, Any]:
-    """A run from its start, or from its last checkpoint, to its report: what results.json holds.
+    """A run from its start, or from its last checkpoint; the contents of results.json.
 
     Raises:
-        ValueError: ``out`` holds a run and ``resume`` is not asked for; or see ``Training``.
-        OSError: a file cannot be written, which is found before the first iteration where it can be.
-        IncompleteError: the run is at its end, but a file is missing or a result is not finite.
+        ValueError: ``out`` holds a run and ``resume`` is False; or see ``Training``.
+        OSError: a file cannot be written; checked before the first iteration where possible.
+        IncompleteError: the run has ended, but a file is missing or a result is not finite.
     """
     first = distributed.rank() == 0
     quiet = quiet or not first

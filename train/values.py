@@ -1,14 +1,14 @@
-"""Makes the named sets of values that presets take, and measures what they give.
+"""Makes the named sets of values of presets, and measures their errors.
 
-    python -m train.values --jobs 4                            measures all sets anew, in four processes
-    python -m train.values --jobs 4 --resume                   only what has not been measured so
+    python -m train.values --jobs 4                            measures all sets, in four processes
+    python -m train.values --jobs 4 --resume                   only cells without a result
     python -m train.values --take out/train/fra_bearings       takes the learned values of runs of train.tune first
     python -m train.values --sets 'fra-*' --cells reentry      some sets, some scenarios
 
 Each set is compared with the preset's defaults where it was learned (the tasks of its run) and in all other scenarios
 of the catalogue that the filter takes, on the same runs, of a seed that no training has used.  All is written to
-torchfra/presets/values.json, which ``torchfra.values()`` prints, after each scenario anew: a command that was ended
-goes on with ``--resume``.
+torchfra/presets/values.json, which ``torchfra.values()`` prints, after each scenario: an interrupted command
+continues with ``--resume``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from train.config import Task
 from train.runs import RUNS
 
 Figures = dict[str, Any]
-"""A set of values with its results, or one of these, as the file has them."""
+"""A set of values with its results, or one result, as in the file."""
 CHUNK = 100
 """Runs that are filtered at once: a bank of seven motions takes megabytes for each."""
 
@@ -52,11 +52,11 @@ class Source(NamedTuple):
     name: str
     learned_on: str
     elsewhere: tuple[Task, ...] = ()
-    """To try beside the scenarios of the catalogue at their defaults."""
+    """Further tasks beside the scenarios of the catalogue at their defaults."""
 
 
 SOURCES = {
-    "fra_bearings": Source("bearings", "two moving stations that take bearings: starts, outliers, a manoeuvre"),
+    "fra_bearings": Source("bearings", "two moving stations that take bearings: priors, outliers, a manoeuvre"),
     "switching": Source("turns", "positions of aircraft that fly straight and turn, five motions",
                         (Task("adsb-turns", {"std": 10.0}), Task("adsb-turns", {"std": 100.0}))),
     "contaminated": Source("contaminated", "three in ten measurements with 15 times the standard deviation"),
@@ -68,11 +68,11 @@ SOURCES = {
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit status: see ``torchfra.cli.command.exit_status``."""
     parser = make_parser(__doc__, "python -m train.values")
-    parser.add_argument("--take", metavar="DIR", type=Path, nargs="+", default=[], help="what runs have written")
+    parser.add_argument("--take", metavar="DIR", type=Path, nargs="+", default=[], help="folders of runs")
     parser.add_argument("--out", metavar="FILE", type=Path, default=FILE, help="where to write (default: the package)")
     parser.add_argument("--sets", metavar="A,B", default="*", help="PRESET-VALUES, or patterns of them (default: all)")
     parser.add_argument("--cells", metavar="A,B", default="*", help="scenarios, or patterns of them (default: all)")
-    parser.add_argument("--resume", action="store_true", help="keep what the output has of these runs and values")
+    parser.add_argument("--resume", action="store_true", help="keep results of the output with these runs and values")
     add_jobs_option(parser)
     add_runs_options(parser, 300, seed=77)
     add_quiet_option(parser)
@@ -83,13 +83,13 @@ def measure(options: argparse.Namespace) -> None:
     """Takes learned values, measures the sets and writes the file.
 
     Raises:
-        ValueError: a folder without the results of a run that is a set, a seed that was learned on, fewer than 2 runs,
-            fewer than 1 job, names that no set or scenario has, or some of them where the output has other settings.
+        ValueError: a folder without the results of a run of ``SOURCES``, a seed that was learned on, fewer than 2 runs,
+            fewer than 1 job, unknown sets or scenarios, or some of them where the output has other settings.
     """
     check_least(options, jobs=1, runs=2)
     check_files({"out": options.out})
     sets = {name_of(record): record for record in read(FILE)["sets"]}
-    sets |= {name_of(record): record for record in map(taken, options.take)}
+    sets |= {name_of(record): record for record in map(set_of, options.take)}
     if used := [record["run"] for record in sets.values() if options.seed in record["seeds"]]:
         expected = "one that no set was learned on"
         raise ValueError(f"seed: expected {expected}, received {options.seed}, of {', '.join(used)}")
@@ -108,8 +108,8 @@ def measure(options: argparse.Namespace) -> None:
         write_json(options.out, {"settings": settings, "sets": list(sets.values())})
 
 
-def taken(folder: Path) -> Figures:
-    """A set, without results, from what a run of ``train.tune`` has written.
+def set_of(folder: Path) -> Figures:
+    """A set, without results, from the folder of a run of ``train.tune``.
 
     Raises:
         ValueError: the run is none of ``SOURCES``.
@@ -117,7 +117,7 @@ def taken(folder: Path) -> Figures:
     result = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     run, config = result["config"]["name"], result["config"]
     if run not in SOURCES:
-        raise ValueError(f"take: expected a run out of {', '.join(SOURCES)}, received {run}")
+        raise ValueError(f"take: expected one of {', '.join(SOURCES)}, received {run}")
     start, learned = result["values"]["start"], result["values"]["learned"]
     arguments, factors = dict(result.get("preset", {})), {}
     for path in {} if arguments else learned:
@@ -134,7 +134,7 @@ def taken(folder: Path) -> Figures:
 
 
 def _put(arguments: Figures, path: str, value: float) -> None:
-    """Puts one number where it belongs: ``"transition[0,1]"`` into a list of lists, in the order of the indices."""
+    """Puts one number in its place: ``"transition[0,1]"`` into a list of lists, in the order of the indices."""
     name, _, indices = path.partition("[")
     key = name if name == "gate.size" else name.rpartition(".")[2]
     if not indices:
@@ -153,11 +153,11 @@ def cells_of(record: Figures) -> Iterator[tuple[Task, bool]]:
     """Tasks, and whether the set was learned there: those of its run, then the rest of the catalogue."""
     run = record["run"].split()[-1]
     tasks = [replace(task, weight=1.0) for task in RUNS[run]().tasks]
-    others = [*SOURCES[run].elsewhere, *map(Task, SCENARIOS)]
-    seen: list[Task] = []
-    for task in (*tasks, *others):
-        if task not in seen and goes(record, scenario_of(task)):
-            seen.append(task)
+    catalogue = [*SOURCES[run].elsewhere, *map(Task, SCENARIOS)]
+    found: list[Task] = []
+    for task in (*tasks, *catalogue):
+        if task not in found and fits(record, scenario_of(task)):
+            found.append(task)
             yield task, task in tasks
 
 
@@ -166,8 +166,8 @@ def scenario_of(task: Task) -> Scenario:
     return task_scenario(task, RUNS["noise"](), held_out=True)
 
 
-def goes(record: Figures, scenario: Scenario) -> bool:
-    """Whether filter and set go with the models of a scenario."""
+def fits(record: Figures, scenario: Scenario) -> bool:
+    """Whether filter and set fit the models of a scenario."""
     if record["preset"] not in filters_for(scenario):
         return False
     try:
@@ -189,7 +189,7 @@ def made(record: Figures, scenario: Scenario) -> Filter:
 
 @torch.no_grad()
 def compared(record: Figures, task: Task, learned_on: bool, runs: int, seed: int) -> Figures:
-    """Errors of a filter at its defaults and with a set, on the same runs: the change with half its 95 % interval."""
+    """Errors of a filter at its defaults and with a set on the same runs, and their ratio with its 95 % interval."""
     scenario = scenario_of(task)
     filters = {"defaults": scenario_filter(record["preset"], scenario), "set": made(record, scenario)}
     comparison = torchfra.compare(filters, scenario, runs=runs, seed=seed, compile=True, bound=False, chunk=CHUNK)
@@ -215,13 +215,13 @@ def name_of(record: Figures) -> str:
 
 
 def take_results(sets: dict[str, Figures], settings: Figures, file: Path, *, everything: bool) -> None:
-    """Gives each set the results that a file already has of it, with equal settings and values; else none.
+    """Sets the results of each set to those of the file with equal settings and values; else to none.
 
     Args:
         sets: changed in place.
-        settings: of what is to be measured.
-        file: where it is to be written.
-        everything: whether all is measured, so that nothing is lost that the file holds.
+        settings: of the measurements.
+        file: the output.
+        everything: whether all is measured, so that no result of the file is lost.
 
     Raises:
         ValueError: the file has other settings, and only a part is measured.
@@ -237,7 +237,7 @@ def take_results(sets: dict[str, Figures], settings: Figures, file: Path, *, eve
 
 
 def measured(record: Figures, task: Task, runs: int) -> bool:
-    """Whether a set has a result of a scenario, of so many runs."""
+    """Whether a set has a result of a scenario with this number of runs."""
     return any(_is_of(result, task) and result["runs"] == runs for result in record["results"])
 
 

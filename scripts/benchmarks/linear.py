@@ -49,8 +49,8 @@ def kalman(options: argparse.Namespace) -> argparse.Namespace:
 
 def long_tracks(steps: int = STEPS) -> dict[str, Scenario]:
     """A track drawn from each model, by the model's name and the sizes of state and measurement."""
-    line = ConstantVelocity(0.5, dims=1, spectral=True), Position(0.5, dims=1), torch.tensor([1.0, 1.0]), 0.1
-    plane = ConstantVelocity(0.5, spectral=True), Position([0.7, 0.9]), torch.tensor([1.0, 1.0, 0.7, 0.7]), 0.1
+    line = ConstantVelocity(0.5, dims=1, continuous=True), Position(0.5, dims=1), torch.tensor([1.0, 1.0]), 0.1
+    plane = ConstantVelocity(0.5, continuous=True), Position([0.7, 0.9]), torch.tensor([1.0, 1.0, 0.7, 0.7]), 0.1
     inertial = Inertial(), Fixes(), torch.tensor([10.0, 1.0, 0.01, 0.1, 0.01]).repeat_interleave(3), 0.01
     models = {"line, 2 and 1": line, "plane, 4 and 2": plane, "inertial, 15 and 6": inertial}
     return {name: drawn(*model, steps) for name, model in models.items()}
@@ -70,7 +70,7 @@ def drawn(motion: Motion, sensor: Sensor, spread: Tensor, dt: float, steps: int)
     z = sensor(truth)
     z = z + sensor.measurement_noise(z).std * torch.randn(z.shape, generator=generator, dtype=torch.float64)
     prior = Gaussian(torch.zeros_like(spread), spread.diag())
-    return scenarios.given(Tracks(truth[None], z[None], None, prior), motion, sensor, dt=dt)
+    return scenarios.of_tracks(Tracks(truth[None], z[None], None, prior), motion, sensor, dt=dt)
 
 
 class Inertial(Motion):

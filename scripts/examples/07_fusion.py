@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=30.0, help="length of the flight (default: 30)")
     events = simulate(parser.parse_args(arguments).seconds)
 
-    f = presets.gpb(ConstantVelocity(q=4.0, dims=3, spectral=True), RADAR)
+    f = presets.gpb(ConstantVelocity(q=4.0, dims=3, continuous=True), RADAR)
     start = torch.cat([truth(0.0) + 20, torch.zeros(3, **F64)])
     prior = Gaussian(start, torch.tensor([30.0, 30.0, 30.0, 15.0, 15.0, 15.0], **F64).diag())
     ways = {"radar alone": (0.0, ["radar"]), "late ones left out": (0.0, [*SENSORS]), "all": (1.0, [*SENSORS])}

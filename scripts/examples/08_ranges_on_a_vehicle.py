@@ -50,10 +50,10 @@ def main(arguments: list[str] | None = None) -> None:
 
     delay = RandomWalk(1e-6, 1, kind="bias")  # it hardly drifts: m^2/s
     motions = {
-        "constant velocity, no delay": ConstantVelocity(4.0, spectral=True),
-        "constant velocity": Augmented(ConstantVelocity(4.0, spectral=True), delay),
-        "turn of unknown rate": Augmented(UnknownTurn(0.3, 1.0, spectral=True), delay),
-        "bicycle": Augmented(Bicycle(2.0, 0.3, 0.3, spectral=True), delay),
+        "constant velocity, no delay": ConstantVelocity(4.0, continuous=True),
+        "constant velocity": Augmented(ConstantVelocity(4.0, continuous=True), delay),
+        "turn of unknown rate": Augmented(UnknownTurn(0.3, 1.0, continuous=True), delay),
+        "bicycle": Augmented(Bicycle(2.0, 0.3, 0.3, continuous=True), delay),
     }
     start = {"position": 2.0, "velocity": 4.0, "rate": 0.5, "angle": 0.3, "bias": 1.0}  # how uncertain each kind is
     for name, motion in motions.items():

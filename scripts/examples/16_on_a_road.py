@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the drives (default: 0)")
     given = parser.parse_args(arguments)
     truth, z = drives(given.runs, given.seed)
-    motion, gps = ConstantVelocity(2.0, spectral=True), Position(STD)
+    motion, gps = ConstantVelocity(2.0, continuous=True), Position(STD)
     on_road = Stacked(gps, Road(BENDS, 2 * LANE))
     spread = torch.tensor([STD, STD, SPEED, SPEED], **LIKE)
     prior = Gaussian(torch.cat([z[:, 0], torch.zeros_like(z[:, 0])], -1), spread.diag())

@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
         "camera": torch.atan2(off[..., :1], off[..., 1:]) + 0.01 * noise(2, 60, 1),
     }
 
-    motion, gate = ConstantVelocity(0.3, spectral=True), ChiSquare(0.99999)
+    motion, gate = ConstantVelocity(0.3, continuous=True), ChiSquare(0.99999)
     radar, lidar, camera = (
         presets.jpda(motion, sensor, clutter=clutter, detection=0.9, gate=gate)
         for sensor, clutter in (

@@ -132,7 +132,7 @@ def read(path: Path) -> Scene:
 
 def manager(name: str) -> Targets:
     """Of the sensors of that name, with the one setting of all recordings, chosen on scenarios 2, 3, 13 and 16."""
-    motion = ConstantVelocity(Q, spectral=True)
+    motion = ConstantVelocity(Q, continuous=True)
     radar, lidar = (
         presets.jpda(
             motion, Position(STD[sensor]), clutter=Clutter(WIDTH**2, rate=RATE[sensor]), detection=DETECTION[sensor],

@@ -194,9 +194,9 @@ def make(name: str, track: Track) -> tuple[Filter, Gaussian]:
         return presets.gpb(*models(Driven(*WALKS), track.groups), **OPTIONS), track.prior
     rest = mean.new_zeros(2), mean.new_full((2,), START["velocity"])
     prior = Gaussian(torch.cat([mean[:3], rest[0], mean[6:]]), torch.cat([spread[:3], rest[1], spread[6:]]).diag())
-    motion, sensor = models(ConstantVelocity(ACCELERATION, spectral=True), track.groups)
+    motion, sensor = models(ConstantVelocity(ACCELERATION, continuous=True), track.groups)
     bank = None
     if name != "gpb":
-        others = (ConstantVelocity(share * ACCELERATION, spectral=True) for share in (0.1, 10.0))
+        others = (ConstantVelocity(share * ACCELERATION, continuous=True) for share in (0.1, 10.0))
         bank = Bank([motion, *(models(other, track.groups)[0] for other in others)])
     return make_filter(name, motion, sensor, bank, **(OPTIONS if name == "gpb" else {})), prior

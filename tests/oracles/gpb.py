@@ -1,7 +1,7 @@
-"""Regimes of the motion and qualities of the measurement as hypotheses, merged after every step (GPB2).
+"""Regimes of the motion and outlier modes of the measurement as hypotheses, merged after every step (GPB2).
 
 Harrison & Stevens (1976), J. R. Statist. Soc. B 38(3):205-247; Bar-Shalom, Li & Kirubarajan (2001), section 11.6. A
-hypothesis is (clean or dirty before, regime, clean or dirty now); in a dirty step every block of elements is clean or
+hypothesis is (outlier mode before, regime, outlier mode now); in a mode with outliers every block is an inlier or
 an outlier of one of several sizes. Blocks are taken one after the other, each merged at once.
 """
 
@@ -18,13 +18,13 @@ from oracles.cubature import Measured, draw, moments, third_degree
 from oracles.kalman import fit, update
 from oracles.mixture import matched
 
-Carry = Callable[[Array, Array, int], tuple[Array, Array, Array]]  # mean, P, k -> mean, F P F^T (n,n), Q (n,n)
+Propagate = Callable[[Array, Array, int], tuple[Array, Array, Array]]  # mean, P, k -> mean, F P F^T (n,n), Q (n,n)
 Belief = tuple[Array, Array]  # mean, P
-Beliefs = dict[tuple[int, int], Belief]  # by quality (0 clean, 1 dirty), and motion or regime
+Beliefs = dict[tuple[int, int], Belief]  # by outlier mode (0 without, 1 with outliers), and motion or regime
 
-QUALITIES = (0, 1)
+MODES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, FURTHEST, USUAL = 0.02, 0.01, 1e5, 1000.0
+BLIND, NEAR, LARGEST, RARE = 0.02, 0.01, 1e5, 1000.0
 
 
 class Regimes(NamedTuple):
@@ -33,12 +33,12 @@ class Regimes(NamedTuple):
     motions: list[int]  # of each level
     levels: list[Any]  # factors on Q, or matrices (n,n) by which its entries are multiplied
     jumps: list[float]  # factors on the covariance of the home level's predicted position, times its NIS per element
-    chain: Array  # (R,R), [i, j] = P(now j | was i), levels first
-    silent: Array  # (R,R) the same in a step without any measurement
+    transition: Array  # (R,R), [i, j] = P(now j | was i), levels first
+    unmeasured: Array  # (R,R) the same in a step without any measurement
     first: Array  # (R,) probabilities before the first step
     home: int
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
-    seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead of chain and silent: see `switched`
+    seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead of transition and unmeasured: see `switched`
 
     @property
     def all_motions(self) -> list[int]:
@@ -46,14 +46,14 @@ class Regimes(NamedTuple):
         return self.motions + [self.motions[self.home]] * (len(self.manoeuvres) + len(self.jumps))
 
 
-class Qualities(NamedTuple):
+class OutlierModes(NamedTuple):
     """Of each block of elements: as stated, or an outlier whose noise covariance is larger."""
 
     blocks: list[list[int]]
-    chain: Array  # (2,2), [i, j] = P(now j | was i)
+    transition: Array  # (2,2), [i, j] = P(now j | was i)
     sizes: list[float]
     shares: list[float]
-    durations: tuple[float, float] | None = None  # instead of the chain: s without outliers, s that one lasts
+    durations: tuple[float, float] | None = None  # instead of the transition: s without outliers, s that one lasts
     dt: Array | None = None  # (T,) s, beside durations
     offsets: list[float] | None = None  # mean of the errors of outliers of each size, in units of their noise
     inform: bool = True  # whether an outlier changes the belief
@@ -61,9 +61,9 @@ class Qualities(NamedTuple):
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
 
     def over(self, seconds: float) -> Array:
-        """The chain (2,2) between two measurements."""
+        """The transition (2,2) between two measurements."""
         if self.durations is None:
-            return self.chain
+            return self.transition
         if math.isinf(seconds):  # before the first measurement: as in the long run
             return np.tile(np.array(self.durations) / sum(self.durations), (2, 1))
         return exponential([[-1, 1], [1, -1]] / np.array(self.durations)[:, None] * seconds)
@@ -78,42 +78,42 @@ def exponential(matrix: Array) -> Array:
 def switched(weights: Array, lasts: Array, after: Array) -> Array:
     """Regimes before and after a step (2,R,R): what has lasted (R,), else `after` (R,R) from what all that ended know.
 
-    The regimes after the step are as likely as the chain in time says.
+    The regimes after the step are as likely as the transition in time says.
     """
     pairs = np.zeros((2, *after.shape))
-    for q in QUALITIES:
+    for q in MODES:
         ended = weights[q] * (1 - lasts)
         begun = weights[q] @ after - weights[q] * lasts
         pairs[q] = np.diag(weights[q] * lasts) + np.outer(ended / ended.sum(), begun)
     return pairs
 
 
-def renewing_chain(stay: list[float], renew: list[float]) -> Array:
-    """The chain of regimes that stay, each with its probability, or begin anew with odds that sum to one."""
-    count = len(stay)
-    chain = np.zeros((count, count))
+def restart_transition(self_transition: list[float], restart: list[float]) -> Array:
+    """The transition of regimes with these self-transition probabilities and this restart distribution."""
+    count = len(self_transition)
+    transition = np.zeros((count, count))
     for i in range(count):
         for j in range(count):
-            chain[i, j] = (1 - stay[i]) * renew[j] + (stay[i] if i == j else 0.0)
-    return chain
+            transition[i, j] = (1 - self_transition[i]) * restart[j] + (self_transition[i] if i == j else 0.0)
+    return transition
 
 
-def silent_chain(stay: list[float], renew: list[float], others: range) -> Array:
+def unmeasured_transition(self_transition: list[float], restart: list[float], others: range) -> Array:
     """That of steps without any measurement, in which no regime begins but those of other motions."""
-    return renewing_chain(
-        [1 - (1 - s) * sum(renew[j] for j in others) for s in stay],
-        [renew[j] / sum(renew[i] for i in others) if j in others else 0.0 for j in range(len(renew))],
+    return restart_transition(
+        [1 - (1 - s) * sum(restart[j] for j in others) for s in self_transition],
+        [restart[j] / sum(restart[i] for i in others) if j in others else 0.0 for j in range(len(restart))],
     )
 
 
-def long_run(chain: Array) -> Array:
-    """Probabilities (R,) of the regimes that a step of the chain does not change."""
-    count = len(chain)
-    equations = np.vstack([(np.eye(count) - chain).T, np.ones(count)])
+def stationary(transition: Array) -> Array:
+    """Probabilities (R,) of the regimes that a step of the transition does not change."""
+    count = len(transition)
+    equations = np.vstack([(np.eye(count) - transition).T, np.ones(count)])
     return np.linalg.lstsq(equations, np.eye(count + 1)[count], rcond=None)[0]
 
 
-def carried(F: Any, SQ: Any) -> Carry:
+def linear_motion(F: Any, SQ: Any) -> Propagate:
     """A linear motion; F and SQ may be callables of k."""
 
     def carry(mean: Array, P: Array, k: int) -> tuple[Array, Array, Array]:
@@ -124,10 +124,10 @@ def carried(F: Any, SQ: Any) -> Carry:
 
 
 def interacted(beliefs: Beliefs, log_pairs: Array, motion: list[int]) -> tuple[Beliefs, Array]:
-    """What every motion starts from, and the share (2, K, K) that each one has in it, [quality, was, now]."""
+    """What every motion starts from, and the share (2, K, K) that each one has in it, [mode, was, now]."""
     count, mixed = max(motion) + 1, {}
     shares = np.zeros((2, count, count))
-    for q in QUALITIES:
+    for q in MODES:
         for now in range(count):
             to = [j for j, m in enumerate(motion) if m == now]
             log_from = [
@@ -139,47 +139,53 @@ def interacted(beliefs: Beliefs, log_pairs: Array, motion: list[int]) -> tuple[B
     return mixed, shares
 
 
-def predicted(mixed: Beliefs, motions: list[Carry], regimes: Regimes, k: int) -> Beliefs:
+def predicted(mixed: Beliefs, motions: list[Propagate], regimes: Regimes, k: int) -> Beliefs:
     """The prediction of every level."""
-    ahead = {}
-    for q in QUALITIES:
+    predictions = {}
+    for q in MODES:
         for r, (motion, level) in enumerate(zip(regimes.motions, regimes.levels, strict=True)):
             mean, J, Q = motions[motion](*mixed[q, motion], k)
-            ahead[q, r] = mean, J + level * Q
-    return ahead
+            predictions[q, r] = mean, J + level * Q
+    return predictions
 
 
 def jumped(
-    ahead: Beliefs, mixed: Beliefs, motions: list[Carry], regimes: Regimes, position: slice, z: Array, model: Model,
-    k: int,
+    predictions: Beliefs, mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array,
+    model: Model, k: int,
 ) -> tuple[Beliefs, Array, Beliefs]:  # fmt: skip
-    """Manoeuvres and jumps, as wide as the measurement asks for, up to FURTHEST; (2, M + J) how much rarer.
+    """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) how much rarity.
 
     Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise before that.
     """
-    after, rarer, factors = {}, [], {}
-    for q in QUALITIES:
-        mean, P = ahead[q, range(len(regimes.levels))[regimes.home]]
+    after, rarity, factors = {}, [], {}
+    for q in MODES:
+        mean, P = predictions[q, range(len(regimes.levels))[regimes.home]]
         m = read((mean, P), z, model, k)
-        far = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
+        nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
-        rarer.append([max(far / 30.0, 1.0) ** 2] * count + [max(far / USUAL, 1.0)] * len(regimes.jumps))
+        rarity.append([max(nis / 30.0, 1.0) ** 2] * count + [max(nis / RARE, 1.0)] * len(regimes.jumps))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
             carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
-            factors[q, r] = np.ones(len(mean)), level * min(max(factor * far, 1.0), FURTHEST)
+            factors[q, r] = np.ones(len(mean)), level * min(max(factor * nis, 1.0), LARGEST)
             after[q, r] = carried_mean, J + factors[q, r][1] * Q
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
-            widen[position] = math.sqrt(min(max(jump * far, 1.0), FURTHEST))
+            widen[position] = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
-    return after, np.array(rarer), factors
+    return after, np.array(rarity), factors
 
 
 def paths(
-    mixed: Beliefs, ahead: Beliefs, motions: list[Carry], regimes: Regimes, factors: Beliefs, q: Qualities, k: int
+    mixed: Beliefs,
+    predictions: Beliefs,
+    motions: list[Propagate],
+    regimes: Regimes,
+    factors: Beliefs,
+    q: OutlierModes,
+    k: int,
 ) -> Beliefs:
     """By how much a step changes the state, by every regime."""
     moved = {}
@@ -188,11 +194,11 @@ def paths(
         mean, P = mixed[before, motion]
         change = np.diag(widen) @ q.transitions[motion](k) - np.eye(len(mean))
         Q = level * motions[motion](mean, P, k)[2] * np.outer(widen, widen)
-        moved[before, r] = ahead[before, r][0] - mean, change @ P @ change.T + Q
+        moved[before, r] = predictions[before, r][0] - mean, change @ P @ change.T + Q
     return moved
 
 
-def told(
+def updated(
     belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float, first: bool, off: float = 0.0
 ) -> tuple[float, Array, Array]:
     """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
@@ -203,9 +209,9 @@ def told(
     alone[block] = z[block]
     mean, P = belief
     m = read(belief, alone, model, k)
-    seen = [i for i in block if not math.isnan(z[i])]
+    measured = [i for i in block if not math.isnan(z[i])]
     sloped = m.Pxz.T @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
-    R = measurement_noise(model, k, seen)
+    R = measurement_noise(model, k, measured)
     Pzz = (m.Pzz - R if first else sloped) + size * R
     Pxz = P[:, :READS] @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
     e = m.e - off * np.linalg.cholesky(R).sum(1)
@@ -215,14 +221,14 @@ def told(
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
     """A measurement predicted from the position alone, as the points of the whole state see it.
 
-    An element of whose variance the points explain less than a fiftieth by the position is seen by points a hundred
+    An element of whose variance the points explain less than a fiftieth by the position is measured by points a hundred
     times as near.
     """
     points, *weights = third_degree(len(belief[0]))
     rule, (mean, P) = (points[:READS], weights[0], weights[1]), (belief[0][:READS], belief[1][:READS, :READS])
-    seen = present(z)
-    zhat, gaps = deviations(mean, P, model, k, rule, seen)
-    near, near_gaps = deviations(mean, P * NEAR**2, model, k, rule, seen)
+    measured = present(z)
+    zhat, gaps = deviations(mean, P, model, k, rule, measured)
+    near, near_gaps = deviations(mean, P * NEAR**2, model, k, rule, measured)
     wc = np.diag(rule[2])
     x = draw(mean, P, rule) - mean
     for i in range(len(zhat)):
@@ -230,47 +236,56 @@ def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
         if across @ np.linalg.solve(P, across) < BLIND * (gaps[:, i] @ wc @ gaps[:, i]):
             zhat[i], gaps[:, i] = near[i], near_gaps[:, i] / NEAR
     Pxz = x.T @ wc @ gaps
-    angles = np.asarray(model.angles, dtype=bool)[seen]
-    Pzz = measurement_noise(model, k, seen) + gaps.T @ wc @ gaps
-    return Measured(Pzz, Pxz, difference(np.asarray(z)[seen], zhat, angles), Pxz.T @ np.linalg.inv(P))
+    angles = np.asarray(model.angles, dtype=bool)[measured]
+    Pzz = measurement_noise(model, k, measured) + gaps.T @ wc @ gaps
+    return Measured(Pzz, Pxz, difference(np.asarray(z)[measured], zhat, angles), Pxz.T @ np.linalg.inv(P))
 
 
-def deviations(mean: Array, P: Array, model: Model, k: int, rule: Any, seen: Any) -> tuple[Array, Array]:
-    """The predicted measurement, and how far that of each point is from it."""
-    angles = np.asarray(model.angles, dtype=bool)[seen]
-    values = np.array([model.h(x, k)[seen] for x in draw(mean, P, rule)])
-    return moments(values, model.h(mean, k)[seen], angles, rule[1])
+def deviations(mean: Array, P: Array, model: Model, k: int, rule: Any, measured: Any) -> tuple[Array, Array]:
+    """The predicted measurement, and how nis that of each point is from it."""
+    angles = np.asarray(model.angles, dtype=bool)[measured]
+    values = np.array([model.h(x, k)[measured] for x in draw(mean, P, rule)])
+    return moments(values, model.h(mean, k)[measured], angles, rule[1])
 
 
-def is_first(block: list[int], z: Array, q: Qualities) -> bool:
+def is_first(block: list[int], z: Array, q: OutlierModes) -> bool:
     """Whether nothing in the blocks before one is measured."""
     return all(math.isnan(z[i]) for other in q.blocks[: q.blocks.index(block)] for i in other)
 
 
-def clean(belief: Belief, z: Array, q: Qualities, model: Model, k: int) -> tuple[float, Belief]:
+def without_outliers(belief: Belief, z: Array, q: OutlierModes, model: Model, k: int) -> tuple[float, Belief]:
     """The measurement taken as stated: its log density, and the belief after it."""
     total = 0.0
     for block in q.blocks:
-        score, *after = told(belief, z, block, model, k, 1.0, is_first(block, z, q))
+        score, *after = updated(belief, z, block, model, k, 1.0, is_first(block, z, q))
         belief, total = (after[0], after[1]), total + score
     return total, belief
 
 
-def dirty(
-    belief: Belief, z: Array, q: Qualities, model: Model, k: int, prior: Array, again: Array, path: Belief, last: Array
+def with_outliers(
+    belief: Belief,
+    z: Array,
+    q: OutlierModes,
+    model: Model,
+    k: int,
+    prior: Array,
+    again: Array,
+    path: Belief,
+    last: Array,
 ) -> tuple[float, Belief, list[float]]:
-    """Each block clean or an outlier, of which it is one with probability `prior` (B,); also what it is then.
+    """Each block an inlier, or an outlier with probability `prior` (B,): log density, belief, and P(outlier) of each.
 
     Of these `again` (B,) have the offset that they had in the measurement before: z has changed as the `path` says.
     """
     total, outlier = 0.0, []
     for block, share, chance in zip(q.blocks, prior, again, strict=True):
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
-        furthest = max(q.sizes[-1], asked_for(belief, z, block, model, k, offsets[-1]))
+        furthest = max(q.sizes[-1], nis_per_element(belief, z, block, model, k, offsets[-1]))
         chances = [1 - share] + [share * (1 - chance) * s for s in q.shares]
         first, sizes = is_first(block, z, q), [1.0, *q.sizes[:-1], furthest]
         parts = [
-            told(belief, z, block, model, k, size, first, off) for size, off in zip(sizes, [0.0, *offsets], strict=True)
+            updated(belief, z, block, model, k, size, first, off)
+            for size, off in zip(sizes, [0.0, *offsets], strict=True)
         ]
         if not q.inform:
             parts = [parts[0], *((part[0], *belief) for part in parts[1:])]
@@ -288,20 +303,20 @@ def dirty(
 
 def unchanged(change: Array, block: list[int], path: Belief, model: Model, k: int) -> float:
     """Log density of a block's change since the step before, with noise then and now, if its offset is the same."""
-    seen = [i for i in block if not math.isnan(change[i])]
-    H = np.array([model.h(e, k)[seen] for e in np.eye(READS)]).T
+    measured = [i for i in block if not math.isnan(change[i])]
+    H = np.array([model.h(e, k)[measured] for e in np.eye(READS)]).T
     mean, P = path[0][:READS], path[1][:READS, :READS]
-    return fit(change[seen] - H @ mean, H @ P @ H.T + 2 * measurement_noise(model, k, seen))[1]
+    return fit(change[measured] - H @ mean, H @ P @ H.T + 2 * measurement_noise(model, k, measured))[1]
 
 
-def asked_for(belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float) -> float:
+def nis_per_element(belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float) -> float:
     """The square of a block's error per element, in units of its noise."""
     alone = np.full(len(z), np.nan)
     alone[block] = z[block]
-    seen = [i for i in block if not math.isnan(z[i])]
-    R = measurement_noise(model, k, seen)
+    measured = [i for i in block if not math.isnan(z[i])]
+    R = measurement_noise(model, k, measured)
     e = read(belief, alone, model, k).e - off * np.linalg.cholesky(R).sum(1)
-    return fit(e, R)[0] / max(len(seen), 1)
+    return fit(e, R)[0] / max(len(measured), 1)
 
 
 def log_sum(logs: Any) -> float:
@@ -315,71 +330,73 @@ def log(x: float) -> float:
     return math.log(x) if x > 0 else -math.inf
 
 
-def outlier_odds(chain: Array, was: Array, before: int) -> tuple[Array, Array]:
-    """Probabilities (2,) of a clean and of a dirty step after one of quality `before`, and (B,) of each block."""
-    now = chain[0, 1] + (was if before else np.zeros(len(was))) * (chain[1, 1] - chain[0, 1])
+def outlier_probabilities(transition: Array, was: Array, before: int) -> tuple[Array, Array]:
+    """Probabilities (2,) of the modes without and with outliers after `before`, and (B,) of each block."""
+    now = transition[0, 1] + (was if before else np.zeros(len(was))) * (transition[1, 1] - transition[0, 1])
     ok = float(np.prod(1 - now))
     return np.array([ok, 1 - ok]), now / (1 - ok)
 
 
-def same_as_before(q: Qualities, was: Array, chain: Array, last: Array, z: Array, before: int) -> Array:
-    """Probabilities (B,) that an outlier of each block has the offset of the one before it, after quality `before`."""
+def same_offset_probabilities(
+    q: OutlierModes, was: Array, transition: Array, last: Array, z: Array, before: int
+) -> Array:
+    """Probabilities (B,) that an outlier of each block has the offset of the one before it, after mode `before`."""
     again = np.zeros(len(q.blocks))
     for b, block in enumerate(q.blocks):
         known = not any(math.isnan(last[i]) and not math.isnan(z[i]) for i in block)
         if before and known and was[b]:
-            lasted = was[b] * chain[1, 1]
-            again[b] = q.same_offset * lasted / (lasted + (1 - was[b]) * chain[0, 1])
+            lasted = was[b] * transition[1, 1]
+            again[b] = q.same_offset * lasted / (lasted + (1 - was[b]) * transition[0, 1])
     return again
 
 
-class Carried(NamedTuple):
+class State(NamedTuple):
     """What goes from step to step."""
 
     beliefs: Beliefs  # of every motion
-    log_regimes: Array  # (2,R) logs of the probabilities of quality and regime
-    outlier: Array  # (B,) of each block, if the step was dirty
+    log_regimes: Array  # (2,R) logs of the probabilities of mode and regime
+    outlier: Array  # (B,) of each block, in the mode with outliers
     last: Array  # (m,) the measurement
-    unmeasured: float = 0.0  # s since the last measurement
+    elapsed: float = 0.0  # s since the last measurement
 
 
-def start(mean: Array, P: Array, regimes: Regimes, q: Qualities, poor: float, factor: float) -> Carried:
+def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlier: float, factor: float) -> State:
     """The prior as given, and the same widened."""
     count = max(regimes.motions) + 1
-    beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in QUALITIES for m in range(count)}
-    log_regimes = np.log(np.array([share * regimes.first for share in (1 - poor, poor)]))
+    beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in MODES for m in range(count)}
+    log_regimes = np.log(np.array([share * regimes.first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
-    return Carried(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf)
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf)
 
 
 class Hypothesis(NamedTuple):
     """One of a step."""
 
-    now: int  # quality
+    now: int  # mode
     regime: int
-    before: int  # quality
+    before: int  # mode
     log_weight: float
     belief: Belief
     outlier: Array  # (B,)
 
 
 def hypotheses(
-    ahead: Beliefs, moved: Beliefs, log_chance: Array, c: Carried, chain: Array, z: Array, model: Model, q: Qualities,
-    k: int,
+    predictions: Beliefs, moved: Beliefs, log_chance: Array, c: State, transition: Array, z: Array, model: Model,
+    q: OutlierModes, k: int,
 ) -> list[Hypothesis]:  # fmt: skip
     """All of a step, before their weights are made to sum to one."""
     found = []
-    for before, r in ahead:
-        quality, prior = outlier_odds(chain, c.outlier, before)
-        again = same_as_before(q, c.outlier, chain, c.last, z, before)
+    for before, r in predictions:
+        mode, prior = outlier_probabilities(transition, c.outlier, before)
+        again = same_offset_probabilities(q, c.outlier, transition, c.last, z, before)
         if np.isnan(z).all():
-            quality = np.eye(2)[before]  # until a measurement says more
-        score, belief = clean(ahead[before, r], z, q, model, k)
+            mode = np.eye(2)[before]  # until a measurement says more
+        score, belief = without_outliers(predictions[before, r], z, q, model, k)
         weight = log_chance[before, r]
-        found.append(Hypothesis(0, r, before, weight + log(quality[0]) + score, belief, np.zeros(len(prior))))
-        path = moved.get((before, r), ahead[before, r])
-        score, belief, outlier = dirty(ahead[before, r], z, q, model, k, prior, again, path, c.last)
-        found.append(Hypothesis(1, r, before, weight + log(quality[1]) + score, belief, np.array(outlier)))
+        found.append(Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, np.zeros(len(prior))))
+        path = moved.get((before, r), predictions[before, r])
+        score, belief, outlier = with_outliers(predictions[before, r], z, q, model, k, prior, again, path, c.last)
+        found.append(Hypothesis(1, r, before, weight + log(mode[1]) + score, belief, np.array(outlier)))
     return found
 
 
@@ -390,31 +407,38 @@ def merged(every: list[Hypothesis]) -> tuple[float, Belief]:
 
 
 def step(
-    c: Carried, z: Array, motions: list[Carry], model: Model, regimes: Regimes, q: Qualities, position: slice, k: int
-) -> tuple[Carried, dict[str, Any], Belief]:
-    """One step: what goes on, what is told of it, and the belief of the step before as it is now known."""
+    c: State,
+    z: Array,
+    motions: list[Propagate],
+    model: Model,
+    regimes: Regimes,
+    q: OutlierModes,
+    position: slice,
+    k: int,
+) -> tuple[State, dict[str, Any], Belief]:
+    """One step: the state after it, its output, and the one-step smoothed belief of the step before."""
     motion, nothing = regimes.all_motions, bool(np.isnan(z).all())
-    seconds = 0.0 if q.dt is None else c.unmeasured + q.dt[k]
+    seconds = 0.0 if q.dt is None else c.elapsed + q.dt[k]
     with np.errstate(divide="ignore"):
         if regimes.seconds is None:
-            log_pairs = c.log_regimes[:, :, None] + np.log(regimes.silent if nothing else regimes.chain)
+            log_pairs = c.log_regimes[:, :, None] + np.log(regimes.unmeasured if nothing else regimes.transition)
         else:
             log_pairs = np.log(switched(np.exp(c.log_regimes), *regimes.seconds(k)))
     mixed, shares = interacted(c.beliefs, log_pairs, motion)
-    ahead = predicted(mixed, motions, regimes, k)
-    after_jumps, rarer, factors = jumped(ahead, mixed, motions, regimes, position, z, model, k)
-    ahead |= after_jumps
-    moved = paths(mixed, ahead, motions, regimes, factors, q, k) if q.same_offset else {}
-    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in QUALITIES])
-    chance[:, len(regimes.levels) :] -= np.log(rarer)
-    every = hypotheses(ahead, moved, chance, c, q.over(seconds), z, model, q, k)
+    predictions = predicted(mixed, motions, regimes, k)
+    after_jumps, rarity, factors = jumped(predictions, mixed, motions, regimes, position, z, model, k)
+    predictions |= after_jumps
+    moved = paths(mixed, predictions, motions, regimes, factors, q, k) if q.same_offset else {}
+    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in MODES])
+    chance[:, len(regimes.levels) :] -= np.log(rarity)
+    every = hypotheses(predictions, moved, chance, c, q.over(seconds), z, model, q, k)
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
     after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
     log_regimes = np.array([
         [log_sum([h.log_weight for h in every if (h.now, h.regime) == (now, r)] or [-math.inf])
          for r in range(len(motion))]
-        for now in QUALITIES
+        for now in MODES
     ])  # fmt: skip
     lagged = matched([
         (sum(math.exp(h.log_weight) * shares[i, was, motion[h.regime]] for h in every if h.before == i), *belief)
@@ -422,18 +446,18 @@ def step(
     ])  # fmt: skip
     outlier = np.sum([h.now * math.exp(h.log_weight) * h.outlier for h in every], axis=0)
     ahead_of = np.exp(chance) / np.exp(chance).sum()
-    expected = read(matched([(ahead_of[key], *ahead[key]) for key in ahead]), z, model, k)
-    told_of = {
+    expected = read(matched([(ahead_of[key], *predictions[key]) for key in predictions]), z, model, k)
+    output = {
         "mean": mean, "P": P, "regimes": np.exp(log_regimes).sum(0), "outlier": outlier,
         "log_likelihood": log_likelihood, "nis": fit(expected.e, expected.Pzz)[0],
     }  # fmt: skip
     if nothing:
-        told_of["outlier"] = np.zeros(len(c.outlier))
-        return Carried(after, log_regimes, c.outlier, z, seconds), told_of, lagged
-    return Carried(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z), told_of, lagged
+        output["outlier"] = np.zeros(len(c.outlier))
+        return State(after, log_regimes, c.outlier, z, seconds), output, lagged
+    return State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z), output, lagged
 
 
-def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: Qualities) -> Result:
+def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: OutlierModes) -> Result:
     """Of the results of `gpb` for z (T,m): whether blocks are faulty, since when (s), and by how much.
 
     Keys: probability (T,B), duration (T,B), offset (T,m).
@@ -445,35 +469,35 @@ def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array
         for k, now in enumerate(np.cumsum(dt)):
             if not np.isnan(z[k]).all():
                 found, last = r["outlier"][k, b], now
-            chain = np.eye(2) if q.durations is None else q.over(now - last)
-            probability[k, b] = np.array([1 - found, found]) @ chain[:, 1]
+            transition = np.eye(2) if q.durations is None else q.over(now - last)
+            probability[k, b] = np.array([1 - found, found]) @ transition[:, 1]
             if probability[k, b] <= 0.5:
                 began = None
             elif began is None:
                 began = now
             duration[k, b] = 0.0 if began is None else now - began
     for k in range(len(z)):
-        seen = present(z[k])
-        angles = np.asarray(model.angles, dtype=bool)[seen]
-        offset[k, seen] = difference(z[k][seen], model.h(r["mean"][k], k)[seen], angles)
+        measured = present(z[k])
+        angles = np.asarray(model.angles, dtype=bool)[measured]
+        offset[k, measured] = difference(z[k][measured], model.h(r["mean"][k], k)[measured], angles)
     return {"probability": probability, "duration": duration, "offset": offset}
 
 
 def gpb(
-    z: Array, mean0: Array, P0: Array, motions: list[Carry], model: Model, regimes: Regimes, qualities: Qualities,
-    poor: float, widened: float, position: slice = slice(0, 2),
+    z: Array, mean0: Array, P0: Array, motions: list[Propagate], model: Model, regimes: Regimes, modes: OutlierModes,
+    prior_outlier: float, prior_inflation: float, position: slice = slice(0, 2),
 ) -> Result:  # fmt: skip
     """One track z (T,m), NaN missing; of the model only sensor and noise are used.
 
-    Keys: mean (T,n), P (T,n,n), settled_mean, settled_P (of the last step as filtered), regimes (T,R), outlier (T,B),
+    Keys: mean (T,n), P (T,n,n), lagged_mean, lagged_P (of the last step as filtered), regimes (T,R), outlier (T,B),
     log_likelihood (T,) of the mixture, nis (T,) of the Gaussian with the moments of all predictions.
     """
-    c = start(np.array(mean0, dtype=float), np.array(P0, dtype=float), regimes, qualities, poor, widened)
-    steps, settled = [], []
+    c = start(np.array(mean0, dtype=float), np.array(P0, dtype=float), regimes, modes, prior_outlier, prior_inflation)
+    steps, lagged = [], []
     for k in range(len(z)):
-        c, told_of, before = step(c, z[k], motions, model, regimes, qualities, position, k)
-        steps.append(told_of)
-        settled.append(before)
-    settled = [*settled[1:], (steps[-1]["mean"], steps[-1]["P"])]
-    late = {"settled_mean": np.array([x for x, _ in settled]), "settled_P": np.array([P for _, P in settled])}
-    return collect(steps) | late
+        c, output, before = step(c, z[k], motions, model, regimes, modes, position, k)
+        steps.append(output)
+        lagged.append(before)
+    lagged = [*lagged[1:], (steps[-1]["mean"], steps[-1]["P"])]
+    smoothed = {"lagged_mean": np.array([x for x, _ in lagged]), "lagged_P": np.array([P for _, P in lagged])}
+    return collect(steps) | smoothed

@@ -1,7 +1,7 @@
 """Joint association around filters of several hypotheses: Chen & Tugnait (2001) for interacting models, and for GPB2.
 
 Every measurement in a target's gate, and that there is none, leads to a state of its own, in plain loops; what a filter
-keeps apart (models; qualities and motions) is merged apart, weighted by the probabilities of association.
+keeps apart (models; outlier modes and motions) is merged apart, weighted by the probabilities of association.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def follow(z: Array, targets: list[Target], *, PD: float, density: float, gate: 
 
 def told(state: Any) -> Array:
     """Probabilities of the models, or of the regimes."""
-    if isinstance(state, gpb.Carried):
+    if isinstance(state, gpb.State):
         return np.exp(state.log_regimes).sum(0)
     return np.array([state[1][j] for j in sorted(state[1])])
 
@@ -83,27 +83,27 @@ def models(
 
 
 def regimes(
-    mean: Array, P: Array, motions: list[gpb.Carry], model: Any, r: gpb.Regimes, q: gpb.Qualities, poor: float,
-    widened: float,
+    mean: Array, P: Array, motions: list[gpb.Propagate], model: Any, r: gpb.Regimes, q: gpb.OutlierModes,
+    prior_outlier: float, prior_inflation: float,
 ) -> Target:  # fmt: skip
-    """GPB2 over regimes and qualities."""
+    """GPB2 over regimes and outlier modes."""
     motion = r.all_motions
 
     def step(state: Any, z: Array, k: int) -> tuple[Any, float, Array, Array]:
-        after, told_of, _ = gpb.step(state, z, motions, model, r, q, slice(0, 2), k)
-        return after, told_of["log_likelihood"], told_of["mean"], told_of["P"]
+        after, output, _ = gpb.step(state, z, motions, model, r, q, slice(0, 2), k)
+        return after, output["log_likelihood"], output["mean"], output["P"]
 
     def merge(parts: list[tuple[float, Any]]) -> Any:
-        chances = sum(w * np.exp(s.log_regimes) for w, s in parts)  # of quality and regime
+        chances = sum(w * np.exp(s.log_regimes) for w, s in parts)  # of mode and regime
         beliefs = {}
-        for quality, m in parts[0][1].beliefs:
+        for mode, m in parts[0][1].beliefs:
             of = [i for i in range(len(motion)) if motion[i] == m]
-            each = [w * np.exp(s.log_regimes[quality, of]).sum() for w, s in parts]
-            found = [s.beliefs[quality, m] for _, s in parts]
-            beliefs[quality, m] = matched([(w / sum(each), *b) for w, b in zip(each, found, strict=True)])
+            each = [w * np.exp(s.log_regimes[mode, of]).sum() for w, s in parts]
+            found = [s.beliefs[mode, m] for _, s in parts]
+            beliefs[mode, m] = matched([(w / sum(each), *b) for w, b in zip(each, found, strict=True)])
         dirty = [w * np.exp(s.log_regimes[1]).sum() for w, s in parts]
         outlier = sum(w / sum(dirty) * s.outlier for w, (_, s) in zip(dirty, parts, strict=True))
         nothing = np.full_like(parts[0][1].last, np.nan)  # no measurement is one target's alone
-        return gpb.Carried(beliefs, np.log(chances), np.asarray(outlier), nothing)
+        return gpb.State(beliefs, np.log(chances), np.asarray(outlier), nothing)
 
-    return Target(gpb.start(mean, P, r, q, poor, widened), step, merge)
+    return Target(gpb.start(mean, P, r, q, prior_outlier, prior_inflation), step, merge)

@@ -16,17 +16,17 @@ from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
 _MOST_STEPS = 10**7
-"""Of a grid between fixes."""
+"""Largest number of steps of a regular grid."""
 _COARSEST = 31.0
-"""Metres between the heights that a transponder can tell, at most: 100 ft."""
+"""Coarsest resolution of the heights of a transponder, m: 100 ft."""
 _LEAST, _FINEST = 0.01, 1e-4
-"""Standard deviation across the ground that fixes have at least, m: of degrees, whose last digit is often as coarse,
-and of metres with many digits."""
+"""Least standard deviation of fixes across the ground, m: of degrees, whose last digit is often as coarse, and of
+metres with many digits."""
 _SHORT = 100
-"""Fixes by which tracks of one batch may always differ."""
+"""Difference in fixes that tracks of one batch may always have."""
 _ALONE, _PAIR = 45_000, 100_000
-"""Fixes up to which a batch stays whole, and those of two batches, about: in larger ones more is padded and leaves the
-caches, smaller ones pay for each operation more often."""
+"""Largest number of fixes of a batch that is not divided, and the approximate number of two batches: larger ones have
+more padding and exceed the caches, smaller ones repeat the overhead of each operation."""
 
 
 class Steps(NamedTuple):
@@ -37,13 +37,13 @@ class Steps(NamedTuple):
     raw: Array
     """``(T, d)`` positions there, m; NaN between fixes."""
     row: NDArray[np.int64]
-    """``(T,)`` which fix it is; -1 between fixes."""
+    """``(T,)`` number of the fix; -1 between fixes."""
     std: Array
-    """``(T, d)`` what the file says of each fix's standard deviation per axis, m; 1 where it says nothing."""
+    """``(T, d)`` the standard deviation of each fix per axis as the file states it, m; 1 where it states none."""
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """``(T,)`` which of them have a position; all where none has."""
+        """``(T,)`` whether a step has a position; True for all where none has."""
         there = ~np.isnan(self.raw).any(1)
         return np.asarray(there if there.any() else ~there)
 
@@ -56,7 +56,7 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
     """The steps at the fixes of a recording; and at every multiple of ``dt`` seconds after the first, if that is given.
 
     Raises:
-        ValueError: more steps between fixes than anyone can want.
+        ValueError: more than ten million steps between fixes.
     """
     time, position = recording.time - recording.time[0], recording.position
     count, d = position.shape
@@ -78,9 +78,9 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
 
 
 def step_of_heights(recording: Recording) -> float:
-    """Metres between the heights that a recording can tell: 7.6 of altitudes in steps of 25 ft, about 0 of others.
+    """Resolution of the heights of a recording, m: 7.6 for altitudes in steps of 25 ft, about 0 for others.
 
-    Levels that are further apart than ``_COARSEST`` are no rounding but other altitudes, or wild ones.
+    Gaps larger than ``_COARSEST`` are not due to rounding.
     """
     if recording.position.shape[1] == 2:
         return 0.0
@@ -92,9 +92,9 @@ def step_of_heights(recording: Recording) -> float:
 
 
 def least_sigma(recording: Recording) -> float:
-    """The least standard deviation that may be found of a recording across the ground, m, or as a factor.
+    """The least standard deviation of fixes across the ground that may be estimated, m, or as a factor.
 
-    Of metres it is that of their rounding.
+    For positions in metres it is that of their rounding.
     """
     if recording.sigma is not None or recording.origin is not None:
         return _LEAST
@@ -107,9 +107,9 @@ def least_sigma(recording: Recording) -> float:
 
 
 def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions ``(B, T, d)``, seconds since the step before ``(B, T)`` and ``std (B, T, d)`` of all as one batch.
+    """Positions ``(B, T, d)``, seconds since the step before ``(B, T)`` and ``std (B, T, d)`` as one batch.
 
-    The shorter ones end in NaN.
+    Shorter tracks are padded with NaN.
     """
     longest, d = max(len(steps.time) for steps in several), several[0].raw.shape[1]
     z = torch.full((len(several), longest, d), torch.nan, dtype=torch.float64)
@@ -122,15 +122,15 @@ def padded(several: Sequence[Steps]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def groups(recordings: Sequence[Recording], alike: float = math.inf) -> list[list[int]]:
-    """Numbers of the recordings that are one batch: of the same dimensions, and at most twice as long as the shortest.
+    """Numbers of the recordings of each batch: of the same dimensions, and at most twice as long as the shortest.
 
-    A batch is also bounded in all, so that its memory is: those that are alike are divided in order of length into an
-    even number of batches of as many fixes, for two processes or more.  That depends on nothing but the recordings, as
-    tracks of one batch may share values.
+    The size of a batch is bounded, and with it the memory: recordings of similar length are divided in order of length
+    into an even number of batches of as many fixes, for two processes or more.  Batches depend on nothing but the
+    recordings, as tracks of one batch may share values.
 
     Args:
         recordings: of any length.
-        alike: fixes from which on recordings are alike, as they are divided into rows of about that length.
+        alike: fixes from which on recordings count as equally long, as they are divided into rows of about that length.
     """
     together: list[list[int]] = []
     for i in sorted(range(len(recordings)), key=lambda i: recordings[i].position.shape[::-1]):
@@ -143,7 +143,7 @@ def groups(recordings: Sequence[Recording], alike: float = math.inf) -> list[lis
 
 
 def _divided(group: Sequence[int], lengths: Sequence[int]) -> list[list[int]]:
-    """A group in order, in shares of about as many fixes; none is empty."""
+    """Divides a group in order into parts of about as many fixes; none is empty."""
     middle, total = np.cumsum(lengths) - np.asarray(lengths) / 2, sum(lengths)
     count = 1 if total <= _ALONE else 2 * max(1, round(total / _PAIR))
     share = (middle * count / total).astype(int)

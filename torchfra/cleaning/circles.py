@@ -1,4 +1,4 @@
-"""How far fixes are from circles whose centre drifts: noise of a target that circles in a thermal."""
+"""Residuals of fixes from circles whose centre drifts: the noise of a target that circles in a thermal."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import torch
 from torch import Tensor
 
 IN_A_ROW = 8
-"""Fixes in a row that are looked at together."""
+"""Consecutive fixes to which a circle is fitted."""
 _RATES = 96
-"""Rates of turn that are tried, from none to once around between two fixes."""
+"""Rates of turn that are tried, from none to a full circle between two fixes."""
 _EVEN = 1.1
 """Ratio that the longest gap between such fixes may have to the shortest."""
 
 
 def off_circles(z: Tensor, gap: Tensor) -> Tensor:
-    """Standard deviations ``(T - 7, B)`` of eight fixes each from a circle; NaN where some are missing or not evenly.
+    """Standard deviations ``(T - 7, B)`` of eight fixes from a circle; NaN where some are missing or unevenly spaced.
 
-    In complex numbers the fixes are ``a + b k + c exp(i w k)`` and noise, with the likeliest rate ``w``.  The median of
-    noise alone, to which one of many rates comes near, is 0.78 of its standard deviation.
+    In complex numbers the fixes are ``a + b k + c exp(i w k)`` and noise, with the likeliest rate ``w``.  As the best
+    of many rates fits noise too, the median of noise alone is 0.78 of its standard deviation.
 
     Args:
         z: ``(T, 2, B)`` m, NaN where there is none.
@@ -33,7 +33,7 @@ def off_circles(z: Tensor, gap: Tensor) -> Tensor:
     both = torch.complex(x, y)
 
     def circles(rate: Tensor) -> Tensor:
-        """Of rates ``(...)`` what circles have beside a line, ``(..., 6)`` and of length 1."""
+        """Unit vectors ``(..., 6)`` of circles with rates ``(...)``, orthogonal to all lines."""
         turn = rate.unsqueeze(-1) * number
         circle: Tensor = torch.polar(torch.ones_like(turn), turn) @ beside_line.to(both)
         return circle / circle.abs().square().sum(-1, keepdim=True).sqrt()

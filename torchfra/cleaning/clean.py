@@ -25,21 +25,21 @@ from torchfra.readers.sheets import Sheet
 PREFIX = "clean_"
 """In front of the names of columns that are added to a table."""
 _PLACES = {"x", "y", "z", "lat", "lon"}
-"""Words that say which columns positions are in."""
+"""Arguments that name the columns of positions."""
 _LATITUDE, _LONGITUDE = "latitude", "longitude"
 _TIMES = ("datetime64", "timedelta64")
-"""Kinds of an index that tells the time."""
+"""Types of an index with times."""
 _LEFT_OUT = ("row", "id", "time", "seconds")
-"""Columns of an output that a table of one's own has already."""
+"""Columns of an output that the table of the caller has already."""
 _OPTION = re.compile(
     r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)(?![\w.])( '[^']*'| (?!(?:and|if|name|or|takes|that|with)\b)[^\s,;)]+)?"
 )
-"""An option of the command in a message, and its value if it has one; other words go on with the sentence."""
+"""An option of the command in a message, and its value if it has one; the words after ``?!`` are none."""
 
 
 @contextmanager
 def _words_for_options() -> Iterator[None]:
-    """Messages of readers name options of the command, ``--lat breite``; in Python they are arguments, lat='breite'."""
+    """Writes options of the command in messages of readers, ``--lat breite``, as arguments of Python, lat='breite'."""
 
     def argument(option: re.Match[str]) -> str:
         name, value = option.groups(default="")
@@ -67,27 +67,27 @@ def clean(
     max_bytes: int = MAX_BYTES,
     **words: Any,
 ) -> Any:
-    """Cleans tracks: where targets were and how sure that is, which fixes are wrong, and what was flown.
+    """Cleans tracks: estimates of positions with their covariances, outliers and manoeuvres.
 
     Args:
         data: the path of a file; a pandas ``DataFrame``, or a ``GeoDataFrame`` of points in any coordinate reference
             system; ``(time (k,), position (k, d))``, seconds or moments that increase, and metres in 2 or 3 dimensions,
             where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
             ``torchfra.readers.read``.
-        filter: its name, out of ``catalogue.track_filters()``.
+        filter: its name, one of ``catalogue.track_filters()``.
         bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None chooses by the data.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
-        smooth: whether each estimate knows the fixes after it.
+        smooth: whether estimates are smoothed, and not only filtered.
         dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
-        repair: whether fixes whose time stamps are off are first put in place, where tracks show it: see
+        repair: whether fixes with wrong time stamps are first moved along the path, where tracks show such errors: see
             ``cleaning.clean_tracks``.
-        compile: whether to run compiled, which pays for long tracks; needs the extra ``compiler``.
+        compile: whether to run compiled, which saves time on long tracks; needs the extra ``compiler``.
         jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
             each; with more than 1 a script needs ``if __name__ == "__main__":``.
         max_bytes: of text that a file may hold.
-        words: columns by name, such as ``time="when", lat="breite"``, and how they are written: see
+        words: columns by name, such as ``time="when", lat="breite"``, and their formats: see
             ``readers.ReadOptions``.
 
     Returns:
@@ -123,7 +123,7 @@ def clean(
 
 
 def track(data: Any, **settings: Any) -> Any:
-    """As ``clean``, on line: every estimate knows only the fixes before and at its step."""
+    """As ``clean``, on line: every estimate depends on the fixes up to its step only."""
     return clean(data, **{"smooth": False, **settings})
 
 
@@ -131,13 +131,13 @@ def track(data: Any, **settings: Any) -> Any:
 
 
 def _is_frame(data: Any) -> bool:
-    """Whether it is a ``DataFrame``; pandas is not imported for it."""
+    """Whether data is a ``DataFrame``; does not import pandas."""
     pandas = sys.modules.get("pandas")
     return pandas is not None and isinstance(data, pandas.DataFrame)
 
 
 def _points(frame: Any) -> Any:
-    """The points of a ``GeoDataFrame``; None of other tables, for which geopandas is not imported.
+    """The points of a ``GeoDataFrame``; None for other tables, without an import of geopandas.
 
     Raises:
         ValueError: other geometries than points, or no coordinate reference system.
@@ -162,7 +162,7 @@ def _coordinates(points: Any) -> dict[str, Any]:
 
 
 def _with_points(frame: Any, points: Any) -> Any:
-    """A cleaned table with points that were cleaned, as those that were recorded are written."""
+    """A cleaned table with the cleaned points, in the coordinate reference system of the recorded ones."""
     series = sys.modules["geopandas"].GeoSeries
     where = [frame[PREFIX + name] for name in (_LONGITUDE, _LATITUDE)]
     height = frame[f"{PREFIX}altitude"] if points.has_z.any() else None
@@ -171,7 +171,7 @@ def _with_points(frame: Any, points: Any) -> Any:
 
 
 def _sheet_of_frame(frame: Any) -> Sheet:
-    """The columns of a table; its index too where that tells the time or has levels, and no column has its name."""
+    """The columns of a table; its index too if it has times or levels, and no column has its name."""
     table = {str(name): frame.iloc[:, i] for i, name in enumerate(frame.columns)}
     if len(table) < frame.shape[1]:
         raise ValueError("data: expected every column once, received several of the same name")

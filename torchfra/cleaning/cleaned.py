@@ -1,4 +1,4 @@
-"""What cleaning gives back of a track."""
+"""The result of cleaning a track."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
 FLAGS = ("", "outlier", "manoeuvre", "unclear")
-"""What a step can be: usual, a fix that is wrong, a target that does what its calm motion does not, or either."""
+"""What a step can be: usual, an outlier, a manoeuvre, or unclear: perhaps an outlier."""
 
 
 class Segment(NamedTuple):
@@ -28,16 +28,16 @@ class Segment(NamedTuple):
     kind: str
     """``"left turn"``, ``"right turn"``, ``"speeding up"``, ``"slowing down"``, ``"climbing"``, ``"descending"``."""
     rate: float
-    """How hard: deg/s of a turn, counter-clockwise positive; m/s^2 of a change of speed; m/s of a climb."""
+    """Deg/s of a turn, counter-clockwise positive; m/s^2 of a change of speed; m/s of a climb."""
 
 
-class Used(NamedTuple):
-    """What the default filter was run with on some axes of a track."""
+class FilterParameters(NamedTuple):
+    """Parameters of the default filter for some axes of a track."""
 
     dims: int
-    """How many axes."""
+    """The number of axes."""
     levels: Levels
-    """Of the process noise, ``(J, 1)``."""
+    """Levels of the process noise, ``(J, 1)``."""
     sigma: Tensor
     """``(1,)`` standard deviation of a fix, m; where fixes have their own, the median."""
     model: OutlierModel
@@ -46,26 +46,26 @@ class Used(NamedTuple):
 
 @dataclass(frozen=True)
 class Found:
-    """What a track was cleaned with; each value was given, or found from the track's likelihood."""
+    """The settings of a cleaned track; each value was given, or estimated by maximum likelihood."""
 
     filter: str
     smooth: bool
     bank: str
-    """The kind of target, such as ``"aircraft"`` (``cleaning.kinds``), or ``"own"`` of one that was handed in."""
+    """The kind of target, such as ``"aircraft"`` (``cleaning.kinds``), or ``"own"`` for a ``Bank`` of the caller."""
     sigma: float
     """Standard deviation of a fix per axis, m; where each fix has its own, a factor on those."""
     q: float
     """Density of the process noise per second, m^2/s^3 of motions of constant velocity."""
     nis: float
     """Mean normalised innovation squared per element of the fixes that are no outliers: 1 if both are right."""
-    found: frozenset[str] = frozenset()
-    """Which of ``sigma``, ``q`` and ``bank`` were found and not given."""
-    said: tuple[str, ...] = ()
-    """Lines for a person: why this bank, sigma of the height, time stamps that were off, time-correlated errors."""
+    estimated: frozenset[str] = frozenset()
+    """Which of ``sigma``, ``q`` and ``bank`` were estimated and not given."""
+    notes: tuple[str, ...] = ()
+    """Lines for a reader: why this bank, sigma of the height, wrong time stamps, time-correlated errors."""
     stated: bool = False
-    """Whether the file states how good each fix is, so that sigma is a factor on that."""
-    doubt: str = ""
-    """Why sigma is hardly known, where it was found; "" if it is."""
+    """Whether the file states the standard deviation of each fix, on which sigma is a factor."""
+    sigma_unsure: str = ""
+    """Why an estimated sigma is unsure; "" if it is not."""
     failure: str = ""
     """Why the track could not be cleaned at all; "" if it was."""
 
@@ -76,7 +76,7 @@ class Cleaned:
 
     recording: Recording
     time: Array
-    """``(T,)`` seconds since the first fix; one step for each fix, and others between them where they were asked."""
+    """``(T,)`` seconds since the first fix; one step for each fix, and others between them if ``dt`` was given."""
     row: NDArray[np.int64]
     """``(T,)`` which fix of the recording it is, whose row in the file ``recording.row`` has; -1 between fixes."""
     raw: Array
@@ -84,11 +84,11 @@ class Cleaned:
     mean: Array
     """``(T, 2 d)`` position and velocity, m and m/s."""
     covariance: Array
-    """``(T, 2 d, 2 d)`` of these."""
+    """``(T, 2 d, 2 d)`` of position and velocity."""
     nis: Array
     """``(T,)`` normalised innovation squared of the filter."""
     outlier: Array
-    """``(T,)`` probability that the fix is an outlier; NaN of filters that do not say."""
+    """``(T,)`` probability that the fix is an outlier; NaN for filters without such a probability."""
     manoeuvre: Array
     """``(T,)`` probability of a regime other than the calm one; NaN where unknown."""
     flag: NDArray[np.str_]
@@ -98,22 +98,22 @@ class Cleaned:
     regimes: tuple[str, ...] = ()
     """Names of the regimes."""
     regime: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """``(T, R)`` their probabilities."""
+    """``(T, R)`` probabilities of the regimes."""
     behind: float = 0.0
-    """Seconds by which the path is behind the fixes, as times were cut."""
-    used: tuple[Used, ...] = ()
-    """What the default filter was run with: across the ground, and of the height where there is one."""
+    """Seconds by which the path is behind the fixes, because times were truncated."""
+    parameters: tuple[FilterParameters, ...] = ()
+    """Those of the default filter: across the ground, and of the height where there is one."""
 
     def filters(self) -> tuple[GPB, ...]:
-        """The default filter with what was found, as a module for each part of ``used``; none of other filters.
+        """The default filter as a module for each of ``parameters``; empty for other filters.
 
         Each takes the positions of its axes, of a batch of one track, and continues from any belief of these and their
         velocities.
         """
-        return tuple(as_gpb(part.levels, part.sigma, part.model, part.dims) for part in self.used)
+        return tuple(as_gpb(part.levels, part.sigma, part.model, part.dims) for part in self.parameters)
 
     def __repr__(self) -> str:
-        """What was found, in a line."""
+        """Name, counts and sigma, in a line."""
         fixes, outliers = (int(x.sum()) for x in (self.row >= 0, self.flag == "outlier"))
         found = self.found.failure or f"sigma {self.found.sigma:.3g}"
         return f"Cleaned({self.recording.name!r}: {fixes} fixes, {outliers} outliers, {found})"
@@ -136,23 +136,23 @@ class Cleaned:
         return np.sqrt(variance)
 
     @property
-    def off(self) -> Array:
-        """``(T,)`` m from the fix to the cleaned position; NaN between fixes.  An altitude may be missing.
+    def residual(self) -> Array:
+        """``(T,)`` distance of the fix from the cleaned position, m; NaN between fixes.  An altitude may be missing.
 
-        Where times were cut, it is the position when the fix was made, which the path reaches later.
+        Where times were truncated, it is the position when the fix was made, which the path reaches later.
         """
-        apart = self.raw - (self.position + self.behind * self.velocity)
-        distance: Array = np.linalg.norm(np.column_stack([apart[:, :2], np.nan_to_num(apart[:, 2:])]), axis=1)
+        gap = self.raw - (self.position + self.behind * self.velocity)
+        distance: Array = np.linalg.norm(np.column_stack([gap[:, :2], np.nan_to_num(gap[:, 2:])]), axis=1)
         return distance
 
     @property
-    def wrong_for(self) -> Array:
-        """``(T,)`` seconds since the first of the fixes in a row that are more likely wrong than right.
+    def outlier_duration(self) -> Array:
+        """``(T,)`` seconds since the first of consecutive fixes that are more likely outliers than not.
 
-        NaN where the last fix is right, or the filter does not say.
+        NaN where the last fix is an inlier, or the filter has no probabilities of outliers.
         """
         step = np.arange(len(self.time))
-        last = np.maximum.accumulate(np.where(np.isnan(self.off), 0, step))
+        last = np.maximum.accumulate(np.where(np.isnan(self.residual), 0, step))
         wrong = self.outlier[last] > LIKELY
         begins = wrong & ~np.concatenate([[False], wrong[:-1]])
         first = np.maximum.accumulate(np.where(begins, step, 0))

@@ -46,40 +46,40 @@ class Belief(NamedTuple):
 class OutlierModel(NamedTuple):
     """How likely outliers are."""
 
-    begins: Tensor | float = 0.015
-    """Probability of an outlier after a fix that is none; one, or ``(B,)``."""
-    lasts: Tensor | float = 0.35
+    after_inlier: Tensor | float = 0.015
+    """Probability of an outlier after an inlier; one, or ``(B,)``."""
+    after_outlier: Tensor | float = 0.35
     """Probability of an outlier after an outlier; one, or ``(B,)``."""
     least_size: float = 100.0
     """Least mean square error per axis of an outlier, in units of the variance of an inlier."""
-    reach: Tensor | float = 0.0
-    """The same as a distance, m, as far as targets often are beside their way; one, or ``(B,)``."""
+    least_offset: Tensor | float = 0.0
+    """The same as a distance, m: targets are often so far from a constant velocity; one, or ``(B,)``."""
     same_offset: Tensor | float = 0.5
     """Probability that an outlier after another is as far off in the same direction; one, or ``(B,)``."""
-    alone: Tensor | float = 0.001
-    """Probability of an outlier where other axes of the fix have none; one, or ``(B,)``."""
-    beside: Tensor | float = 0.95
-    """The same where they have one."""
+    beside_inlier: Tensor | float = 0.001
+    """Probability of an outlier where other axes of the fix are inliers; one, or ``(B,)``."""
+    beside_outlier: Tensor | float = 0.95
+    """Probability of an outlier where other axes of the fix are outliers; one, or ``(B,)``."""
 
     @property
-    def of_any_offset(self) -> OutlierModel:
-        """The same without outliers as far off as each other.
+    def independent_offsets(self) -> OutlierModel:
+        """The same model, in which no outlier has the offset of the one before.
 
-        It is used while sigma and the process noise are found: many such outliers could stand for inliers.
+        It serves to estimate sigma and the process noise: many outliers of one offset could stand for inliers.
         """
         return self._replace(same_offset=0.0)
 
     def transition(self, like: Tensor) -> Tensor:
         """Probabilities ``(2, 2, B)``, ``[now, before]``, of inlier and outlier, for tracks ``like (B,)``."""
-        begins, lasts = (torch.zeros_like(like) + x for x in (self.begins, self.lasts))
-        return torch.stack([torch.stack([1 - begins, 1 - lasts]), torch.stack([begins, lasts])])
+        outlier = torch.stack([torch.zeros_like(like) + x for x in (self.after_inlier, self.after_outlier)])
+        return torch.stack([1 - outlier, outlier])
 
     def share(self, like: Tensor) -> Tensor:
-        """Of the fixes that are outliers in the long run, for tracks ``like (B,)``."""
-        return torch.zeros_like(like) + self.begins / (self.begins + 1 - self.lasts)
+        """The long-run share of fixes that are outliers, for tracks ``like (B,)``."""
+        return torch.zeros_like(like) + self.after_inlier / (self.after_inlier + 1 - self.after_outlier)
 
     def of_rows(self, rows: Callable[[Tensor], Tensor]) -> OutlierModel:
-        """The same for other tracks, as ``rows`` takes them from those ``(B,)`` there are."""
+        """The same model for other tracks, which ``rows`` takes from values ``(B,)``."""
         of_rows: dict[str, Any] = {name: rows(x) for name, x in self._asdict().items() if isinstance(x, Tensor)}
         return self._replace(**of_rows)
 
@@ -95,23 +95,23 @@ class Chain(NamedTuple):
     """``(J, B)`` mean time that a level lasts, s."""
     rates: Tensor
     """``(J, B)`` 1/s at which the modes of the chain decay."""
-    begun: Tensor
+    to_modes: Tensor
     """``(J, J, B)``, ``[was, mode]``."""
-    ended: Tensor
-    """``(J, J, B)``, ``[mode, now]``; ``begun exp(-rates gap) ended`` is what the chain says over a gap."""
+    from_modes: Tensor
+    """``(J, J, B)``, ``[mode, now]``; the transition over a gap is ``to_modes exp(-rates gap) from_modes``."""
 
     def over(self, gap: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What becomes of levels of the weights ``(n, J, B)`` over gaps ``(n, B)``.
+        """The transition of levels with weights ``(n, J, B)`` over gaps ``(n, B)``.
 
         Returns:
-            Weights ``(n, J, B)`` of each that lasts; of each that ends; and of each that is there then where levels
-            have ended, once or several times.
+            Weights ``(n, J, B)`` of levels that last throughout; of levels that end; and of the levels at the end of
+            the gap, where those at its beginning have ended.
         """
         gap = gap.unsqueeze(1)
         ended = weights * -torch.expm1(-gap / self.duration)
         lasted = weights - ended
-        modes = _product(weights, self.begun) * torch.exp(-gap * self.rates)
-        return lasted, ended.clamp_min(_LEAST), (_product(modes, self.ended) - lasted).clamp_min(_LEAST)
+        modes = _product(weights, self.to_modes) * torch.exp(-gap * self.rates)
+        return lasted, ended.clamp_min(_LEAST), (_product(modes, self.from_modes) - lasted).clamp_min(_LEAST)
 
 
 class Levels(NamedTuple):
@@ -142,13 +142,13 @@ class Levels(NamedTuple):
         scaled = (restart / self.duration.T).sqrt()
         generator = scaled.unsqueeze(-1) * scaled.unsqueeze(-2) - (1 / self.duration.T).diag_embed()
         values, vectors = torch.linalg.eigh(generator)
-        begun, ended = vectors.permute(1, 2, 0) / root.unsqueeze(1), vectors.permute(2, 1, 0) * root
-        # Next to each other in memory are the tracks: products of what else ``eigh`` leaves take three times as long.
-        return Chain(self.duration, -values.T.contiguous(), begun.contiguous(), ended.contiguous())
+        to_modes, from_modes = vectors.permute(1, 2, 0) / root.unsqueeze(1), vectors.permute(2, 1, 0) * root
+        # Tracks are contiguous in memory: with the strides that ``eigh`` leaves, products take three times as long.
+        return Chain(self.duration, -values.T.contiguous(), to_modes.contiguous(), from_modes.contiguous())
 
 
 class Fixes(NamedTuple):
-    """What is measured of a batch of tracks, time first."""
+    """The measurements of a batch of tracks, time first."""
 
     z: Tensor
     """``(T, d, B)`` m; NaN where there is none."""
@@ -156,12 +156,12 @@ class Fixes(NamedTuple):
     """``(T, B)`` seconds since the step before."""
     variance: Tensor
     """``(T, B)`` of an inlier per axis, m^2."""
-    odds: Tensor
-    """``(T, B)`` log of a factor on the odds that the fix is an outlier, from what is known besides."""
+    log_odds: Tensor
+    """``(T, B)`` log of a factor on the odds that the fix is an outlier: the evidence of the other axes."""
 
     @property
     def missing(self) -> Tensor:
-        """``(T, B)``."""
+        """``(T, B)`` whether a step has no fix."""
         return self.z.isnan().any(1)
 
     @property
@@ -174,7 +174,7 @@ class Fixes(NamedTuple):
 
     @property
     def period(self) -> Tensor:
-        """``(B,)`` seconds between most fixes."""
+        """``(B,)`` median time between fixes, s."""
         return torch.where(self.missing, math.nan, self.elapsed).nanmedian(0).values
 
     @property
@@ -184,18 +184,18 @@ class Fixes(NamedTuple):
         return ~self.missing & (self.elapsed > (periods * self.period).clamp_min(seconds))
 
     def backwards(self) -> Fixes:
-        """The same with time reversed."""
+        """The fixes with time reversed."""
         gap = torch.cat([self.gap[:1], self.gap[1:].flip(0)])
-        return Fixes(self.z.flip(0), gap, self.variance.flip(0), self.odds.flip(0))
+        return Fixes(self.z.flip(0), gap, self.variance.flip(0), self.log_odds.flip(0))
 
 
 class State(NamedTuple):
     """The filter after a fix."""
 
     belief: Belief
-    """``(2, J, B)`` if the fix is an inlier, and if it is an outlier."""
+    """``(2, J, B)`` conditional on the fix being an inlier, and an outlier."""
     log_weights: Tensor
-    """``(2, J, B)`` logs of the probabilities of these."""
+    """``(2, J, B)`` logs of the probabilities of these hypotheses."""
     outlier: Tensor
     """``(B,)`` probability that the fix is an outlier."""
     z: Tensor
@@ -206,47 +206,49 @@ class Predictions(NamedTuple):
     """Predictions of all steps, from the fixes before each."""
 
     belief: Belief
-    """``(T, J, B)`` behind the axes, of each level."""
+    """``(T, J, B)`` of each level; the axes come first."""
     log_weights: Tensor
     """``(T, J, B)`` logs of the probabilities of the levels."""
     prior_outlier: Tensor
-    """``(T, B)`` probability that the fix is an outlier, without the fix itself."""
+    """``(T, B)`` prior probability that the fix is an outlier."""
     outlier: Tensor
-    """``(T, B)`` the same with it."""
+    """``(T, B)`` posterior probability that the fix is an outlier."""
     log_likelihood: Tensor
     """``(T, B)`` of each fix."""
 
 
 class Step(NamedTuple):
-    """What the filter says of a step."""
+    """One step of the filter."""
 
-    ahead: State
-    """Before the fix; of an inlier and an outlier before it."""
-    after: State
-    """After it; what it says of tracks without a fix means nothing."""
+    predicted: State
+    """Before the fix, conditional on an inlier and an outlier in the fix before it."""
+    updated: State
+    """After the fix; without a meaning for tracks that have none."""
     missing: Tensor
     """``(B,)`` whether there is no fix."""
     prior_outlier: Tensor
+    """``(B,)``: see ``Predictions``."""
     outlier: Tensor
+    """``(B,)``: see ``Predictions``."""
     log_likelihood: Tensor
-    """These as in ``Predictions``."""
+    """``(B,)``: see ``Predictions``."""
 
     @property
-    def known(self) -> State:
-        """After the fix; predicted where there is none."""
-        return _where(self.missing, self.ahead, self.after)
+    def filtered(self) -> State:
+        """The state after the fix; the predicted one where there is none."""
+        return _where(self.missing, self.predicted, self.updated)
 
     @property
     def prediction(self) -> Belief:
         """``(J, B)`` of each level before the fix."""
-        log_weights = self.ahead.log_weights
+        log_weights = self.predicted.log_weights
         share = (log_weights[1] - log_weights[0]).sigmoid()
-        return _merged_pair(share, *_entries(self.ahead.belief))
+        return _merged_pair(share, *_entries(self.predicted.belief))
 
     @property
     def log_levels(self) -> Tensor:
         """``(J, B)`` logs of the probabilities of the levels before the fix."""
-        return torch.logaddexp(*self.ahead.log_weights)
+        return torch.logaddexp(*self.predicted.log_weights)
 
 
 def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
@@ -265,49 +267,50 @@ def predictions_of(every: Iterable[Step]) -> Predictions:
 def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterator[Step]:
     """The steps of the filter.
 
-    After each fix hypotheses are merged to one for each level and for inlier and outlier; these two stay apart until
-    the next fix has said which was right.  Steps without a fix are predicted from the last one, and change nothing.
+    After each fix hypotheses are merged to one for each level and for inlier and outlier; these two stay separate until
+    the next fix has updated their probabilities.  Steps without a fix are predicted from the last one, and leave the
+    state unchanged.
 
     Source: Blom & Bar-Shalom (1988) for interacting models; Harrison & Stevens (1976) for outliers as hypotheses.
     """
     state, chain, log_transition = _start(fixes, levels, model), levels.chain, model.transition(fixes.gap[0]).log()
     missing, repeats = fixes.missing, bool(torch.as_tensor(model.same_offset).any())
-    rows = zip(fixes.z, fixes.variance, fixes.odds, missing, fixes.elapsed, missing.any(1).tolist(), strict=True)
-    for k, (z, variance, odds, missing, elapsed, incomplete) in enumerate(rows):
-        ahead = state
+    rows = zip(fixes.z, fixes.variance, fixes.log_odds, missing, fixes.elapsed, missing.any(1).tolist(), strict=True)
+    for k, (z, variance, log_odds, missing, elapsed, incomplete) in enumerate(rows):
+        predicted = state
         if k:  # the first fix is of the time of the prior
             mixed, log_weights = switched(state.belief, state.log_weights, chain, elapsed.unsqueeze(0))
-            ahead = state._replace(belief=_propagated(mixed, levels, elapsed), log_weights=log_weights)
-        inlier, log_density = corrected(ahead.belief, z, variance, missing, model)
+            predicted = state._replace(belief=_propagated(mixed, levels, elapsed), log_weights=log_weights)
+        inlier, log_density = corrected(predicted.belief, z, variance, missing, model)
         if repeats:
             log_density[1, 1] = _with_same_offset(
-                log_density[1, 1], _entries(ahead.belief)[1], z - state.z, levels, elapsed, variance, model
+                log_density[1, 1], _entries(predicted.belief)[1], z - state.z, levels, elapsed, variance, model
             )
-        joint = log_transition.unsqueeze(2) + ahead.log_weights + log_density  # (2, 2, J, B): now, before
-        after, log_likelihood = _weighed(ahead, z, odds, inlier, joint)
+        joint = log_transition.unsqueeze(2) + predicted.log_weights + log_density  # (2, 2, J, B): now, before
+        updated, log_likelihood = _weighed(predicted, z, log_odds, inlier, joint)
         log_likelihood = torch.where(missing, 0.0, log_likelihood)
         # Without a fix the state stays that of the last one, from which ``elapsed`` counts.
-        state = _where(missing, state, after) if incomplete else after
-        prior_outlier = model.begins + ahead.outlier * (model.lasts - model.begins)
-        outlier = torch.where(missing, ahead.outlier, after.outlier)
-        yield Step(ahead, after, missing, prior_outlier, outlier, log_likelihood)
+        state = _where(missing, state, updated) if incomplete else updated
+        prior_outlier = model.after_inlier + predicted.outlier * (model.after_outlier - model.after_inlier)
+        outlier = torch.where(missing, predicted.outlier, updated.outlier)
+        yield Step(predicted, updated, missing, prior_outlier, outlier, log_likelihood)
 
 
-def _weighed(ahead: State, z: Tensor, odds: Tensor, inlier: Belief, joint: Tensor) -> tuple[State, Tensor]:
+def _weighed(predicted: State, z: Tensor, log_odds: Tensor, inlier: Belief, joint: Tensor) -> tuple[State, Tensor]:
     """The state after a fix, merged over inlier and outlier before it, and the log-likelihood ``(B,)`` of the fix.
 
     Args:
-        ahead: before the fix, which an outlier leaves as it is.
+        predicted: before the fix, which an outlier leaves as it is.
         z: ``(d, B)`` the fix.
-        odds: ``(B,)`` of ``Fixes``.
-        inlier: ``(2, J, B)`` beliefs if the fix is one.
+        log_odds: ``(B,)`` of ``Fixes``.
+        inlier: ``(2, J, B)`` beliefs updated by the fix as an inlier.
         joint: ``(2, 2, J, B)`` logs of the joint densities of fix and hypotheses, ``[now, before]``.
     """
     share = (joint[:, 1] - joint[:, 0]).sigmoid()
     log_weights = torch.logaddexp(joint[:, 0], joint[:, 1])
-    log_weights[1] += odds
+    log_weights[1] += log_odds
     weights, log_likelihood = _normalised(log_weights.flatten(0, 1), 0)
-    pairs = [_merged_pair(of, *_entries(x)) for of, x in zip(share, (inlier, ahead.belief), strict=True)]
+    pairs = [_merged_pair(of, *_entries(x)) for of, x in zip(share, (inlier, predicted.belief), strict=True)]
     belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
     outlier = weights[log_weights.shape[1] :].sum(0)
     return State(belief, log_weights - log_likelihood, outlier, z), log_likelihood
@@ -328,17 +331,20 @@ def _mixture(weight: Tensor, belief: Belief, dim: int) -> Belief:
 
 
 def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> tuple[Belief, Tensor]:
-    """Levels ``(n, J, B)`` one step ``(n, B)`` further in the chain: each its own, mixed with what all have left."""
+    """Levels ``(n, J, B)`` after a transition over gaps ``(n, B)``.
+
+    A level that lasts keeps its belief; one that is drawn again has the mixture of all that have ended.
+    """
     largest = log_weights.amax(1, keepdim=True)
-    lasted, ended, follow = chain.over(gap, (log_weights - largest).exp())
+    lasted, ended, restarted = chain.over(gap, (log_weights - largest).exp())
     common = _mixture(ended / ended.sum(1, keepdim=True), belief, 1)
-    total = lasted + follow
+    total = lasted + restarted
     every = Belief(*(x.unsqueeze(-2) for x in common))
-    return _merged_pair(follow / total, belief, every), total.log() + largest
+    return _merged_pair(restarted / total, belief, every), total.log() + largest
 
 
 def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB:
-    """The same filter as a module: a bank of one motion with several densities of process noise.
+    """This filter as a module: a bank of one motion with several densities of process noise.
 
     A step without a fix is a prediction here (``GPB.predict``) and no step.
 
@@ -351,7 +357,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
     outliers = Outliers(
         [range(dims)],
         outlier_transition=model.transition(sigma).permute(2, 1, 0),
-        outlier_sizes=(max(model.least_size, float((model.reach / sigma).square().max())),),
+        outlier_sizes=(max(model.least_size, float((model.least_offset / sigma).square().max())),),
         outlier_shares=(1.0,),
         outliers_update=False,
         same_offset=float(model.same_offset) or None,
@@ -361,7 +367,7 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
         restart=levels.log_restart.exp().T,
     )  # fmt: skip
     bank = Bank([
-        ConstantVelocity(q, dims, spectral=True) if not walk.any() else _Walking(q, walk, dims)
+        ConstantVelocity(q, dims, continuous=True) if not walk.any() else _Walking(q, walk, dims)
         for q, walk in zip(levels.q, levels.walk, strict=True)
     ])  # fmt: skip
     sensor = Position(sigma.unsqueeze(-1).expand(-1, dims), dims=dims)
@@ -370,10 +376,10 @@ def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB
 
 
 class _Walking(ConstantVelocity):
-    """Constant velocity that white noise disturbs, and a random walk of the position besides."""
+    """Constant velocity with white acceleration noise, and a random walk of the position."""
 
     def __init__(self, q: Tensor, walk: Tensor, dims: int) -> None:
-        super().__init__(q, dims, spectral=True)
+        super().__init__(q, dims, continuous=True)
         self.register_buffer("walk", walk)
 
     def process_noise(self, dt: Tensor) -> Tensor:
@@ -389,11 +395,11 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
     order = (~fixes.missing).to(z).cumsum(0)
     soon = (order <= 9) & ~fixes.after_pause.cummax(0).values
     first = torch.where(soon.unsqueeze(1), z, torch.nan)
-    middle = first.nanquantile(0.5, dim=0)  # of a few, as robust as can be, and no lower than when mirrored
+    middle = first.nanquantile(0.5, dim=0)  # the median of few fixes; of an even number, halfway between two
     apart = (first - middle).abs().nanmean((0, 1)).nan_to_num()
     shape = (2, *levels.q.shape)
     position = middle.nan_to_num()[:, None, None].expand(-1, *shape)
-    pp = (1e8 + apart.square() + torch.as_tensor(model.reach).square()).expand(shape)
+    pp = (1e8 + apart.square() + torch.as_tensor(model.least_offset).square()).expand(shape)
     vv = z.new_full(shape, 1e5)
     share = model.share(fixes.gap[0])
     log_mode = torch.stack([1 - share, share]).log().unsqueeze(1)
@@ -402,7 +408,7 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
 
 
 def _propagated(x: Belief, levels: Levels, gap: Tensor) -> Belief:
-    """Beliefs ``gap`` seconds later, at a constant velocity that white noise disturbs, and a random walk."""
+    """Beliefs predicted by ``gap`` seconds: constant velocity with white acceleration noise, and a random walk."""
     q, pv = levels.q, torch.addcmul(x.pv, gap, x.vv)
     pp = torch.addcmul(x.pp, gap, x.pv + pv) + (q * (gap**3 / 3) + levels.walk * gap)
     position = torch.addcmul(x.position, gap, x.velocity)
@@ -410,23 +416,23 @@ def _propagated(x: Belief, levels: Levels, gap: Tensor) -> Belief:
 
 
 def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: OutlierModel) -> tuple[Belief, Tensor]:
-    """Beliefs after an inlier, and the log densities ``(2, ...)`` of an inlier and of an outlier.
+    """Beliefs updated by an inlier, and the log densities ``(2, ...)`` of an inlier and of an outlier.
 
-    An outlier says nothing of the position, and is as large as it takes.
+    An outlier does not update the position, and its size has the largest likelihood.
     """
-    seen, d = (~missing).to(z), len(z)
+    measured, d = (~missing).to(z), len(z)
     z = z.nan_to_num().reshape(d, *[1] * (x.position.dim() - z.dim()), *z.shape[1:])
     residual = z - x.position  # of a missing fix too, whose gain is 0: much faster than a choice
     squared = residual.square().sum(0)
     least = model.least_size * variance
-    wide = x.pp + torch.maximum(least.clamp_min(model.reach**2), squared / d)
+    wide = x.pp + torch.maximum(least.clamp_min(model.least_offset**2), squared / d)
     total = x.pp + variance
-    weight = seen / total
+    weight = measured / total
     gain, gain_v = x.pp * weight, x.pv * weight
-    left = torch.addcmul(missing.to(z), variance, weight)  # 1 - gain would lose digits of a start that is far off
+    left = torch.addcmul(missing.to(z), variance, weight)  # 1 - gain would lose digits of a prior that is far off
     both = torch.stack([total, wide])
     log_density = torch.addcmul(
-        -0.5 * d * _LOG_TWO_PI * seen, torch.add(squared / both, both.log(), alpha=d), -0.5 * seen
+        -0.5 * d * _LOG_TWO_PI * measured, torch.add(squared / both, both.log(), alpha=d), -0.5 * measured
     )
     after = Belief(
         torch.addcmul(x.position, gain, residual), torch.addcmul(x.velocity, gain_v, residual),
@@ -444,12 +450,12 @@ def _with_same_offset(
     variance: Tensor,
     model: OutlierModel,
 ) -> Tensor:
-    """Log density ``(J, B)`` of an outlier after another, which may be as far off in the same direction.
+    """Log density ``(J, B)`` of an outlier after another, which may have the same offset.
 
-    Then the fixes have ``moved (d, B)`` as the target has, whatever the offset: ``moved = elapsed velocity + noise``.
+    Then the difference ``moved (d, B)`` of the two fixes is free of the offset: ``moved = elapsed velocity + noise``.
     """
     residual, d = moved.unsqueeze(1) - elapsed * x.velocity, len(moved)
-    # With the velocity v now, the way is t v - integral(s dW), of variance t^2 vv + q t^3 / 3 - 2 t (q t^2 / 2).
+    # With the velocity v now, the way is t v - integral(s dW), with the variance t^2 vv + q t^3 / 3 - 2 t (q t^2 / 2).
     total = 2 * variance + elapsed.square() * x.vv - levels.q * (2 / 3 * elapsed**3)
     total = total + levels.walk * elapsed
     squared = residual.square().sum(0)
@@ -460,9 +466,9 @@ def _with_same_offset(
 
 
 def _where(missing: Tensor, before: State, now: State) -> State:
-    """The state before where there is no fix."""
-    seen = (~missing).to(now.outlier)  # much faster than a choice, and exact at either end
-    belief = Belief(*(torch.lerp(old, new, seen) for old, new in zip(before.belief, now.belief, strict=True)))
+    """The state ``before`` where there is no fix, else ``now``."""
+    measured = (~missing).to(now.outlier)  # much faster than a choice, and exact at either end
+    belief = Belief(*(torch.lerp(old, new, measured) for old, new in zip(before.belief, now.belief, strict=True)))
     return State(belief, *(torch.where(missing, *both) for both in zip(before[1:], now[1:], strict=True)))
 
 

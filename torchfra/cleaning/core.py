@@ -11,14 +11,20 @@ import numpy as np
 import torch
 
 from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_heights, steps_of
+from torchfra.cleaning.catalogue_filters import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.cleaned import Cleaned, Found
-from torchfra.cleaning.correlation import lasting_errors, widened
+from torchfra.cleaning.correlation import correlated_errors, widened
 from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
-from torchfra.cleaning.others import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
-from torchfra.cleaning.stamps import as_recorded, earlier, in_place, stamps_are_cut, stamps_are_off
+from torchfra.cleaning.time_stamps import (
+    as_recorded,
+    at_truncated_times,
+    moved_along,
+    stamps_are_truncated,
+    stamps_are_wrong,
+)
 from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
@@ -28,17 +34,17 @@ from torchfra.running.jobs import finished, one_thread
 from torchfra.tables import duration, metres
 
 DEFAULT = "gpb"
-"""The filter that is used unless told otherwise."""
+"""The filter that is used by default."""
 _FEW = 10
-"""Fixes below which sigma is a guess."""
-_SURER = 0.75
-"""Share of the standard deviation of a fix above which its estimate is hardly surer: others tell little of it."""
+"""Number of fixes below which sigma is unsure."""
+_LITTLE_GAIN = 0.75
+"""Share of the standard deviation of a fix above which its estimate is hardly more certain than the fix."""
 _OPEN = 0.5
-"""Share of sigma below which one that is not ruled out makes sigma unsure."""
+"""Sigma is unsure if one below this share of it is not ruled out."""
 _WORTHWHILE = 20_000
-"""Fixes of a process: it takes as long to start as to clean some thousands."""
+"""Fewest fixes of a process, whose start takes as long as cleaning some thousands."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
-"""What a track may do to its own work; all else is a mistake of the program and is raised."""
+"""Errors that are reported as the failure of one track; all others are mistakes of the program and are raised."""
 
 
 def clean_tracks(
@@ -69,10 +75,10 @@ def clean_tracks(
             by its speed.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
-        smooth: whether each estimate knows the fixes after it; False is what a filter on line would say.
+        smooth: whether estimates are smoothed; False gives those of a filter on line.
         dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
-        repair: whether fixes whose time stamps are off, as they often are in ADS-B and AIS, are first put along the
-            path to where the target was: where tracks show it, and not for a filter on line.
+        repair: whether fixes with wrong time stamps, as are frequent in ADS-B and AIS, are first moved along the path
+            to where the target was: where tracks show such errors, and not for a filter on line.
         compile: whether filters of the catalogue run compiled (``Filter.compile``); needs the extra ``compiler``.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
         jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
@@ -109,9 +115,9 @@ def _clean_group(
     recordings: Sequence[Recording], *, repair: bool, name: str, bank: str | Bank | None, settings: Settings,
     dt: float | None, compile: bool, fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
-    """Recordings that are one batch, cleaned by the arguments of ``_clean_batch``; with ``repair`` of their stamps."""
+    """Cleans recordings of one batch by the arguments of ``_clean_batch``; with ``repair``, also their time stamps."""
     measured = [_as_measured(recording) for recording in recordings]
-    moved, cut = _stamps(measured, bank) if repair else ({}, [])
+    moved, truncated = _stamps(measured, bank) if repair else ({}, [])
     placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
     coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
     work = partial(
@@ -119,32 +125,32 @@ def _clean_group(
     )  # fmt: skip
     try:
         done = work(placed, coarse=coarse, moved=[i in moved for i in range(len(placed))])
-    except FAILURES:  # of one of them; the others shall not pay for it
+    except FAILURES:  # of one recording; the others are cleaned without it
         done = [
             _alone(one, partial(work, coarse=[coarse[i]], moved=[i in moved]), name, settings.smooth)
             for i, one in enumerate(placed)
         ]
     for i, (_, variance) in moved.items():
         done[i] = as_recorded(done[i], measured[i], variance)
-    for i in cut:
-        done[i] = earlier(done[i])
+    for i in truncated:
+        done[i] = at_truncated_times(done[i])
     return done
 
 
 def _stamps(
     recordings: Sequence[Recording], bank: str | Bank | None
 ) -> tuple[dict[int, tuple[Recording, Array]], list[int]]:
-    """Recordings whose time stamps are off, by their number, as ``in_place`` has them; and numbers of cut ones."""
-    moved, cut = {}, []
+    """Results of ``moved_along`` for recordings with wrong stamps, by number; numbers of truncated ones."""
+    moved, truncated = {}, []
     for i, recording in enumerate(recordings):
         if np.isinf(recording.position).any():
             continue  # it fails later, with its reason
         kind, _ = _kind(recording, bank)
-        if stamps_are_cut(recording):
-            cut.append(i)
-        if stamps_are_off(recording, kind):
-            moved[i] = in_place(recording, kind)
-    return moved, cut
+        if stamps_are_truncated(recording):
+            truncated.append(i)
+        if stamps_are_wrong(recording, kind):
+            moved[i] = moved_along(recording, kind)
+    return moved, truncated
 
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
@@ -153,7 +159,7 @@ def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
 
 
 def _as_measured(recording: Recording) -> Recording:
-    """The same without altitudes that the file does not have."""
+    """The recording without altitudes that the reader has filled in."""
     if recording.filled is None or not recording.filled.any():
         return recording
     position = recording.position.copy()
@@ -190,8 +196,8 @@ def _clean_batch(
 ) -> list[Cleaned]:  # fmt: skip
     """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
 
-    Of each, ``coarse`` is the least sigma that may be found of it, and how many metres lie between the heights that it
-    can tell; ``moved`` is whether fixes were moved in time: then how large their errors are is known.
+    For each, ``coarse`` is the least sigma that may be estimated, and the resolution of its heights, m; ``moved`` is
+    whether fixes were moved for their time stamps: then the size of their errors is known.
     """
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
@@ -200,32 +206,32 @@ def _clean_batch(
     own = bank if isinstance(bank, Bank) else None
     default = _is_default(name, bank)
     # Other filters take sigma and q from this one, but no estimates.
-    known = settings if default else settings._replace(smooth=False)
+    closed_form = settings if default else settings._replace(smooth=False)
     with one_thread():
-        found = answers(tracks, [kind for kind, _ in kinds], known, coarse)
+        found = answers(tracks, [kind for kind, _ in kinds], closed_form, coarse)
     every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
     else:
         results = _by_filter(recordings, tracks, every, own, compile, fallback)
-    unknown = [i for i, known in enumerate(moved) if not known]
-    errors = lasting_errors([tracks[i] for i in unknown], [kinds[i][0] for i in unknown], [found[i] for i in unknown])
-    for i, lasting in zip(unknown, errors, strict=True):
-        results[i] = widened(results[i], lasting)
+    kept = [i for i, was_moved in enumerate(moved) if not was_moved]
+    errors = correlated_errors([tracks[i] for i in kept], [kinds[i][0] for i in kept], [found[i] for i in kept])
+    for i, error in zip(kept, errors, strict=True):
+        results[i] = widened(results[i], error)
     return results
 
 
 def _of_answer(recording: Recording, steps: Steps, answer: Answer, found: Found) -> Cleaned:
-    """What the default filter says of a track."""
+    """The result of the default filter for a track."""
     regimes = np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1)
-    return replace(_result(recording, steps, *answer[:5], found, REGIMES, regimes), used=answer.used)
+    return replace(_result(recording, steps, *answer[:5], found, REGIMES, regimes), parameters=answer.parameters)
 
 
 def _result(
     recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
     found: Found, names: tuple[str, ...], regimes: Array,
 ) -> Cleaned:  # fmt: skip
-    """A track with its estimates, flags, segments, and how well the noise fits."""
+    """A track with its estimates, flags and segments, and its mean NIS."""
     fix = (steps.row >= 0) & ~np.isnan(steps.raw[:, :2]).any(1)  # an altitude may be missing
     origin, d = recording.origin, steps.raw.shape[1]
     height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
@@ -234,8 +240,8 @@ def _result(
     good = fix & ~np.isnan(steps.raw).any(1) & (flag != "outlier")
     mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     found = replace(found, nis=mean_nis, stated=recording.sigma is not None)
-    if "sigma" in found.found:
-        found = replace(found, doubt=found.doubt or _why_unsure(steps, covariance, found.sigma))
+    if "sigma" in found.estimated:
+        found = replace(found, sigma_unsure=found.sigma_unsure or _why_unsure(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
     result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
     if result.failed.all():
@@ -244,19 +250,19 @@ def _result(
 
 
 def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
-    """Why the fixes hardly tell sigma; "" if they do: then each estimate is surer than its own fix alone."""
-    seen, at = steps.at(steps.measured), covariance[steps.measured]
-    if len(seen.time) < _FEW:
-        return f"{len(seen.time)} fixes tell little of sigma"
-    surer = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * seen.std[:, 0])
-    if np.median(surer) < _SURER:
+    """Why sigma is unsure; "" if it is not: then estimates are more certain than their own fixes."""
+    fixes, at = steps.at(steps.measured), covariance[steps.measured]
+    if len(fixes.time) < _FEW:
+        return f"{len(fixes.time)} fixes are too few to estimate sigma"
+    ratio = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * fixes.std[:, 0])
+    if np.median(ratio) < _LITTLE_GAIN:
         return ""
-    return _unsure(seen)
+    return _unsure(fixes)
 
 
 def _unsure(steps: Steps) -> str:
-    """The words for a track in which noise and motion look alike."""
-    return f"Fixes {duration(period_of(steps))} apart hardly tell noise from motion: sigma is unsure"
+    """A sentence on a track in which noise and motion cannot be distinguished."""
+    return f"Fixes {duration(period_of(steps))} apart hardly distinguish noise from motion: sigma is unsure"
 
 
 def _is_default(name: str, bank: str | Bank | None) -> bool:
@@ -267,23 +273,25 @@ def _is_default(name: str, bank: str | Bank | None) -> bool:
 def _found(
     name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], steps: Steps, answer: Answer
 ) -> Found:  # fmt: skip
-    """What a track is cleaned with, and a line for each choice."""
+    """The settings of a track, and a note for each choice."""
     bank, why = ("own", "as given") if own is not None else kind
     given = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as given" else bank}
-    said = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
+    notes = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
-        said = (*said, f"Sigma of the height: {metres(answer.height)}")
+        notes = (*notes, f"Sigma of the height: {metres(answer.height)}")
     open_ = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
-    doubt = _unsure(steps) if open_ else ""
-    found = frozenset(key for key, value in given.items() if value is None)
-    return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, found, said, doubt=doubt)
+    estimated = frozenset(key for key, value in given.items() if value is None)
+    return Found(
+        name, settings.smooth, bank, answer.sigma, answer.q, math.nan, estimated, notes,
+        sigma_unsure=_unsure(steps) if open_ else "",
+    )  # fmt: skip
 
 
 def _by_filter(
     recordings: Sequence[Recording], tracks: Sequence[Steps], every: Sequence[Found], own: Bank | None, compile: bool,
     fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
-    """Through a filter of the catalogue, one batch for each kind of targets."""
+    """Tracks cleaned by a filter of the catalogue, one batch for each kind of targets."""
     results: dict[int, Cleaned] = {}
     for bank in sorted({found.bank for found in every}):
         chosen = [i for i, found in enumerate(every) if found.bank == bank]
@@ -293,8 +301,8 @@ def _by_filter(
             for x in ([every[i].sigma for i in chosen], [every[i].q for i in chosen], [period_of(x) for x in part])
         )
         name, smooth = every[0].filter, every[0].smooth
-        f = make(name, d, sigma, q, period, own or BANKS[bank](q, d, spectral=True))
-        smooths, said = _smooths(f, smooth)
+        f = make(name, d, sigma, q, period, own or BANKS[bank](q, d, continuous=True))
+        smooths, notes = _smooths(f, smooth)
         estimate = estimated(f, name, part, sigma, smooth=smooths, compile=compile, fallback=fallback)
         names, regimes = regimes_of(f, estimate)
         columns = (estimate.nis, outlier_of(estimate), manoeuvre_of(regimes), regimes)
@@ -302,14 +310,14 @@ def _by_filter(
             k = len(tracks[i].time)
             mean, covariance = estimate.mean[b, :k, : 2 * d], estimate.covariance[b, :k, : 2 * d, : 2 * d]
             nis, outlier, manoeuvre, weights = (x[b, :k].numpy() for x in columns)
-            found = replace(every[i], smooth=smooths, said=every[i].said + said)
+            found = replace(every[i], smooth=smooths, notes=every[i].notes + notes)
             results[i] = _result(recordings[i], tracks[i], mean.numpy(), covariance.numpy(), nis, outlier, manoeuvre,
                                  found, names, weights)  # fmt: skip
     return [results[i] for i in range(len(tracks))]
 
 
 def _smooths(f: Filter, wanted: bool) -> tuple[bool, tuple[str, ...]]:
-    """Whether a filter is smoothed, and what there is to say if it cannot be."""
+    """Whether a filter is smoothed, and a note if it cannot be."""
     try:
         f.check_smooths()
     except NotImplementedError as error:
@@ -320,7 +328,7 @@ def _smooths(f: Filter, wanted: bool) -> tuple[bool, tuple[str, ...]]:
 def _alone(
     recording: Recording, work: Callable[[Sequence[Recording]], list[Cleaned]], name: str, smooth: bool
 ) -> Cleaned:
-    """A recording by itself; one of NaN, that says why, if it cannot be cleaned."""
+    """Cleans one recording; the result of one that cannot be cleaned is NaN, with the reason."""
     try:
         return work([recording])[0]
     except FAILURES as error:

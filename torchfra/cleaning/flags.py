@@ -1,4 +1,4 @@
-"""What each step was: usual, an outlier, a manoeuvre, or unclear."""
+"""Flags of steps: usual, an outlier, a manoeuvre, or unclear."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
 
 _DOUBTFUL, _MANOEUVRE = 0.2, 0.5
-"""Least probability of what may be an outlier, and of a manoeuvre."""
+"""Least probabilities of an unclear fix, and of a manoeuvre."""
 
 
 def flags(
     fix: NDArray[np.bool_], nis: Array, outlier: Array, manoeuvre: Array, listed: NDArray[np.bool_], gate: float
 ) -> NDArray[np.str_]:
-    """What each step of a track was.
+    """The flag of each step of a track.
 
-    A fix is an outlier if that is more probable than not, and unclear if it may well be one.  Where the filter does not
-    say how probable that is, a fix beyond the gate is unclear.  All else is a manoeuvre where one is listed, and more
-    probable than not if the filter says so, also between fixes.
+    A fix is an outlier if its probability is above one half, and unclear if that is above a fifth.  If the filter has
+    no such probability, a fix beyond the gate is unclear.  Other steps, also between fixes, are manoeuvres where one is
+    listed, if the filter has no probability of it or one above one half.
 
     Args:
         fix: ``(T,)`` which steps have a fix.
         nis: ``(T,)`` normalised innovation squared.
-        outlier: ``(T,)`` probability that the fix is an outlier; NaN where the filter does not say.
+        outlier: ``(T,)`` probability that the fix is an outlier; NaN if the filter has no such probability.
         manoeuvre: ``(T,)`` probability of a regime other than the calm one; NaN where unknown.
         listed: ``(T,)`` which steps are in a segment.
         gate: normalised innovation squared that a good fix hardly ever exceeds.

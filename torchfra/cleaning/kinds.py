@@ -1,4 +1,4 @@
-"""What targets there are, and how hard they can manoeuvre."""
+"""Kinds of targets, and bounds on their manoeuvres."""
 
 from __future__ import annotations
 
@@ -18,44 +18,44 @@ class Kind(NamedTuple):
     """A kind of targets."""
 
     acceleration: float
-    """Of its hardest manoeuvres, m/s^2."""
+    """Horizontal acceleration of the hardest manoeuvres, m/s^2."""
     climb: float
-    """The same in height, m/s^2."""
+    """Vertical acceleration of the hardest manoeuvres, m/s^2."""
     fastest: float
     """Speed up to which a target may be of this kind, m/s; no process noise changes its velocity by more in a step."""
     steady: float = math.inf
     """Seconds between fixes from which on it may keep a slow course, although it could stop between them."""
-    lasting: float = 0.3
-    """Probability that errors of its fixes last for 10 to 40 s, as those of reflections do, before a track has said."""
+    correlated: float = 0.3
+    """Prior probability that errors of its fixes are correlated over 10 to 40 s, as those of reflections are."""
 
 
 KINDS = {
     "person": Kind(3.0, 1.0, 6.0),
     "ship": Kind(0.5, 0.5, 30.0),
     "vehicle": Kind(6.0, 2.0, 60.0),
-    "aircraft": Kind(10.0, 2.0, 1000.0, lasting=0.1),
+    "aircraft": Kind(10.0, 2.0, 1000.0, correlated=0.1),
     "marine": Kind(1.0, 1.0, 4.0, steady=1000.0),
     "animal": Kind(5.0, 2.0, 10.0, steady=1000.0),
     "bird": Kind(10.0, 3.0, 30.0),
 }
-"""By name.  What swims or dives is marine, and an animal may be any."""
+"""Kinds by name.  Animals that swim or dive are marine; an animal may be of any species."""
 _BY_SPEED = ("person", "vehicle", "aircraft")
 """Kinds that are chosen by speed where a file names none, the slowest first."""
 BANKS = {
     "person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft,
     "marine": people, "animal": people, "bird": vehicles,
 }  # fmt: skip
-"""The motions of each, for filters of several."""
+"""Motions of each kind, for filters with several."""
 USUAL = 0.2
-"""Share of its hardest acceleration that four in five fixes of a target stay below, where it goes along."""
+"""Share of its hardest acceleration, along the track, that a target is below at four in five fixes."""
 _FASTER = 5.0
-"""How many times as fast as its kind a target may be that somebody says to be of it."""
+"""Largest ratio of the speed of a target to that of its kind, if a user states the kind."""
 _MANY = 25
-"""Fixes from which on that is looked at."""
+"""Fixes from which on this ratio is checked."""
 _MOST = 0.98
 """Share of the moves between rare fixes that are no outliers of the same offset."""
 _RARE_MOVES = 8
-"""Long gaps from which on the moves over them tell of what kind a target is."""
+"""Fewest long gaps whose moves determine the kind of a target."""
 
 
 def check_kind(name: str) -> None:
@@ -69,7 +69,7 @@ def check_kind(name: str) -> None:
 
 
 def check_speeds(recordings: Sequence[Recording], name: str) -> None:
-    """Checks that targets may be of a kind, as somebody says.
+    """Checks that targets may be of a stated kind.
 
     Raises:
         ValueError: one is far too fast for it.
@@ -93,10 +93,10 @@ def kind_of(recording: Recording) -> tuple[str, str]:
 
 
 def _speed_of_rare_moves(recording: Recording) -> float:
-    """Speed, m/s, that one in fifty moves exceeds over the long gaps of a track; 0 if there are few of these.
+    """Speed, m/s, that one in fifty moves exceeds over the long gaps of a track; 0 if these are few.
 
-    Such targets mostly rest, and go on average far more slowly than they can.  A move is as long as the least of the
-    ways between the fixes on either side of it and those next to them: an outlier alone is none.
+    Such targets mostly rest, and their mean speed is far below their largest.  The length of a move is the least of the
+    distances between the fixes on either side of it and those next to them, so that a single outlier is no move.
     """
     there = np.isfinite(recording.position[:, :2]).all(1)
     time, position = recording.time[there], recording.position[there, :2]

@@ -1,4 +1,4 @@
-"""Tracks of a data set, cleaned part by part, each into a file of its own that is there completely or not at all.
+"""Tracks of a data set, cleaned part by part, each into a file of its own that is written completely or not at all.
 
 An existing part is done, so that work that was ended at any moment continues where it was.
 """
@@ -26,50 +26,50 @@ from torchfra.running.memory import peak_memory
 from torchfra.version import __version__
 
 _TOGETHER = 25_000
-"""Rows that are cleaned at a time, about: some 350 MB."""
+"""Approximate number of rows that are cleaned at a time, in some 350 MB."""
 _RUN, _FACTS = "_run.json", "_parts"
-"""What all parts have in common, and what became of each; readers of data sets leave out what begins so."""
+"""Names of the settings of all parts, and of the results of each; readers of data sets skip names with underscores."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """All parts of a data set, and where they go."""
+    """The parts of a data set, and the folder of their results."""
 
     data: DataSet
     folder: Path
     rows: int
-    """Of a part, about."""
+    """Approximate number of rows of a part."""
     settings: Mapping[str, Any]
     """Arguments of ``clean_tracks``."""
 
     @property
     def parts(self) -> int:
-        """How many there are."""
+        """The number of parts."""
         return -(-self.data.rows // self.rows)
 
     def begin(self) -> None:
-        """Makes the folder, or finds there what another call has begun.
+        """Makes the folder, or finds the parts of another call in it.
 
         Raises:
             ValueError: it holds something else, or parts of other data or settings.
             OSError: it cannot be written.
         """
-        # Files first: those of another process that begins at the same moment are there only after what it says; and
-        # hidden ones are unfinished.
-        there = [path.name for path in self.folder.iterdir()] if self.folder.exists() else []
-        others = sorted(name for name in there if name not in (_RUN, _FACTS) and not name.startswith("."))
+        # Files are listed first: another process that begins at the same moment writes its settings before its parts;
+        # hidden files are unfinished.
+        names = [path.name for path in self.folder.iterdir()] if self.folder.exists() else []
+        foreign = sorted(name for name in names if name not in (_RUN, _FACTS) and not name.startswith("."))
         ours, path = self._plan(), self.folder / _RUN
         if path.exists():
             theirs = _read(path)
             for name in (name for name in ours if ours[name] != theirs.get(name)):
+                old, new = theirs.get(name), ours[name]
                 raise ValueError(
-                    f"out: expected what the parts in {self.folder} were made with, {name} "
-                    f"{_apart(theirs.get(name), ours[name])}, received {_apart(ours[name], theirs.get(name))}: "
-                    "name another folder, or remove that one"
+                    f"out: expected the settings of the parts in {self.folder}, {name} {_difference(old, new)}, "
+                    f"received {_difference(new, old)}: name another folder, or remove that one"
                 )
-        elif others:
+        elif foreign:
             raise ValueError(
-                f"out: expected a new folder or an empty one, received {self.folder} with {listed(others)}"
+                f"out: expected a new folder or an empty one, received {self.folder} with {listed(foreign)}"
             )
         else:
             write_json(path, ours)
@@ -84,15 +84,15 @@ class Work:
         }  # fmt: skip
 
     def is_done(self, part: int) -> bool:
-        """Whether a part is there."""
+        """Whether the files of a part exist."""
         return all(path.exists() for path in self._paths(part))
 
     def facts(self) -> list[dict[str, Any]]:
-        """What became of the parts that are there; see ``clean_part``."""
+        """The results of the existing parts; see ``clean_part``."""
         return [_read(self._paths(part)[0]) for part in range(self.parts) if self.is_done(part)]
 
     def _paths(self, part: int) -> tuple[Path, Path]:
-        """What is said of a part, which is written last, and its table."""
+        """Paths of the results of a part, which are written last, and of its table."""
         name = f"part-{part:05}"
         return self.folder / _FACTS / f"{name}.json", self.folder / f"{name}.parquet"
 
@@ -101,7 +101,7 @@ def clean_part(work: Work, part: int) -> dict[str, Any]:
     """Cleans the targets of a part, some at a time, and writes them.
 
     Returns:
-        What became of them: counts of ``targets``, ``rows``, ``fixes``, ``outliers``, ``steps`` in the table and
+        Counts of ``targets``, ``rows``, ``fixes``, ``outliers``, ``steps`` in the table and
         ``repairs``; ``failed``, names of targets and why; ``seconds`` that it took; and ``memory``, the most that this
         process has had, in bytes.
     """
@@ -133,10 +133,10 @@ def clean_part(work: Work, part: int) -> dict[str, Any]:
 
 
 def _cleaned(recordings: Sequence[Recording], settings: Mapping[str, Any], failed: dict[str, str]) -> list[Cleaned]:
-    """Those that can be cleaned; why others cannot is added to ``failed``."""
+    """The recordings that can be cleaned; reasons of the others are added to ``failed``."""
     try:
         results = clean_tracks(recordings, **settings)
-    except ValueError as error:  # one that is too fast for its bank, which the others need not pay for
+    except ValueError as error:  # of one target that is too fast for its bank; the others are cleaned without it
         if len(recordings) == 1:
             failed[recordings[0].name] = str(error)
             return []
@@ -161,15 +161,15 @@ def _read(path: Path) -> Any:
         raise ValueError(f"out: expected JSON of this command in {path}, received other text") from error
 
 
-def _apart(one: Any, other: Any) -> str:
-    """One of two things that differ; of two tables the first of the entries that do."""
+def _difference(one: Any, other: Any) -> str:
+    """The text of one of two values that differ; of two dictionaries, the first entry that does."""
     if isinstance(one, dict) and isinstance(other, dict):
         return next((f"{key} {json.dumps(one[key])}" for key in one if one[key] != other.get(key)), "nothing more")
     return json.dumps(one)
 
 
 def summed(every: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What became of all parts, from the facts of each; ``rows_per_second`` are those of one process."""
+    """Results of all parts, from those of each; ``rows_per_second`` are those of one process."""
     total: dict[str, Any] = {
         name: sum(facts[name] for facts in every)
         for name in ("targets", "rows", "fixes", "outliers", "steps", "seconds")

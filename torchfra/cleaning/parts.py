@@ -1,4 +1,4 @@
-"""Axes that are cleaned as one, and what is known of them: of a batch of rows, some of which are of one track."""
+"""Axes that are cleaned as one, with their parameters: of a batch of rows, some of which are of one track."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ SHORT = 0
 
 
 class Part(NamedTuple):
-    """Axes that are alike, and what is known of them: those across the ground, or the height."""
+    """Axes with one variance, and their parameters: those across the ground, or the height."""
 
     fixes: Fixes
-    """With the variance in units of sigma squared."""
+    """Fixes with the variance in units of sigma squared."""
     levels: Levels
     sigma: Tensor
     """``(B,)`` m."""
     least: Tensor
-    """``(B,)`` m that sigma has at least."""
+    """``(B,)`` least sigma, m."""
     lowest: Tensor
-    """``(B,)`` m, the lowest sigma that a track does not rule out whose estimates are hardly surer than its fixes: the
-    path goes as near to these as it says.  NaN of other tracks."""
+    """``(B,)`` m, the lowest sigma that a track does not rule out, by which its path is computed, if its estimates are
+    hardly more certain than its fixes; NaN for other tracks."""
     stops: Tensor
     """``(B,)`` whether targets may stop between two fixes (``may_stop``)."""
     model: OutlierModel = DEFAULT
     """How likely outliers are."""
 
     def at(self, rows: Tensor) -> Part:
-        """Some of the rows."""
+        """The part of some rows."""
         return Part(
             Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
             self.sigma[rows], self.least[rows], self.lowest[rows], self.stops[rows],
@@ -40,8 +40,10 @@ class Part(NamedTuple):
 
     @property
     def on_line(self) -> Part:
-        """With outliers as likely as before any fix was seen."""
-        return self._replace(model=DEFAULT._replace(reach=self.model.reach, same_offset=self.model.same_offset))
+        """The part with prior probabilities of outliers, for a filter on line."""
+        return self._replace(
+            model=DEFAULT._replace(least_offset=self.model.least_offset, same_offset=self.model.same_offset)
+        )
 
     @property
     def scaled(self) -> Fixes:

@@ -1,4 +1,4 @@
-"""Cleans tracks by the levels of ``cleaning.closed_form``: batches of rows in, one result for each track out."""
+"""Cleans tracks by ``cleaning.closed_form``: divides them into rows of a batch, and joins the results."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
-from torchfra.cleaning.cleaned import Used
+from torchfra.cleaning.cleaned import FilterParameters
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
-from torchfra.cleaning.finding import estimated, fitted
 from torchfra.cleaning.kinds import KINDS, USUAL
+from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
 from torchfra.cleaning.process_noise import levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma
@@ -24,23 +24,23 @@ from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
-"""Which axes go together, which of a kind's bounds is theirs, and the number of levels."""
+"""Axes with one variance, their bound in ``Kind``, and the number of levels."""
 ROW, _OVERLAP = 256, 64
-"""Steps of a row that are its own, and fixes of its neighbours on either side that it has besides."""
+"""Steps of a row, and the number of fixes on either side by which it overlaps its neighbours."""
 _FEW = 60
-"""Fixes from which on a track has a sigma of its own; others of a batch are looked at together."""
+"""Fixes from which on a track has a sigma of its own; shorter tracks of a batch share one."""
 _ANYWHERE = 700.0
-"""Seconds between fixes from which on a target may rest, go or come back as it likes."""
+"""Seconds between fixes from which on a target may rest, go or come back in between."""
 _CALM = 0.05
 """A level of process noise is calm while it changes the speed over ten seconds by less than this share of the kind's
 hardest acceleration times ten seconds, or while it is below ten times the track's usual level."""
 _LEAST_OF_HEIGHT = 1 / 3
-"""Of the sigma across the ground, what that of the height is at least: heights often come in coarse steps."""
+"""Least ratio of the sigma of the height to that across the ground: heights often come in coarse steps."""
 REGIMES = ("calm", "manoeuvre")
 
 
 class Settings(NamedTuple):
-    """What tracks are cleaned with."""
+    """Settings of cleaning: see ``clean_tracks``."""
 
     sigma: float | None = None
     q: float | None = None
@@ -55,11 +55,11 @@ class Row(NamedTuple):
     """Numbers of its steps in the track."""
     first: int
     last: int
-    """Of these the ones that it answers for."""
+    """Range of these steps whose estimates are taken from this row."""
 
 
 class Answer(NamedTuple):
-    """What is known of a track, ``(T, ...)``."""
+    """Estimates ``(T, ...)`` and parameters of a track."""
 
     mean: Array
     covariance: Array
@@ -73,9 +73,9 @@ class Answer(NamedTuple):
     """The lowest sigma that the track does not rule out."""
     q: float
     density: Array
-    """``(T,)`` mean of that of the process noise that led to each step, m^2/s^3."""
-    used: tuple[Used, ...]
-    """Of each part what the filter was run with."""
+    """``(T,)`` mean density of the process noise up to each step, m^2/s^3."""
+    parameters: tuple[FilterParameters, ...]
+    """Those of the filter for each part."""
 
 
 @torch.inference_mode()  # a tenth less of the time of each small operation
@@ -87,13 +87,13 @@ def answers(
     Args:
         tracks: steps of each.
         kinds: name of the kind of each.
-        settings: what they are cleaned with.
-        coarse: the least sigma that may be found of each, and metres between the heights that it can tell.
+        settings: of cleaning.
+        coarse: the least sigma that may be estimated of each, and the resolution of its heights, m.
     """
-    seen = [steps.at(steps.measured) for steps in tracks]
-    rows, parts = _parts(seen, kinds, settings, coarse)
-    parts = fitted(parts, _owners(rows, seen), find_sigma=settings.sigma is None, find_q=settings.q is None)
-    if any(len(some.time) < len(every.time) for some, every in zip(seen, tracks, strict=True)):
+    measured = [steps.at(steps.measured) for steps in tracks]
+    rows, parts = _parts(measured, kinds, settings, coarse)
+    parts = fitted(parts, _owners(rows, measured), find_sigma=settings.sigma is None, find_q=settings.q is None)
+    if any(len(some.time) < len(every.time) for some, every in zip(measured, tracks, strict=True)):
         rows, parts = _between(tracks, rows, parts)
     known, outlier = estimated(parts, smooth=settings.smooth)
     if not settings.smooth:
@@ -105,7 +105,7 @@ def answers(
 def _parts(
     tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
 ) -> tuple[list[Row], list[Part]]:
-    """Rows of tracks, and what is known of their axes at first."""
+    """Rows of tracks, and the initial parameters of their axes."""
     rows = _rows(tracks)
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
@@ -124,7 +124,7 @@ def _parts(
 def _with_first_sigma(
     parts: Sequence[Part], owner: Tensor, given: float | None, coarse: Sequence[tuple[float, float]]
 ) -> list[Part]:
-    """Parts with sigma as given, or a first one, and the least that it may be by what is ``coarse`` of each row."""
+    """Parts with sigma as given, or an initial one, and its least value by what is ``coarse`` of each row."""
     least, step = torch.tensor(coarse, dtype=torch.float64).T
     if given is None:
         several = [first_sigma(part.fixes, part.levels, owner, part.model) for part in parts]
@@ -133,35 +133,38 @@ def _with_first_sigma(
     found = list[Part]()
     for part, sigma in zip(parts, several, strict=True):
         found.append(part._replace(sigma=sigma.maximum(least), least=least))
-        # The error of a rounded height is even within half a step to either side.
+        # The error of a rounded height is uniform within half a step to either side.
         least = (step / math.sqrt(12)).maximum(_LEAST_OF_HEIGHT * found[0].sigma)
     return found
 
 
 def _outliers(hardest: Tensor, fastest: Tensor, period: Tensor, steady: Tensor) -> OutlierModel:
-    """What is known of outliers at first.
+    """The initial model of outliers.
 
-    Where a target may be anywhere that it can go from one fix to the next, an outlier is a fix beyond.  An outlier does
-    not share the offset of the one before: what caused that is over.  A kind that keeps slow courses is more regular.
+    Where a target may reach any place within its largest speed from one fix to the next, an outlier is a fix beyond,
+    and its offset is independent of the one before, whose cause is over.  A kind that keeps slow courses is more
+    regular.
     """
     usual = USUAL * torch.minimum(hardest * period.square() / 4, fastest * period)
     rare = period > _ANYWHERE
     offset = torch.where(rare, 0.0, torch.zeros_like(period) + DEFAULT.same_offset)
-    return DEFAULT._replace(reach=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset)
+    return DEFAULT._replace(
+        least_offset=torch.where(rare & (period <= steady), fastest * period, usual), same_offset=offset
+    )
 
 
 def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]) -> tuple[list[Row], list[Part]]:
-    """The same with steps between the fixes; what was found of the fixes holds there too."""
+    """Rows and parts with steps between the fixes, which have the parameters of the fixes."""
     every = _rows(tracks)
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in every])
     first = torch.tensor([next(b for b, row in enumerate(rows) if row.track == of.track) for of in every])
     more = []
     for (axes, *_), part in zip(_AXES, parts, strict=False):
-        fixes, odds = _fixes(z, gap, std, axes), [np.zeros(len(steps.time)) for steps in tracks]
+        fixes, log_odds = _fixes(z, gap, std, axes), [np.zeros(len(steps.time)) for steps in tracks]
         for track, steps in enumerate(tracks):
-            odds[track][steps.measured] = _whole(part.fixes.odds, rows, track)
+            log_odds[track][steps.measured] = _of_track(part.fixes.log_odds, rows, track)
         for b, row in enumerate(every):
-            fixes.odds[: len(row.chosen), b] = torch.from_numpy(odds[row.track][row.chosen])
+            fixes.log_odds[: len(row.chosen), b] = torch.from_numpy(log_odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
         sigma, least, lowest, stops = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))
@@ -170,7 +173,7 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
 
 
 def _fixes(z: Tensor, gap: Tensor, std: Tensor, axes: slice) -> Fixes:
-    """Some of the axes of rows ``(B, T, d)``, with time first."""
+    """The fixes of some axes of rows ``(B, T, d)``, time first."""
     variance = std[..., axes].square().mean(-1).T.contiguous()
     return Fixes(z[..., axes].permute(1, 2, 0).contiguous(), gap.T.contiguous(), variance, torch.zeros_like(variance))
 
@@ -194,18 +197,18 @@ def _rows_of(track: int, steps: Steps) -> list[Row]:
 
 
 def _owners(rows: Sequence[Row], tracks: Sequence[Steps]) -> Tensor:
-    """Which rows have values in common ``(B,)``: those of a track, and those of all that have few fixes."""
+    """Numbers ``(B,)`` that are equal for rows with common values: those of a track, and of all short tracks."""
     return torch.tensor([SHORT if len(tracks[row.track].time) < _FEW else SHORT + 1 + row.track for row in rows])
 
 
-def _whole(x: Tensor, rows: Sequence[Row], track: int) -> Array:
-    """What rows ``(T, B, ...)`` say of a track."""
+def _of_track(x: Tensor, rows: Sequence[Row], track: int) -> Array:
+    """Values of a track from rows ``(T, B, ...)``."""
     own = [(b, row) for b, row in enumerate(rows) if row.track == track]
     return np.concatenate([x[row.first : row.last, b].numpy() for b, row in own])
 
 
 def period_of(steps: Steps) -> float:
-    """Seconds between most fixes."""
+    """Median time between fixes, s."""
     time = steps.time[steps.row >= 0]
     return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
 
@@ -214,13 +217,13 @@ def _joined(
     tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part], known: Sequence[Smoothed], outlier: Tensor,
     calm: Tensor,
 ) -> list[Answer]:  # fmt: skip
-    """The rows of each track put together."""
+    """The result of each track from its rows."""
     nis = torch.stack([_nis(part, of) for part, of in zip(parts, known, strict=True)]).sum(0)
     mean, covariance = _moments(known)
     levels, share = parts[0].levels, parts[0].levels.log_share.exp()
-    seen = [steps.at(steps.measured) for steps in tracks]
-    period = torch.tensor([period_of(seen[row.track]) for row in rows], dtype=torch.float64)
-    densities = levels.q + 3 * levels.walk / period.square()  # a random walk goes as far in a period
+    measured = [steps.at(steps.measured) for steps in tracks]
+    period = torch.tensor([period_of(measured[row.track]) for row in rows], dtype=torch.float64)
+    densities = levels.q + 3 * levels.walk / period.square()  # of equal displacement over a period
     q = (share * densities.log()).sum(0).exp()
     density = (known[0].levels * densities).sum(1)
     manoeuvre = (known[0].levels * (densities > 10 * q.maximum(calm.square()))).sum(1)
@@ -228,21 +231,21 @@ def _joined(
     for i in range(len(tracks)):
         first = next(b for b, row in enumerate(rows) if row.track == i)
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
-        a, b, c, d, e, f = (_whole(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
-        used = tuple(_used(part, first) for part in parts)
+        a, b, c, d, e, f = (_of_track(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
+        parameters = tuple(_parameters(part, first) for part in parts)
         sigma, lowest = float(parts[0].sigma[first]), float(parts[0].lowest[first])
-        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), f, used))
+        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), f, parameters))
     return found
 
 
-def _used(part: Part, row: int) -> Used:
-    """What the filter was run with on one row."""
+def _parameters(part: Part, row: int) -> FilterParameters:
+    """Parameters of the filter on one row."""
     one = slice(row, row + 1)
     stated = torch.where(part.fixes.missing, torch.nan, part.fixes.variance)[:, one].nanquantile(0.5, dim=0).sqrt()
     sigma = part.sigma[one] * stated
-    with torch.inference_mode(False):  # what is cloned here a filter may learn by
+    with torch.inference_mode(False):  # so that gradients may flow through the clones
         levels, model = Levels(*(x[:, one].clone() for x in part.levels)), part.model.of_rows(lambda x: x[one].clone())
-        return Used(part.fixes.z.shape[1], levels, sigma.clone(), model)
+        return FilterParameters(part.fixes.z.shape[1], levels, sigma.clone(), model)
 
 
 def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:
@@ -262,7 +265,7 @@ def _moments(known: Sequence[Smoothed]) -> tuple[Tensor, Tensor]:
 def _nis(part: Part, known: Smoothed) -> Tensor:
     """Normalised innovation squared ``(T, B)`` of these axes; 0 where nothing is measured.
 
-    It is the mean over the levels as the fix makes them likely, which is ``d`` on average if all is right.
+    It is the mean over the levels with their posterior probabilities, ``d`` on average if the model is right.
     """
     fixes, expected = part.scaled, known.predictions.belief
     residual = fixes.z.movedim(1, 0).unsqueeze(2) - expected.position

@@ -1,4 +1,4 @@
-"""The levels of process noise that a kind of target may have, by its hardest acceleration and its largest speed."""
+"""Levels of process noise of a kind of target, by its hardest acceleration and its largest speed."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from torchfra.cleaning.closed_form import Levels
 _LEAST_DENSITY = 1e-5
 """Least density of the process noise, m^2/s^3."""
 _LEAST_MOVE = 0.1
-"""How far the least process noise may move a target between two fixes, m."""
+"""Largest displacement between two fixes by the least process noise, m."""
 _LEAST_SECONDS = 1.0
-"""Seconds for which a target keeps its hardest acceleration at least, however often it is measured."""
+"""Least duration of the hardest acceleration, s, however often a target is measured."""
 LONGEST, _SHORTEST = 300.0, 15.0
 """Mean time that the least and the largest process noise last, s."""
 _LEAST_CHANGE = 0.03
-"""If fixes are rarer than changes of the level: change of the velocity between two, m/s, from which on levels can be
-distinguished."""
+"""Change of the velocity between two fixes, m/s, from which on levels can be distinguished, if fixes are rarer than
+changes of the level."""
 _PERIODS = 3.0
-"""Periods that levels last where these are longer: what many levels leave in the mean changes slowly."""
+"""Least duration of levels, in periods, where these are long: the mean over many levels changes slowly."""
 _WALKS, _WALKS_RARE, _APART = 5, 8, 2.5
 """Levels of a random walk between two fixes, the same where fixes are rarer than any level lasts, and the ratio of the
 ways by which they move a target."""
 _WALK_FIXES, _WALK_FIXES_RARE = 10.0, 3.0
-"""How many fixes each of them lasts; and where fixes are rare, for a target that rests for hours moves now and then."""
+"""Duration of these levels, in fixes; and where fixes are rare, as a target that rests for hours moves now and then."""
 _DRIFT_FIXES = 10.0
-"""How many fixes the least process noise lasts beside them, for a drifter goes straight on where a swimmer may stop."""
+"""Duration of the least process noise beside them, in fixes: a drifter goes straight on where a swimmer may stop."""
 _RARER = 3.0
-"""Log of how much rarer the largest process noise is than the least, before a track has said."""
+"""Log of the prior ratio of the shares of the least and the largest process noise."""
 _RAREST, _NEVER = -25.0, -60.0
-"""Log of the least share, as of much rarer levels no digits of ``Levels.chain`` are left; and that of levels which only
-other tracks of a batch have, so that they count for nothing."""
+"""Log of the least share, below which ``Levels.chain`` loses all digits; and that of levels which only other tracks of
+a batch have, so that they are negligible."""
 
 
 def levels_up_to(
@@ -43,9 +43,9 @@ def levels_up_to(
     """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
 
     Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
-    may come, go and rest between two fixes, and one says nothing of the way to the next but its length: there levels of
-    a random walk are added.  Without them what no velocity explains would be noise.  Of fixes that come more often they
-    would take time-correlated errors for motion, and of those rarer than ``steady``, the slow drifts of animals.
+    may come, go and rest between two fixes, so that a fix determines only the distance of the next: there levels of a
+    random walk are added.  Without them all motion without a velocity would be noise.  If fixes were more frequent,
+    they would fit time-correlated errors; if rarer than ``steady``, the slow drifts of animals.
 
     Args:
         acceleration: the hardest.
@@ -67,7 +67,7 @@ def levels_up_to(
 
 
 def with_levels_of_walks(levels: Levels, farthest: Tensor, period: Tensor) -> Levels:
-    """With levels of a random walk, up to the ``farthest (B,)`` way between fixes, m, that take a ``period (B,)`` s."""
+    """Levels with those of a random walk, up to the ``farthest (B,)`` distance in a ``period (B,)`` s, m."""
     return _with_walks(levels, farthest, period, torch.ones_like(period), torch.ones_like(period, dtype=torch.bool))
 
 
@@ -79,10 +79,9 @@ def may_stop(acceleration: Tensor, fastest: Tensor, period: Tensor, steady: Tens
 def _densities(acceleration: Tensor, fastest: Tensor, period: Tensor, place: Tensor) -> Tensor:
     """Densities ``(J, B)``, m^2/s^3, from the least to the largest by equal ratios, at ``place (J, 1)`` from 0 to 1.
 
-    The largest changes the velocity within a period by the hardest acceleration, which lasts for a second at least: of
-    a car that is measured 20 times a second that takes many periods.  Over a long period changes are no larger than the
-    speed.  Without that limit a target whose fixes come every two hours could be anywhere after each, and no fix an
-    outlier.
+    The largest changes the velocity within a period by the hardest acceleration, which lasts for a second at least: for
+    a car that is measured 20 times a second, over many periods.  Over a long period changes are no larger than the
+    speed.  Without that limit a target with a fix every two hours could be anywhere at each, and no fix an outlier.
     """
     hardest = acceleration.square() * period.clamp_min(_LEAST_SECONDS)
     top = hardest.minimum(fastest.square() / period).clamp_min(10 * _LEAST_DENSITY)
@@ -92,20 +91,20 @@ def _densities(acceleration: Tensor, fastest: Tensor, period: Tensor, place: Ten
 
 
 def _log_shares(rarer: Tensor, ended: Tensor) -> Tensor:
-    """Logs ``(J, B)`` of the shares of levels that are as likely as ``rarer`` says, logs too, in a moment.
+    """Logs ``(J, B)`` of the shares of levels whose logs at any moment are ``rarer``.
 
     In a period in which levels begin and end many times, ``ended (J, B)`` on average, those that begin often are
-    likelier: the hardest of them shapes it.
+    likelier, as the hardest of them determines the motion.
     """
-    often = ended.log() - (-torch.expm1(-ended)).log()  # next to 0 where levels last
+    often = ended.log() - (-torch.expm1(-ended)).log()  # nearly 0 where levels last
     return (rarer + often).log_softmax(0).clamp_min(_RAREST).log_softmax(0)
 
 
 def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor, walking: Tensor) -> Levels:
-    """With levels of a random walk by shares of the ``farthest (B,)`` way, m, of targets that stop in ``stops`` s.
+    """Adds levels of a random walk by shares of the ``farthest (B,)`` distance, m; targets stop in ``stops (B,)`` s.
 
-    Those that are not ``walking``, or are not rare in a batch in which others are, have more levels than they need.
-    These are as their smallest one: another, however seldom it begins, would change what a track says if it lasted.
+    Targets that are not ``walking``, or have frequent fixes in a batch with rare ones, have more levels than they need.
+    These equal their smallest one: any other, however seldom it begins, would change the estimates.
     """
     rare = period > LONGEST
     number = torch.arange(_WALKS_RARE if rare.any() else _WALKS).flip(0).unsqueeze(1)

@@ -1,4 +1,4 @@
-"""Manoeuvres of a track: when they begin and end, what they are and how hard."""
+"""Manoeuvres of a track: their begin, end, kind and rate."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from torchfra.cleaning.cleaned import Segment
 from torchfra.readers.columns import Array
 
 _SURE = 3.0
-"""Standard deviations that the change over a segment must have."""
+"""Least change over a segment, in its standard deviations."""
 
 
 class _Rule(NamedTuple):
-    """When a quantity changes enough."""
+    """Bounds on the changes of a quantity that are manoeuvres."""
 
     kinds: tuple[str, str]
-    """What it is called when it rises, and when it falls."""
+    """Names of a rise and of a fall."""
     noise: float
-    """Standard deviation that its rate may have; the rate is taken over as many seconds as that needs."""
+    """Largest standard deviation of its rate, which determines the seconds over which the rate is taken."""
     low: float
     high: float
     """Bounds on the rate at which a segment begins and ends; in between it is half of the segment's own rate."""
@@ -33,7 +33,7 @@ class _Rule(NamedTuple):
     change: float
     """Least change."""
     unsure: float = math.inf
-    """Median standard deviation in a segment, from which on nothing is known of the quantity."""
+    """Median standard deviation in a segment from which on the quantity is unknown."""
     longest: float = 10.0
     """Seconds over which the rate is taken at most."""
 
@@ -41,22 +41,22 @@ class _Rule(NamedTuple):
 _TURN = _Rule(
     ("left turn", "right turn"), noise=0.5, low=0.5, high=1.5, rate=1.0, lasting=2.0, change=15.0, unsure=30.0
 )
-"""Of the direction of flight, degrees."""
+"""Changes of the course, degrees."""
 _SLOW_TURN = _TURN._replace(noise=0.05, low=0.1, rate=0.15, lasting=20.0, change=30.0, longest=60.0)
-"""Of ships and airliners: slow, and large in all."""
+"""Slow but large turns, of ships and airliners, degrees."""
 _SPEED = _Rule(("speeding up", "slowing down"), noise=0.1, low=0.2, high=0.5, rate=0.5, lasting=4.0, change=4.0)
-"""m/s."""
+"""Changes of the speed, m/s."""
 _CLIMB = _Rule(("climbing", "descending"), noise=0.5, low=1.0, high=2.0, rate=2.5, lasting=10.0, change=30.0)
-"""Of the height, m."""
+"""Changes of the height, m."""
 
 
 def segments(time: Array, mean: Array, covariance: Array, height: Array | None = None) -> tuple[Segment, ...]:
     """The manoeuvres of a track, by the time at which they begin.
 
-    What is listed turns by 15 degrees or more at 1 deg/s or more, or by 30 degrees at 0.15 deg/s, changes its speed by
-    4 m/s or more at 0.5 m/s^2 or more, climbs 30 m or more at 2.5 m/s or more, each by more than what is unsure.  A
-    segment begins and ends where the rate of that change passes half of what it is in the segment, or 1.5 deg/s,
-    0.5 m/s^2 and 2 m/s if that is less.
+    Manoeuvres are turns of 15 degrees or more at 1 deg/s or more, or of 30 degrees at 0.15 deg/s, changes of speed of
+    4 m/s or more at 0.5 m/s^2 or more, and climbs of 30 m or more at 2.5 m/s or more, each significant.  A segment
+    begins and ends where the rate of that change passes half of what it is in the segment, or 1.5 deg/s, 0.5 m/s^2 and
+    2 m/s if that is less.
 
     Args:
         time: ``(T,)`` seconds.
@@ -95,7 +95,7 @@ def inside(time: Array, listed: Iterable[Segment]) -> NDArray[np.bool_]:
 
 
 def spans(listed: Iterable[Segment]) -> list[tuple[float, float]]:
-    """Begin and end of each time with any of the segments."""
+    """Begin and end of the union of the segments."""
     found: list[tuple[float, float]] = []
     for begin, end, *_ in sorted(listed):
         if found and begin <= found[-1][1]:
@@ -106,7 +106,7 @@ def spans(listed: Iterable[Segment]) -> list[tuple[float, float]]:
 
 
 def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Segment]:
-    """Segments in which a value ``(T,)`` of which ``std (T,)`` is known rises or falls."""
+    """Segments in which a value ``(T,)`` with standard deviations ``std (T,)`` rises or falls."""
     at = np.sort(np.concatenate([time, (time[1:] + time[:-1]) / 2]))
     level, unsure = np.interp(at, time, value), np.interp(at, time, std)
     half = (math.sqrt(2) * unsure / rule.noise).clip(np.median(np.diff(time)), rule.longest) / 2
@@ -115,15 +115,15 @@ def _changes(time: Array, value: Array, std: Array, rule: _Rule) -> Iterator[Seg
     rate[unsure > 2 * rule.unsure] = 0.0
     for side, kind in zip((1, -1), rule.kinds, strict=True):
         for part in _above(side * rate, rule.low):
-            there, fast, rise, doubt = at[part], side * rate[part], side * level[part], unsure[part]
+            there, fast, rise, std_there = at[part], side * rate[part], side * level[part], unsure[part]
             if there[-1] - there[0] < rule.lasting or rise[-1] - rise[0] < rule.change:
                 continue
             edge = min(max(float(np.quantile(fast, 0.75)) / 2, rule.low), rule.high)
             for piece in _above(fast, edge):
                 ends = _crossings(there[piece], fast[piece], edge)
                 lasting, change = np.diff(ends)[0], np.diff(np.interp(ends, there, rise))[0]
-                sure = _SURE * math.hypot(*np.interp(ends, there, doubt))
-                known = np.median(doubt[piece]) < rule.unsure
+                sure = _SURE * math.hypot(*np.interp(ends, there, std_there))
+                known = np.median(std_there[piece]) < rule.unsure
                 if known and lasting >= rule.lasting and change >= max(rule.change, sure, rule.rate * lasting):
                     yield Segment(*ends, kind, float(side * change / lasting))
 
@@ -136,7 +136,7 @@ def _above(rate: Array, edge: float) -> Iterator[slice]:
 
 
 def _crossings(at: Array, rate: Array, edge: float) -> tuple[float, float]:
-    """When a rate ``(k,)`` is at the edge first and last, between the outermost two of its times by a line."""
+    """Times at which a rate ``(k,)`` first and last crosses the edge, by linear interpolation."""
     begin = at[0] if rate[0] > edge else np.interp(edge, rate[:2], at[:2])
     end = at[-1] if rate[-1] > edge else np.interp(edge, rate[:-3:-1], at[:-3:-1])
     return float(begin), float(end)

@@ -20,61 +20,62 @@ _COARSE = 8
 _FINE = 1.2
 """Ratio of those that are tried later."""
 _PRIOR_EXPONENT = 8.0
-"""Exponent of the prior of sigma: where a track leaves it open, what looks like noise is taken for noise."""
+"""Exponent of the prior of sigma, which decides where noise and motion cannot be distinguished: for noise."""
 _MOST_OUTLIERS, _COST = 0.12, 20.0
-"""Share of outliers from which on sigma is taken to be too small, and what each of them then costs."""
+"""Share of outliers above which sigma is probably too small, and the log-likelihood that each further one costs."""
 _HARDLY = 0.6
-"""Share of the standard deviation of its fix above which an estimate is hardly surer."""
+"""Share of the standard deviation of its fix above which an estimate is hardly more certain."""
 _PAUSES = 0.05
 """Share of the fixes that come after a pause from which on a track counts as one of rare fixes."""
 _HALVINGS = 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0
-"""How often sigma is halved for the lower ones that are tried."""
+"""Numbers of halvings of sigma for the lower ones that are tried."""
 _OPEN = 3.0
-"""How much less likely a track may be, in log, with a lower sigma that it does not rule out."""
+"""Log-likelihood by which a track may be less likely with a lower sigma that it does not rule out."""
 _MISFIT_OF_WALKS, _MISFIT_OF_STOPS = 0.2, 0.17
-"""The same of each of its fixes, where levels of a random walk, of a few sizes only, are certain; and where there are
-none though targets may stop between fixes."""
+"""The same for each of its fixes: where levels of a random walk, of a few sizes only, are certain; and where there are
+no such levels though targets may stop between fixes."""
 _MISFIT, _FORGOTTEN = 0.28, 7200.0
-"""The same of each fix where fixes are rarer than any level ends; and seconds in which targets may forget their
-velocity, to a share of 1 / e."""
+"""The same for each fix where the time between fixes exceeds the duration of any level; and the correlation time of the
+velocity, s."""
 _CHANGED = 18000.0
-"""Seconds after which, where there are levels of a random walk, most of what a track says of them is gone."""
+"""Seconds between fixes from which on a track with levels of a random walk hardly determines these."""
 _HOME = 43200.0
-"""Seconds between fixes from which on targets may be back where they were: then motion is as white as noise."""
+"""Seconds between fixes from which on targets may have returned: then motion is as white as noise."""
 _STEPS, _ROWS = 200, 2
-"""Steps of a row, and rows of a track, from which sigma is found."""
+"""Steps of a row, and rows of a track, from which sigma is estimated."""
 _OVER_CIRCLES, _STRETCHES = 1.3, 20
-"""How many times as large sigma may be as what circles leave, and stretches of fixes that tell of these."""
+"""Largest ratio of sigma to the residuals of circles, and the fewest stretches of fixes for these."""
 
 
 def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
     tried = _largest_sigma(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    likely = likeliest_sigma(fixes, levels, owner, tried, model.of_any_offset)
+    likely = likeliest_sigma(fixes, levels, owner, tried, model.independent_offsets)
     return likely.minimum(_most_by_circles(fixes, owner))
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
-    """Standard deviations ``(B,)`` of the largest likelihood near those that are known."""
+    """Standard deviations ``(B,)`` of the largest likelihood near those of the part."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
     tried = part.sigma * factors.unsqueeze(1)
     alone, usual = (
-        likeliest_sigma(part.fixes, part.levels, owner, tried, of) for of in (part.model.of_any_offset, part.model)
+        likeliest_sigma(part.fixes, part.levels, owner, tried, of)
+        for of in (part.model.independent_offsets, part.model)
     )
     return alone.maximum(usual).minimum(_most_by_circles(part.fixes, owner))
 
 
 def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel) -> Tensor:
-    """Of standard deviations ``(G, B)`` that decrease by a factor, the ones ``(B,)`` of the largest likelihood.
+    """Of standard deviations ``(G, B)`` that decrease by a factor, those ``(B,)`` of the largest likelihood.
 
-    Between them by the parabola through the largest and its neighbours.
+    They are interpolated by the parabola through the largest and its neighbours.
 
     Args:
-        fixes: one after the other, with the variance in units of sigma squared.
+        fixes: in the order of time, with the variance in units of sigma squared.
         levels: of the process noise.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
-        sigma: that are tried.
-        model: about outliers.
+        sigma: those that are tried.
+        model: how likely outliers are.
     """
     log_likelihood, outliers, count = _likelihoods(fixes, levels, owner, sigma, model)
     too_many = (outliers - _MOST_OUTLIERS * count).clamp_min(0.0)
@@ -87,10 +88,10 @@ def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, 
     return likely
 
 
-def hardly_surer(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
-    """Tracks ``(B,)`` whose estimates are mostly hardly surer than their own fixes, or whose fixes are very rare.
+def little_gained(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
+    """Whether most estimates of a track ``(B,)`` are hardly more certain than their own fixes, or its fixes are rare.
 
-    Those in bursts are rare too.
+    Fixes in bursts are rare too.
     """
     measured = ~part.fixes.missing
     hardly = measured & (known.belief.pp > _HARDLY**2 * part.scaled.variance)
@@ -105,21 +106,21 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
 
     Where noise and motion can hardly be distinguished, too large a sigma costs far more than too small a one: with the
     former the path cuts corners, with the latter it goes through the fixes.  A kind that may keep a slow course between
-    rare fixes may keep none: its likelihood is computed with levels of a random walk too.
+    rare fixes may also keep none: its likelihood is computed with levels of a random walk too.
 
     Args:
-        part: with the levels as they were before the track.
+        part: with the prior levels.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
     """
     tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
     several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
     slow = (part.fixes.period > LONGEST) & (part.levels.walk == 0).all(0)
     if slow.any():
-        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.reach), part.fixes.period))
+        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.least_offset), part.fixes.period))
         asked.append(slow)
     fits, least = [], []
     for levels, rows in zip(several, asked, strict=True):
-        log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.of_any_offset)
+        log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.independent_offsets)
         fits.append(log_likelihood.where(rows, -torch.inf))  # what is tried of some tracks changes no others
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
@@ -129,7 +130,7 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
 
 
 def _misfit(levels: Levels, part: Part) -> Tensor:
-    """How much less likely each fix of tracks ``(B,)`` may be, in log, with a lower sigma that they do not rule out."""
+    """Log-likelihood ``(B,)`` by which each fix may be less likely with a lower sigma that is not ruled out."""
     walks, period = (levels.log_share.exp() * (levels.walk > 0)).sum(0), part.fixes.period
     often = torch.where(walks > 0, _MISFIT_OF_WALKS * walks, _MISFIT_OF_STOPS * part.stops)
     forgotten = torch.where(walks > 0, (period / _CHANGED) ** 4, period / _FORGOTTEN)
@@ -140,7 +141,7 @@ def _misfit(levels: Levels, part: Part) -> Tensor:
 def _likelihoods(
     fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Of standard deviations ``(G, B)`` log-likelihoods, expected outliers and numbers of fixes ``(G, B)``."""
+    """Log-likelihoods, expected outliers and numbers of fixes ``(G, B)`` for standard deviations ``(G, B)``."""
     count, chosen = len(sigma), _rows_for_sigma(fixes, owner)
     part = Fixes(*(x[:_STEPS, ..., chosen] for x in fixes))
     variance = sigma[:, chosen].square() * part.variance.unsqueeze(1)
@@ -149,7 +150,7 @@ def _likelihoods(
         """Values ``(..., B)`` for each of the standard deviations, ``(..., G B)``."""
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
-    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.odds))
+    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.log_odds))
     rows = model.of_rows(lambda x: repeated(x[chosen]))
     every = steps(tried, Levels(*(repeated(x[:, chosen]) for x in levels)), rows)
     log_likelihood, outlier = (
@@ -163,7 +164,7 @@ def _likelihoods(
 
 
 def _rows_for_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
-    """Numbers of the rows from which sigma is found: those of each track with the most fixes, and all short tracks."""
+    """Rows from which sigma is estimated: those of each track with the most fixes, and those of all short tracks."""
     count = (~fixes.missing[:_STEPS]).sum(0)
     chosen = []
     for i in owner.unique():
@@ -174,7 +175,7 @@ def _rows_for_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
 
 
 def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
-    """Twice the standard deviation ``(B,)`` that third differences would have if nothing but noise was in them.
+    """Twice the standard deviation ``(B,)`` of fixes whose third differences are nothing but noise.
 
     It is in units of the usual standard deviation that the file states, if it states one.
     """
@@ -184,10 +185,10 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
 
 
 def _most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
-    """The largest sigma ``(B,)`` of tracks that circle; infinite where too few fixes come evenly, or rarely.
+    """The largest sigma ``(B,)`` of tracks that circle; infinite where fixes are rare or mostly unevenly spaced.
 
-    A target that circles with a few fixes a turn looks like noise about a straight way to levels of process noise,
-    which know no turns.
+    A target that circles with a few fixes per turn looks like noise about a straight line to levels of process noise,
+    which model no turns.
     """
     most = torch.full_like(fixes.gap[0], math.inf)
     if fixes.z.shape[1] != 2 or len(fixes.z) < IN_A_ROW:
@@ -215,7 +216,7 @@ def _median(values: Tensor, owner: Tensor) -> Tensor:
 
 
 def _third_differences(z: Tensor, gap: Tensor) -> Tensor:
-    """What four fixes in a row have that no parabola in time has, ``(T - 3, d, B)``, as large as the noise of one."""
+    """Third differences ``(T - 3, d, B)`` of fixes, scaled to the noise of one: 0 for a parabola in time."""
     time, count = gap.cumsum(0), max(len(z) - 3, 0)
     four = torch.stack([time[k : k + count] for k in range(4)])
     apart = four.unsqueeze(0) - four.unsqueeze(1)

@@ -35,30 +35,31 @@ _RARE = 300.0
 
 
 class Smoothed(NamedTuple):
-    """What all fixes say of every step."""
+    """The smoothed estimates of every step."""
 
     belief: Belief
-    """``(T, B)`` behind the axes."""
+    """``(T, B)``; the axes come first."""
     levels: Tensor
-    """``(T, J, B)`` probabilities of the levels of the steps that led there."""
+    """``(T, J, B)`` probabilities of the levels up to each step."""
     outlier: Tensor
-    """``(T, B)`` probability that the fix is one; 0 where there is none."""
+    """``(T, B)`` probability that the fix is an outlier; 0 where there is none."""
     predictions: Predictions
-    """What the filter said; where it was lost, what the one that ran backward said."""
+    """Those of the forward filter; where that was lost, those of the backward filter."""
     evidence: Tensor
-    """``(T, B)`` log of how much likelier this fix is as an outlier."""
+    """``(T, B)`` log likelihood ratio of outlier and inlier, for this fix."""
 
 
-class _Met(NamedTuple):
-    """What two filters say of some steps."""
+class _Combined(NamedTuple):
+    """Predictions of both filters for some steps, alone and combined."""
 
     predictions: Predictions
     """From the fixes before each step."""
     later: Predictions
-    """From those after it."""
+    """From the fixes after it."""
     both: Predictions
-    apart: Belief
-    """``(T, B)`` how far the second is from the first, whichever the level."""
+    """From all fixes but its own."""
+    difference: Belief
+    """``(T, B)`` the second minus the first, each merged over the levels."""
 
 
 def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
@@ -81,38 +82,38 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     # The levels before and after a step change in the shorter of its two gaps: over a long one all become one Gaussian.
     gap, chain = torch.minimum(fixes.elapsed, fixes.backwards().elapsed.flip(0)), levels.chain
     pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
-    met = [_met(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
-    apart = _joined_beliefs([of.apart for of in met], -2)
-    agree = torch.cat([of.both.log_weights.logsumexp(1) for of in met])
-    lost, lost_later = _lost(apart, agree, forward, backward, fixes, model)
+    combined = [_combined(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
+    difference = _joined_beliefs([of.difference for of in combined], -2)
+    agree = torch.cat([of.both.log_weights.logsumexp(1) for of in combined])
+    lost, lost_later = _lost(difference, agree, forward, backward, fixes, model)
     done = []
-    for some, (predictions, later, both, _) in zip(pieces, met, strict=True):
+    for some, (predictions, later, both, _) in zip(pieces, combined, strict=True):
         both = _where(lost[some], later, _where(lost_later[some], predictions, both))
         first, here = _where(lost[some], later, predictions), Fixes(*(x[some] for x in fixes))
         done.append(updated(both.belief, both.log_weights, here, model, first))
     return _in_a_row(done)
 
 
-def _met(predictions: Predictions, later: Predictions, gap: Tensor, levels: Levels, chain: Chain) -> _Met:
-    """What two filters say of some steps, where the one that runs backward has just passed the step after."""
+def _combined(predictions: Predictions, later: Predictions, gap: Tensor, levels: Levels, chain: Chain) -> _Combined:
+    """Predictions of two filters for some steps; those of the backward one are for the step after, ``gap`` s later."""
     later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
     belief, log_fit = _product(predictions.belief, later.belief)
     log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
-    apart = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
-    return _Met(predictions, later, Predictions(belief, log_weights, *predictions[2:]), apart)
+    difference = _difference(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
+    return _Combined(predictions, later, Predictions(belief, log_weights, *predictions[2:]), difference)
 
 
 def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
-    """What the fixes up to each step say of it."""
+    """Filtered estimates: each from the fixes up to its step."""
     every = list(steps(fixes, levels, model))
     predictions = predictions_of(every)
-    after = [step.known for step in every]
-    known = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(of.belief for of in after), strict=True)))
+    after = [step.filtered for step in every]
+    belief = Belief(*(torch.stack(x, -4).flatten(-3, -2) for x in zip(*(of.belief for of in after), strict=True)))
     log_weights = torch.stack([of.log_weights for of in after])  # (T, 2, J, B)
-    whole, _ = merged(log_weights.flatten(1, 2), known, 1)
+    mixed, _ = merged(log_weights.flatten(1, 2), belief, 1)
     odds = log_weights.logsumexp(2).diff(dim=1).squeeze(1) - predictions.prior_outlier.logit()
     outlier, evidence = (torch.where(fixes.missing, 0.0, x) for x in (predictions.outlier, odds))
-    return Smoothed(whole, log_weights.exp().sum(1), outlier, predictions, evidence - fixes.odds)
+    return Smoothed(mixed, log_weights.exp().sum(1), outlier, predictions, evidence - fixes.log_odds)
 
 
 def updated(
@@ -121,34 +122,34 @@ def updated(
     """Every step, updated by its own fix.
 
     Args:
-        belief: ``(T, J, B)`` behind the axes, without that fix.
+        belief: ``(T, J, B)`` from all other fixes; the axes come first.
         log_weights: ``(T, J, B)`` of the levels.
-        fixes: all of them.
+        fixes: of these steps.
         model: how likely outliers are.
-        predictions: what the filter said.
+        predictions: those of the filter.
     """
     missing = fixes.missing.unsqueeze(1)
     z = fixes.z.movedim(1, 0).unsqueeze(2)
-    clean, log_density = corrected(belief, z, fixes.variance.unsqueeze(1), missing, model)
+    inlier, log_density = corrected(belief, z, fixes.variance.unsqueeze(1), missing, model)
     share = torch.stack([1 - predictions.prior_outlier, predictions.prior_outlier]).log().unsqueeze(2)
     fit = (log_weights + log_density).logsumexp(2)
-    share[1] = share[1] + fixes.odds.unsqueeze(1)
+    share[1] = share[1] + fixes.log_odds.unsqueeze(1)
     joint = (log_weights + log_density + share).movedim(0, 1)  # (T, 2, J, B)
     joint = joint - joint.flatten(1, 2).logsumexp(1)[:, None, None]
-    both = Belief(*(torch.stack(x, -3) for x in zip(clean, belief, strict=True)))
-    whole, _ = merged(joint.flatten(1, 2), Belief(*(x.flatten(-3, -2) for x in both)), 1)
+    both = Belief(*(torch.stack(x, -3) for x in zip(inlier, belief, strict=True)))
+    mixed, _ = merged(joint.flatten(1, 2), Belief(*(x.flatten(-3, -2) for x in both)), 1)
     outlier = torch.where(fixes.missing, 0.0, joint[:, 1].exp().sum(1))
-    return Smoothed(whole, joint.exp().sum(1), outlier, predictions, fit[1] - fit[0])
+    return Smoothed(mixed, joint.exp().sum(1), outlier, predictions, fit[1] - fit[0])
 
 
 def _lost(
-    apart: Belief, agree: Tensor, forward: Predictions, backward: Predictions, fixes: Fixes, model: OutlierModel
+    difference: Belief, agree: Tensor, forward: Predictions, backward: Predictions, fixes: Fixes, model: OutlierModel
 ) -> tuple[Tensor, Tensor]:
     """Where one of two filters follows something else than the target, as the burst of outliers that it began with.
 
-    There what one says is as far from what the other says as an outlier is from a clean fix, whichever the level; or,
-    next to that, one takes the fix for an outlier and the other does not.  Of each such stretch that filter is lost by
-    which the fixes are less likely.  Where the target itself jumps or turns back at once, the first filter is right
+    There their predictions differ as an outlier differs from an inlier, whichever the level; or, next to that, one
+    takes the fix for an outlier and the other does not.  Of each such stretch that filter is lost by which the fixes
+    are less likely.  Where the target itself jumps or turns back at once, the first filter is right
     until then and the second from then on.  So the first is believed up to the step that makes the fixes likeliest and
     the second after it, if that beats either alone by more than it is rare.  Both sides have three steps of the
     stretch, or one has two if there are five, or else the last outlier of a burst would be a jump.  A jump shows too
@@ -158,30 +159,30 @@ def _lost(
     for a fix or two between stretches do so by chance.  To be lost, or to change, is as rare as two outliers apart.
 
     Args:
-        apart: ``(T, B)`` how far the second is from the first.
-        agree: ``(T, B)`` log of how well both agree.
-        forward: what the first said.
-        backward: what the second said.
+        difference: ``(T, B)`` prediction of the second minus that of the first.
+        agree: ``(T, B)`` log of the density of both predictions for one state.
+        forward: predictions of the first.
+        backward: predictions of the second.
         fixes: all of them.
         model: how likely outliers are, and how large.
 
     Returns:
         ``(T, B)`` where the first is lost, and where the second is.
     """
-    ep, ev, pp, _, vv = apart
+    ep, ev, pp, _, vv = difference
     squares = [x.square().mean(0) for x in (ep, ev)]
     wide = [(model.least_size * v).maximum(square) for v, square in zip((pp, vv), squares, strict=True)]
-    rare = 2 * (torch.zeros_like(pp[0]) + model.begins).log()
+    rare = 2 * (torch.zeros_like(pp[0]) + model.after_inlier).log()
     log_lost = rare - 0.5 * len(ep) * sum(x / v + v.log() for x, v in zip(squares, wide, strict=True))
-    seen = (~fixes.missing).long()
-    before = seen.cumsum(0) - seen
-    fewer = before.minimum(seen.sum(0) - seen - before)
+    measured = (~fixes.missing).long()
+    before = measured.cumsum(0) - measured
+    fewer = before.minimum(measured.sum(0) - measured - before)
     sure, enough = fewer >= _BEGUN, fewer >= _ENOUGH
     first, last = sure.long().argmax(0), len(sure) - 1 - sure.flip(0).long().argmax(0)
     nearest = torch.arange(len(sure)).unsqueeze(1).clamp(first, last)
-    contrary = _joined(((agree < log_lost) & sure).gather(0, nearest), seen)
-    either = contrary | ((forward.outlier > 0.5) != (backward.outlier > 0.5))
-    lost = either & (_largest(contrary.long(), _numbers(either)) > 0)
+    contradict = _joined(((agree < log_lost) & sure).gather(0, nearest), measured)
+    either = contradict | ((forward.outlier > 0.5) != (backward.outlier > 0.5))
+    lost = either & (_largest(contradict.long(), _numbers(either)) > 0)
     gain = forward.log_likelihood - backward.log_likelihood
     believed = _believed(gain, lost, rare.where(enough, -torch.inf))
     until, since = _jumps(gain, lost, enough & (fixes.elapsed <= _RARE).all(0), rare)
@@ -226,11 +227,11 @@ def _largest(x: Tensor, number: Tensor) -> Tensor:
     return most.scatter_reduce(0, number, x, "amax", include_self=False).gather(0, number)
 
 
-def _joined(contrary: Tensor, seen: Tensor) -> Tensor:
-    """Stretches ``(T, B)`` as one where fewer fixes lie between them than make a filter sure; ``seen`` is 1 at each."""
-    count = seen.cumsum(0)
-    since = torch.where(contrary, count, -_BEGUN).cummax(0).values
-    until = torch.where(contrary, count - seen, len(seen) + _BEGUN).flip(0).cummin(0).values.flip(0)
+def _joined(inside: Tensor, measured: Tensor) -> Tensor:
+    """Joins stretches ``(T, B)`` with fewer fixes between them than make a filter sure; ``measured`` is 1 at fixes."""
+    count = measured.cumsum(0)
+    since = torch.where(inside, count, -_BEGUN).cummax(0).values
+    until = torch.where(inside, count - measured, len(measured) + _BEGUN).flip(0).cummin(0).values.flip(0)
     return until - since < _BEGUN
 
 
@@ -243,7 +244,7 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
         rare: ``(B,)`` or ``(T, B)``, the log of how probable a change from the first to the second is in a stretch.
 
     Returns:
-        ``(T, B)``; outside the stretches it says nothing.
+        ``(T, B)``; outside the stretches it has no meaning.
     """
     step, none = torch.arange(len(lost)).unsqueeze(1), torch.zeros_like(lost[:1])
     begins, ends = lost & ~torch.cat([none, lost[:-1]]), lost & ~torch.cat([lost[1:], none])
@@ -263,17 +264,17 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
 
 
 def _rows(x: Predictions, rows: slice) -> Predictions:
-    """Of some tracks."""
+    """The predictions of some tracks."""
     return Predictions(Belief(*(part[..., rows] for part in x.belief)), *(part[..., rows] for part in x[1:]))
 
 
 def _steps(x: Predictions, some: slice) -> Predictions:
-    """Of some steps."""
+    """The predictions of some steps."""
     return Predictions(Belief(*(part[..., some, :, :] for part in x.belief)), *(part[some] for part in x[1:]))
 
 
 def _in_a_row(several: Sequence[Smoothed]) -> Smoothed:
-    """All steps, of some at a time."""
+    """The estimates of all steps, from those of some at a time."""
     belief, levels, outlier, predictions, evidence = zip(*several, strict=True)
     rest = (torch.cat(x) for x in zip(*(of[1:] for of in predictions), strict=True))
     every = Predictions(_joined_beliefs([of.belief for of in predictions], -3), *rest)
@@ -286,7 +287,7 @@ def _joined_beliefs(several: Sequence[Belief], time: int) -> Belief:
 
 
 def _in_order_of_time(x: Predictions) -> Predictions:
-    """Of a filter that ran backward."""
+    """Predictions of a filter that ran backward, in the order of time."""
     position, velocity, pp, pv, vv = (part.flip(-3) for part in x.belief)
     return Predictions(Belief(position, -velocity, pp, -pv, vv), *(part.flip(0) for part in x[1:]))
 
@@ -299,20 +300,20 @@ def _where(chosen: Tensor, one: Predictions, other: Predictions) -> Predictions:
     return Predictions(belief, torch.where(level, one.log_weights, other.log_weights), *rest)
 
 
-def _apart(a: Belief, b: Belief) -> Belief:
+def _difference(a: Belief, b: Belief) -> Belief:
     """The difference of two beliefs from different data."""
     return Belief(b.position - a.position, b.velocity - a.velocity, a.pp + b.pp, a.pv + b.pv, a.vv + b.vv)
 
 
 def _product(a: Belief, b: Belief) -> tuple[Belief, Tensor]:
-    """Two beliefs of the same state from different data as one, and the log of how well they agree."""
-    ep, ev, pp, pv, vv = _apart(a, b)
+    """The product of two beliefs of one state from different data, and the log of its integral, but for a constant."""
+    ep, ev, pp, pv, vv = _difference(a, b)
     det, d = pp * vv - pv.square(), len(ep)
-    far = (vv * ep.square() - 2 * pv * ep * ev + pp * ev.square()).sum(0) / det
+    nis = (vv * ep.square() - 2 * pv * ep * ev + pp * ev.square()).sum(0) / det
     gpp, gpv = (a.pp * vv - a.pv * pv) / det, (a.pv * pp - a.pp * pv) / det
     gvp, gvv = (a.pv * vv - a.vv * pv) / det, (a.vv * pp - a.pv * pv) / det
     joint = Belief(
         a.position + gpp * ep + gpv * ev, a.velocity + gvp * ep + gvv * ev,
         gpp * b.pp + gpv * b.pv, gpp * b.pv + gpv * b.vv, gvp * b.pv + gvv * b.vv,
     )  # fmt: skip
-    return joint, -0.5 * (far + d * det.log())
+    return joint, -0.5 * (nis + d * det.log())

@@ -1,13 +1,12 @@
-"""What the commands of this package have in common: options, errors in one line, exit status."""
+"""Common parts of the commands: options, errors in one line, exit status."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
@@ -20,13 +19,13 @@ from torchfra.tables import printable
 _STATUS = """exit status: 0; 1 if a part of the work failed or a result is not finite, and the rest is done; 2 if an
 argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the output has closed it"""
 _LONGEST = 1000
-"""Characters of an error message."""
+"""Largest number of characters of an error message."""
 _NO_MEMORY = ("can't allocate memory", "out of memory", "Storage size calculation overflowed")
-"""Parts of the messages with which torch says that there is no memory left."""
+"""Parts of the messages of torch when memory runs out."""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that suggests what may have been meant by a word that it does not know."""
+    """A parser that suggests known words for an unknown one."""
 
     def error(self, message: str) -> NoReturn:
         """Ends the program with a message."""
@@ -40,7 +39,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def make_parser(description: str | None, program: str | None = None) -> argparse.ArgumentParser:
-    """A parser whose help keeps the lines of the description as they are, and says what the exit status means."""
+    """A parser whose help keeps the lines of the description as they are, and explains the exit status."""
     form = argparse.RawDescriptionHelpFormatter
     return Parser(program, description=description, epilog=_STATUS, formatter_class=form)
 
@@ -69,31 +68,8 @@ def add_runs_options(parser: argparse.ArgumentParser, runs: int, seed: int = 0) 
     )
 
 
-def check_list(parser: argparse.ArgumentParser, option: str, value: str, known: Collection[str]) -> None:
-    """Ends the program with a message unless ``value`` is a comma-separated list of known names."""
-    unknown = [name for name in value.split(",") if name not in known]
-    if unknown:
-        received = f"{', '.join(unknown)}{meant(unknown[0], known)}"
-        parser.error(f"--{option}: expected some of {', '.join(known)}, received {received}")
-
-
-def numbers_in(option: str, value: str) -> list[float]:
-    """The numbers in a comma-separated list.
-
-    Raises:
-        ValueError: one that is no number above 0.
-    """
-    try:
-        numbers = [float(number) for number in value.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or not all(0 < number < math.inf for number in numbers):
-        raise ValueError(f"{option}: expected numbers above 0, separated by commas, received {value!r}")
-    return numbers
-
-
 def check_least(options: argparse.Namespace, **least: int) -> None:
-    """Checks, before any work, that numbers of a command are no less than these; those that are None are not there.
+    """Checks, before any work, that numbers of a command are no less than these; None is not checked.
 
     Raises:
         ValueError: one is.
@@ -144,7 +120,7 @@ def check_folder(option: str, path: Path | None) -> None:
     atomic_write.check(path / "output")
 
 
-# ---------------------------------------------------------------- what went wrong
+# ---------------------------------------------------------------- errors
 
 
 class IncompleteError(Exception):
@@ -183,16 +159,16 @@ def exit_status(program: str, work: Callable[[], object], alone: Callable[[], bo
     Args:
         program: name in front of an error message.
         work: what the command does, from its arguments on; under ``torchrun`` in every process.
-        alone: whether each process does work of its own, and says what is wrong with it; asked when something is.
+        alone: whether each process does work of its own and reports its errors; called at an error.
 
     Returns:
         0; 1 after a line on standard error for each part of the work that failed, or result that is not finite, where
-        the rest is done; 2 after one line if an argument or a file was wrong; 130 after Ctrl-C; 141 if what reads the
-        output has closed it.
+        the rest is done; 2 after one line if an argument or a file was wrong; 130 after Ctrl-C; 141 if the reader of
+        the output has closed it.
     """
     keep_memory()
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a name may have letters that a terminal has not
+        sys.stdout.reconfigure(errors="backslashreplace")  # names may have letters that the terminal cannot show
     try:
         try:
             work()
@@ -207,17 +183,17 @@ def exit_status(program: str, work: Callable[[], object], alone: Callable[[], bo
         _discard_output()
         return 141
     except Exception as error:
-        said = message(error)
-        if said is None:
+        text = message(error)
+        if text is None:
             raise
         _discard_output()
-        _complain(program, alone(), said)
+        _complain(program, alone(), text)
         return 2
     return 0
 
 
 def message(error: Exception) -> str | None:
-    """What a user reads of an error; None of an error in the program itself."""
+    """The message of an error for the user; None for an error of the program itself."""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and any(x in str(error) for x in _NO_MEMORY)):
         return f"not enough memory: {error}"
     if isinstance(error, OverflowError):
@@ -225,7 +201,7 @@ def message(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.strerror is not None:
         reason = "file not found" if isinstance(error, FileNotFoundError) else error.strerror.lower()
         return reason if error.filename is None else f"{reason}: {error.filename}"
-    from torchfra.types import CompileError  # imports torch, which takes long and which no help needs
+    from torchfra.types import CompileError  # imports torch, which takes long
 
     known = (ValueError, OSError, ImportError, CompileError, NotImplementedError)
     return str(error) if isinstance(error, known) else None
@@ -233,12 +209,12 @@ def message(error: Exception) -> str | None:
 
 def complain(program: str, *messages: str) -> None:
     """A line on standard error for each message."""
-    for said in messages:
-        print(f"{program}: error: {printable(' '.join(said.split()), _LONGEST)}", file=sys.stderr)
+    for text in messages:
+        print(f"{program}: error: {printable(' '.join(text.split()), _LONGEST)}", file=sys.stderr)
 
 
 def _complain(program: str, alone: bool, *messages: str) -> None:
-    """A line on standard error for each message; of processes that work together the first one's."""
+    """A line on standard error for each message; only from the first of processes that work together."""
     if alone or "WORLD_SIZE" not in os.environ or os.environ.get("RANK", "0") == "0":
         complain(program, *messages)
 

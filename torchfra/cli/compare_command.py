@@ -16,9 +16,9 @@ from torchfra.comparison.comparison import FORMS, Comparison, bound_of, table_fo
 from torchfra.evaluation import (
     BASELINE,
     check_limit,
-    flight,
     headline,
     leaders,
+    mapped_run,
     measure,
     not_finite,
     recordings_table,
@@ -44,15 +44,15 @@ _EXAMPLES = """examples:
   torchrun --nproc-per-node 2 -m torchfra compare --scenario bearings-outliers --runs 10000"""
 
 MOST_SHOWN, MOST_ON_MAP = 5, 3
-"""Filters whose errors are drawn over time, and estimates on the map."""
+"""Largest numbers of filters whose errors are drawn over time, and whose estimates are on the map."""
 WORTHWHILE = 100_000
-"""Steps of all runs together from which compiling takes no longer than it saves."""
+"""Steps of all runs together from which compiling saves time."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
-    """Adds what the command is about, its options and its work to its parser."""
+    """Adds the description, the options and the function of the command to its parser."""
     command.description = (
-        "Run many tracks through several filters: one table, and one figure with a flight on a map, the\n"
+        "Run many tracks through several filters: one table, and one figure with a run on a map, the\n"
         "errors of all runs, and errors over time.  The tracks are recorded ones seen by a simulated sensor (FILE),\n"
         "those of a scenario, or recorded together with ranges from anchors.\n\n"
         f"{FILES}\n\n{RANGES}"
@@ -91,7 +91,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     )
     best = f"the first of them, {BASELINE} and the best others"
     add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
-    add("--flight", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
+    add("--map-run", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
     add_output_options(command)
     command.set_defaults(run=run)
 
@@ -152,10 +152,10 @@ def _shown(
     options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
 ) -> list[str] | None:
     """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
-    if options.flight is not None and not 0 <= options.flight < runs:
-        raise ValueError(f"flight: expected the number of a run, 0 to {runs - 1}, received {options.flight}")
-    if options.flight is not None and scenario.motion.dims < 2:
-        raise ValueError(f"flight: expected positions in two dimensions or more, received {scenario.name}")
+    if options.map_run is not None and not 0 <= options.map_run < runs:
+        raise ValueError(f"map-run: expected the number of a run, 0 to {runs - 1}, received {options.map_run}")
+    if options.map_run is not None and scenario.motion.dims < 2:
+        raise ValueError(f"map-run: expected positions in two dimensions or more, received {scenario.name}")
     if options.show is None:
         return None
     names = [name for name in dict.fromkeys(options.show.split(",")) if name]
@@ -168,12 +168,12 @@ def _shown(
 def _write(
     options: argparse.Namespace, comparison: Comparison, filters: Mapping[str, Filter], shown: Sequence[str] | None
 ) -> None:
-    """Prints the results, and writes the files that are asked for."""
+    """Prints the results, and writes the requested files."""
     scenario, results, failures = comparison.scenario, comparison.results, Failures()
     title = _title(scenario, comparison.runs, options.seed)
     if not options.quiet:
         numbers = recordings_table(results, scenario) if scenario.recordings else table(results, every=options.all)
-        print(f"{title}\n{headline(results, comparison.runs)}\n{numbers}", flush=True)  # whatever becomes of the files
+        print(f"{title}\n{headline(results, comparison.runs)}\n{numbers}", flush=True)  # before a file can fail
         if _for_paper(options):
             print(f"\n{_TWO_TABLES}\n\n{comparison}", flush=True)
     if options.json is not None:
@@ -198,7 +198,7 @@ _TWO_TABLES = (
 
 
 def _for_paper(options: argparse.Namespace) -> bool:
-    """Whether intervals, tests and the bound are asked for."""
+    """Whether the user wants intervals, tests and the bound."""
     return options.table is not None or options.printed is not None
 
 
@@ -211,14 +211,14 @@ def _draw(
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     errors = [comparison.metrics[name].errors() for name in shown[:2]]
     limit = next(iter(results.values()))["limit"]
-    mapped = flight(scenario, on_map, errors, options.seed, options.flight)
+    mapped = mapped_run(scenario, on_map, errors, options.seed, options.map_run)
     plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)
     if not options.quiet:
         print(f"figure: {printable(str(options.figure))}")
 
 
 def _title(scenario: Scenario, runs: int, seed: int) -> str:
-    """What was tracked, and how often."""
+    """The scenario, with its numbers of runs and steps."""
     if scenario.recordings:
         return f"{scenario.name}: {runs} of {len(scenario.recordings)} recordings, up to {scenario.steps} steps"
     settings = ", ".join(f"{key} {value}" for key, value in scenario.settings.items() if isinstance(value, str))

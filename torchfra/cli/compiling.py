@@ -1,11 +1,11 @@
-"""Which filters of a command run as compiled kernels."""
+"""The choice of a command to run filters as compiled kernels."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
 
-from torchfra.cleaning.others import Fallback
+from torchfra.cleaning.catalogue_filters import Fallback
 from torchfra.evaluation.compiling import brief
 from torchfra.types import CompileError
 
@@ -36,16 +36,16 @@ def choose(wanted: bool | None, worthwhile: bool, tell: Callable[[str], None]) -
     """Whether a command compiles its filters.
 
     Args:
-        wanted: by the user: True, False, or None for what is best.
-        worthwhile: whether there is so much to compute that compiling, which takes seconds per filter, saves time.
+        wanted: the choice of the user: True, False, or None for that by ``worthwhile``.
+        worthwhile: whether compiling, which takes seconds per filter, saves time.
         tell: called with a line for the user.
 
     Raises:
-        CompileError: it is wanted, and llvmlite is not installed.
+        CompileError: ``wanted`` is True, and llvmlite is not installed.
     """
     if wanted is False or (wanted is None and not worthwhile):
         return False
-    from torchfra.compiler.llvm import binding  # only where it is needed
+    from torchfra.compiler.llvm import binding  # llvmlite is optional
 
     try:
         version = ".".join(map(str, binding().llvm_version_info))

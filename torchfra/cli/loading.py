@@ -1,4 +1,4 @@
-"""Filters and scenarios of a user's own, by ``module:function`` or ``file.py:function``."""
+"""Filters and scenarios of the user, by ``module:function`` or ``file.py:function``."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def is_place(name: str) -> bool:
 
 
 def load_module(place: str, argument: str) -> ModuleType:
-    """The module of a dotted name, looked for in the current folder too, or of a ``.py`` file.
+    """The module of a dotted name, also in the current folder, or of a ``.py`` file.
 
     Args:
         place: the name, or the file.
-        argument: what it was given as.
+        argument: the option with it, for messages.
 
     Raises:
         ValueError: no such module, or one that cannot be run.
@@ -80,8 +80,8 @@ def load_filters(names: Sequence[str], scenario: Scenario) -> dict[str, Filter]:
     """Filters of the catalogue, and those that ``module:function`` makes of ``(motion, sensor)``, by name.
 
     Raises:
-        ValueError: an unknown name, no such function, one that returns something else, or a filter that does not go
-            with the scenario.
+        ValueError: an unknown name, no such function, one that returns something else, or a filter that does not fit
+            the scenario.
     """
     if not names:
         raise ValueError(f"filters: expected some of {', '.join(FILTERS)}, received none")
@@ -120,5 +120,5 @@ def _module_of_file(path: Path) -> ModuleType:
 
 
 def _own(value: object, module: ModuleType) -> bool:
-    """Whether a function is one that a module has itself."""
+    """Whether a function is defined in a module."""
     return inspect.isfunction(value) and value.__module__ == module.__name__

@@ -16,7 +16,7 @@ COMMANDS = {
     "many": "clean the tracks of a data set in Parquet, by several processes",
     "compare": "run a batch of tracks through several filters",
 }
-"""What each command does, in a line; its options and its work are in a module beside this, ``track_command`` say."""
+"""Descriptions of the commands; each has a module with its options and function, such as ``track_command``."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         parser.parse_args(arguments, options)
-        from torchfra.running import distributed  # imports torch, which takes long and which no help needs
+        from torchfra.running import distributed  # imports torch, which takes long
 
         with distributed.team() if options.together else nullcontext():
             options.run(options)
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Command(Parser):
-    """The parser of one command, whose module is imported when it is the one that is called."""
+    """The parser of one command, whose module is imported when it is called."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Adds the options of the command, then parses."""

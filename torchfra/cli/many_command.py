@@ -40,13 +40,13 @@ existing parts."""
 
 PARTS, FEWEST, MOST = 64, 100_000, 1_000_000
 """Number of parts, and least and largest number of rows of one: all files are read for each, and an unfinished part
-begins anew."""
-_MOST_SAID = 5
+is repeated."""
+_MOST_NAMED = 5
 """Largest number of failed targets that are named one by one."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
-    """Adds what the command is about, its options and its work to its parser."""
+    """Adds the description, the options and the function of the command to its parser."""
     command.description, command.epilog = _ABOUT, _EXAMPLES
     add = command.add_argument
     add("data", metavar="DATA", type=Path)
@@ -63,8 +63,8 @@ def add_to(command: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Runs the command; under ``torchrun`` in every process, each of which does its parts."""
     check_least(options, jobs=1, rows=1)
-    known: dict[str, Any] = {name: getattr(options, name) for name in ("bank", "sigma", "q", "dt")}
-    check_settings(DEFAULT, **known)
+    settings: dict[str, Any] = {name: getattr(options, name) for name in ("bank", "sigma", "q", "dt")}
+    check_settings(DEFAULT, **settings)
     rank, size = distributed.launched()
     check_folder("out", options.out)
     if options.data.is_dir() and options.data.resolve() in (options.out / "part").resolve().parents:
@@ -72,21 +72,21 @@ def run(options: argparse.Namespace) -> None:
     data = open_data(options.data, **reading_of(options))
     check_files({"json": options.json}, [file.path for file in data.files])
     rows = options.rows or min(max(-(-data.rows // PARTS), FEWEST), MOST)
-    work = Work(data, options.out, rows, known | {"smooth": not options.no_smooth, "repair": not options.no_repair})
+    work = Work(data, options.out, rows, settings | {"smooth": not options.no_smooth, "repair": not options.no_repair})
     work.begin()
     tell, _ = reporters(None, options.quiet or rank > 0)
-    for said in data.reader.layout.source.notes:
-        tell(printable(said))
+    for note in data.reader.layout.source.notes:
+        tell(printable(note))
     _clean(work, range(rank, work.parts, size), options.jobs, tell, not options.quiet and rank == 0)
     every = work.facts()
-    if len(every) == work.parts:  # of several processes the one that ends last
+    if len(every) == work.parts:  # in the process that ends last
         _end(options, work, summed(every))
     else:
         tell(f"{len(every):,} of {work.parts:,} parts are done; the others are not of this process")
 
 
 def _clean(work: Work, mine: Sequence[int], jobs: int, tell: Callable[[str], None], show: bool) -> None:
-    """Cleans those of the parts that are not done."""
+    """Cleans the parts that are not done."""
     left = [(work, part) for part in mine if not work.is_done(part)]
     before = len(mine) - len(left)
     if before:
@@ -100,7 +100,7 @@ def _clean(work: Work, mine: Sequence[int], jobs: int, tell: Callable[[str], Non
 
 
 def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None:
-    """Sums up: in the process that has ended last, of whatever rank."""
+    """Prints and writes the summary."""
     tell, _ = reporters(None, options.quiet)
     word = plural(work.data.reader.layout.source.word)
     tell(f"{total['targets']:,} {word}: {total['fixes']:,} fixes, {total['outliers']:,} rejected")
@@ -113,8 +113,8 @@ def _end(options: argparse.Namespace, work: Work, total: dict[str, Any]) -> None
     settings = {"data": str(options.data), "rows": work.rows, **work.settings, **reading_of(options)}
     write_results(options.json, {"settings": settings, "parts": work.parts, **total})
     if failed := total["failed"]:
-        lines = [f"{name}: {why}" for name, why in list(failed.items())[:_MOST_SAID]]
-        if len(failed) > _MOST_SAID:
+        lines = [f"{name}: {why}" for name, why in list(failed.items())[:_MOST_NAMED]]
+        if len(failed) > _MOST_NAMED:
             lines.append(f"{len(failed):,} {word} failed: --json names all")
         complain("torchfra", *lines)
         raise IncompleteError

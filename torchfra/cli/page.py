@@ -1,4 +1,4 @@
-"""Cleaned tracks as one interactive page: its script is inside, or beside it for several pages."""
+"""Cleaned tracks as an interactive page, with its script inside or, shared by several pages, beside it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ th {{ cursor: pointer; border-bottom: 1px solid; }}
 </style>
 {script}</head>
 <body><h1>{title}</h1>
-{said}
+{settings}
 {sections}
 <script>
 function draw(section) {{
@@ -58,16 +58,16 @@ document.querySelectorAll("a[href^='#']").forEach(link => link.addEventListener(
 }}));
 </script></body></html>
 """
-_SECTION = """<details id="{name}"{opened}><summary>{said}</summary><div class="chart"></div>
+_SECTION = """<details id="{name}"{opened}><summary>{title}</summary><div class="chart"></div>
 <script type="application/json">{chart}</script></details>"""
 _LETTERS = 60
-"""Characters of the name of a manoeuvre that are as wide as a panel of a narrow window."""
+"""Width of a panel in a narrow window, in characters."""
 _MOST_MARKS = 50
-"""Rejected fixes that are marked at the edge of the map."""
+"""Largest number of rejected fixes that are marked at the edge of the map."""
 
 
 def check_script() -> None:
-    """Checks that the script is there.
+    """Checks that plotly, which has the script, is installed.
 
     Raises:
         ImportError: plotly is missing.
@@ -86,12 +86,12 @@ def script_beside(path: Path) -> Path:
 
 
 def write(results: Sequence[Cleaned], path: Path, *, share: bool = False) -> None:
-    """Writes a page with a map of all targets, and what a picture of each one shows; charts are drawn when opened.
+    """Writes a page with a map of all targets, and the picture of each; charts are drawn when opened.
 
     Args:
         results: of the targets.
         path: of the page.
-        share: whether the script, of some 5 MB, is beside the page, where other pages find it, and not inside.
+        share: whether the script, of some 5 MB, is a file beside the page, for all pages of the folder.
 
     Raises:
         ImportError: plotly is missing.
@@ -121,7 +121,7 @@ def page(results: Sequence[Cleaned], beside: Path | None = None) -> str:
     return _PAGE.format(
         title=_text(results[0].recording.source.name or results[0].recording.name),
         script=script,
-        said="\n".join(f"<p>{_text(text)}</p>" for text in settings_lines(results)),
+        settings="\n".join(f"<p>{_text(text)}</p>" for text in settings_lines(results)),
         sections="\n".join(sections),
     )
 
@@ -139,9 +139,9 @@ def _table(results: Sequence[Cleaned], every: Sequence[dict[str, Any]]) -> str:
     return f'<div class="wide">{table}</div>\n' + "\n".join(f"<p>{line}</p>" for line in LEGEND)
 
 
-def _section(name: str, said: str, of: Chart, *, opened: bool) -> str:
+def _section(name: str, title: str, of: Chart, *, opened: bool) -> str:
     text = json.dumps(of._asdict(), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-    return _SECTION.format(name=name, opened=" open" if opened else "", said=_text(said), chart=text)
+    return _SECTION.format(name=name, opened=" open" if opened else "", title=_text(title), chart=text)
 
 
 def _text(of: Any) -> str:
@@ -169,13 +169,15 @@ def chart(cleaned: Cleaned) -> Chart:
     data += _innovations(track, 3 + (track.altitude is not None))
     data += _regimes(track, len(rows) + 1)
     layout = _layout(track.title) | _map_axes(track) | _time_axes(track, rows)
-    edge, _, said = beyond(track, *track.window)
+    edge, _, sentence = beyond(track, *track.window)
     layout["annotations"] = [_words(x, y, "\u25b2", RED) for x, y in edge[:_MOST_MARKS].tolist()] + [
         _words(middle * track.time[-1], 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
         for middle, row, kind in placed(track, _LETTERS)
     ]
-    if said:
-        layout["annotations"] += [_words(0.0, 1.0, said, RED) | {"xref": "paper", "yref": "paper", "xanchor": "left"}]
+    if sentence:
+        layout["annotations"] += [
+            _words(0.0, 1.0, sentence, RED) | {"xref": "paper", "yref": "paper", "xanchor": "left"}
+        ]
     layout["shapes"] = [
         {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
@@ -205,7 +207,7 @@ def _map(track: View, cleaned: Cleaned) -> list[dict[str, Any]]:
     row = np.char.add("row ", cleaned.row.astype(str))
     return [
         _scatter(1, *band.T, name=f"within {SURE:g} std", colour=PALE_BLUE, fill="toself", hoverinfo="skip"),
-        *(_flown(track, begin, end) for begin, end in track.shades),
+        *(_manoeuvre(track, begin, end) for begin, end in track.shades),
         _scatter(1, *track.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
         _scatter(1, *track.path.T, name="cleaned", colour=BLUE),
         _scatter(1, *track.recorded[rejected].T, name="rejected", colour=RED, marks=8, text=row[rejected].tolist(),
@@ -213,7 +215,7 @@ def _map(track: View, cleaned: Cleaned) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _flown(track: View, begin: float, end: float) -> dict[str, Any]:
+def _manoeuvre(track: View, begin: float, end: float) -> dict[str, Any]:
     """The path of a manoeuvre, wide and below the path."""
     part = track.path[(track.time >= begin) & (track.time <= end)]
     return _scatter(1, *part.T, colour=ORANGE, line={"color": ORANGE, "width": 6}, hoverinfo="skip")
@@ -235,13 +237,13 @@ def _band(track: View, band: Band, number: int) -> list[dict[str, Any]]:
 def _innovations(track: View, number: int) -> list[dict[str, Any]]:
     shown, known = np.minimum(track.innovation, MOST_STD), np.isfinite(track.innovation)
     rejected, high = track.rejected, track.innovation > MOST_STD
-    looks = (
+    styles = (
         (known & ~rejected & ~high, DARK, 3, "circle"), (known & rejected & ~high, RED, 6, "x-thin-open"),
         (known & ~rejected & high, DARK, 8, "triangle-up"), (known & rejected & high, RED, 8, "triangle-up"),
     )  # fmt: skip
     return [
         _scatter(number, track.time[mask], shown[mask], colour=colour, marks=size, symbol=symbol)
-        for mask, colour, size, symbol in looks
+        for mask, colour, size, symbol in styles
     ]
 
 
@@ -255,21 +257,21 @@ def _regimes(track: View, number: int) -> list[dict[str, Any]]:
 
 def _scatter(
     number: int, x: NDArray[np.float64], y: NDArray[np.float64], *, colour: str, name: str = "", marks: float = 0,
-    symbol: str = "circle", **others: Any,
+    symbol: str = "circle", **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """A line, or marks of some size, in the axes of a number; named ones are in the legend."""
-    look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 0 if "stackgroup" in others else 1.5}}
+    look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 0 if "stackgroup" in more else 1.5}}
     if marks:
         look = {"mode": "markers", "marker": {"color": colour, "size": marks, "symbol": symbol}}
     axis = "" if number == 1 else str(number)
     return {
         "type": "scatter", "x": _list(x), "y": _list(y), "xaxis": "x" if number == 1 else "x2", "yaxis": f"y{axis}",
-        "name": html.escape(printable(name, 50)), "showlegend": bool(name), **look, **others,
+        "name": html.escape(printable(name, 50)), "showlegend": bool(name), **look, **more,
     }  # fmt: skip
 
 
 def _list(values: NDArray[np.float64]) -> list[float | None]:
-    """Six digits are enough for a picture."""
+    """Values with seven digits, which suffice for a picture; None for NaN."""
     return [float(f"{v:.7g}") if np.isfinite(v) else None for v in values.tolist()]
 
 
@@ -295,7 +297,7 @@ def _map_axes(track: View) -> dict[str, Any]:
 
 
 def _time_axes(track: View, rows: Sequence[str]) -> dict[str, Any]:
-    """One time for all panels, the first on top."""
+    """A common axis of time for all panels, the first of which is on top."""
     high, gap = 1 / len(rows), 0.03
     axes: dict[str, Any] = {
         "xaxis2": {"domain": [0.55, 1], "range": [0, float(track.time[-1]) or 1.0], "title": {"text": track.clock},

@@ -1,4 +1,4 @@
-"""Which file holds which targets."""
+"""The output files, and the targets of each."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torchfra.readers import Recording
 from torchfra.tables import printable
 
 MOST_PICTURES = 20
-"""Targets of a file up to which each has a picture by default."""
+"""Largest number of targets that have a picture each by default."""
 _MOST_LISTED = 5
-"""Files that are listed by their names."""
+"""Largest number of files that are listed by their names."""
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
 """Names that no file can have on Windows, with any ending."""
 
@@ -27,7 +27,7 @@ class Plan(NamedTuple):
     tables: dict[Path, list[Recording]]
     """The targets of each table."""
     pictures: dict[Recording, Path]
-    """A picture of each target, or of none."""
+    """The picture of each target; empty without pictures."""
     overview: Path | None
     """A picture of several targets."""
 
@@ -45,7 +45,7 @@ def ending_of(out: Path, form: str | None) -> tuple[bool, str]:
     """Whether ``out`` is one file for all targets, and the ending of tables.
 
     Raises:
-        ValueError: a file of another format, a format that is not known, or one beside the name of a file.
+        ValueError: a file of another format, an unknown format, or a format beside the name of a file.
         ImportError: the package that writes the format is missing.
     """
     ending = "" if out.is_dir() else out.suffix.lower()
@@ -67,7 +67,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
             targets, and the overview.
 
     Raises:
-        ValueError: a format that does not go with the recordings.
+        ValueError: a format that does not fit the recordings.
     """
     one, ending = ending_of(out, form)
     check_format(ending, recordings)
@@ -84,7 +84,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
 
 
 def in_brief(paths: Sequence[Path]) -> str:
-    """The names of a few files; of many how many of each ending are in which folder."""
+    """The names of a few files; for many, the number of each ending in each folder."""
     if len(paths) <= _MOST_LISTED:
         return ", ".join(printable(str(path)) for path in paths)
     of_folder: dict[Path, Counter[str]] = {}
@@ -97,7 +97,7 @@ def in_brief(paths: Sequence[Path]) -> str:
 
 
 def unused(name: str, used: set[str]) -> str:
-    """A file name, without its ending, that no other target of this call has, not even where case does not count."""
+    """A file name, without its ending, that differs from those in ``used`` in more than case."""
     name = re.sub(r"[^\w.-]+", "_", name).encode()[:LONGEST_NAME].decode(errors="ignore").strip("_.") or "track"
     if name.split(".")[0].casefold() in _DEVICES:
         name = f"track-{name}"

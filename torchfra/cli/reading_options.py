@@ -1,4 +1,4 @@
-"""Options of the commands that read and clean tracks: which columns hold what, how they are written, what is known."""
+"""Options of the commands that read and clean tracks: columns, formats, and settings of cleaning."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def add_reading_options(add: Callable[..., object]) -> None:
 
 
 def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
-    """What the options say, as keywords of ``readers.read``."""
+    """The options as keywords of ``readers.read``."""
     return {name: getattr(options, name) for name in READING}
 
 
 def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES) -> None:
-    """Adds ``--max-bytes N`` by a parser's ``add_argument``; without a ``default`` one sees whether it was given."""
+    """Adds ``--max-bytes N`` by a parser's ``add_argument``; with None as ``default`` one sees whether it was given."""
     about = f"largest size of a file's text, unpacked, bytes; a row counts for 64 or more (default: {MAX_BYTES})"
     add("--max-bytes", type=int, default=default, metavar="N", help=about)
 
@@ -51,8 +51,8 @@ def add_cleaning_options(add: Callable[..., object]) -> None:
     """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
     add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: by the data)")
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
-        "(default: found from the data)")  # fmt: skip
-    add("--q", type=float, help="density of the process noise, m^2/s^3 (default: found from the data)")
+        "(default: estimated)")  # fmt: skip
+    add("--q", type=float, help="density of the process noise, m^2/s^3 (default: estimated)")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step: filter, do not smooth")
-    add("--no-repair", action="store_true", help="keep time stamps that seem to be off")
+    add("--no-repair", action="store_true", help="keep time stamps that seem to be wrong")
     add("--dt", type=float, metavar="S", help="also estimate every S seconds between the fixes")

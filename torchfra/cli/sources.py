@@ -1,4 +1,4 @@
-"""What a comparison is about: recorded tracks, a scenario by its name, or recorded ranges."""
+"""Sources of a comparison: recorded tracks, a scenario by its name, or recorded ranges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.cli.reading_options import READING, add_bound_option, add_reading_
 from torchfra.scenarios import Scenario
 
 RANGES = """Recorded ranges (--ranges) are folders, each and those below it one recording, or the files of one: ranges
-from anchors and the path that was taken.  The columns say what a file holds: t,range of one anchor (and x,y[,z], where
+from anchors and the reference path.  The columns determine what a file holds: t,range of one anchor (and x,y[,z], where
 it is), t,anchor,range of several, anchor,x,y[,z], or t,x,y[,z] of the path; metres, and seconds, or ms, us or ns since
 1970."""
 _TAKEN = {
@@ -21,12 +21,12 @@ _TAKEN = {
     "--scenario": ("outliers",),
     "--ranges": ("anchors", "reference", "height", "q", "dt", "max_bytes"),
 }
-"""Options that go with each source."""
+"""Options of each source."""
 _OPTIONS = tuple(dict.fromkeys(name for names in _TAKEN.values() for name in names))
 
 
 def add_source_options(add: Any) -> None:
-    """Adds the options that say what is tracked; their defaults are those of the scenarios."""
+    """Adds the options of the sources; their defaults are those of the scenarios."""
     q = "for files and ranges: variance of the change of acceleration that filters assume per step, m^2/s^4 (default: "
     add("files", metavar="FILE", type=Path, nargs="*")
     own = "or your own function that makes one: module:function, or file.py:function"
@@ -49,21 +49,21 @@ def add_source_options(add: Any) -> None:
 
 
 def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:
-    """What is tracked, and how many runs of it.
+    """The scenario, and the number of runs.
 
     Raises:
-        ValueError: not exactly one source, an option that does not go with it, or one that is out of its range.
+        ValueError: not exactly one source, an option that does not fit it, or one that is out of its range.
     """
-    given = {"files": options.files, "--scenario": options.scenario, "--ranges": options.ranges}
-    chosen = [source for source, value in given.items() if value]
+    sources = {"files": options.files, "--scenario": options.scenario, "--ranges": options.ranges}
+    chosen = [source for source, value in sources.items() if value]
     if len(chosen) != 1:
         received = " and ".join(chosen) or "none"
         raise ValueError(f"compare: expected one of files, --scenario and --ranges, received {received}")
     (source,) = chosen
     values = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
     for name in sorted(values.keys() - set(_TAKEN[source])):
-        sources = " or ".join(other for other, names in _TAKEN.items() if name in names)
-        raise ValueError(f"{name}: expected beside {sources}, received beside {source}")
+        expected = " or ".join(other for other, names in _TAKEN.items() if name in names)
+        raise ValueError(f"{name}: expected beside {expected}, received beside {source}")
     if source == "--scenario":
         make = load_scenario if is_place(options.scenario) else make_scenario
         scenario = make(options.scenario, **values)
@@ -89,8 +89,8 @@ def _recorded_ranges(
     found = [folder for path in folders for folder in readers.range_folders(path)]
     if reference is not None and len(found) > 1:
         raise ValueError(f"reference: expected one recording beside it, received {len(found)}")
-    sources: list[Path | list[Path]] = [*found] or [paths]
-    recordings = [readers.read_ranges(one, anchors=anchors, reference=reference, **bound) for one in sources]
+    each: list[Path | list[Path]] = [*found] or [paths]
+    recordings = [readers.read_ranges(one, anchors=anchors, reference=reference, **bound) for one in each]
     if runs is not None and runs > len(recordings):
         raise ValueError(f"runs: expected at most one for each of {len(recordings)} recordings, received {runs}")
     scenario = scenarios.recorded_ranges(recordings, **values)

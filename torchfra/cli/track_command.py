@@ -28,33 +28,33 @@ OpenSky among it), JSON, GPX, KML, TCX, VBOX, IGC, PLT, GeoJSON, NMEA 0183, .npy
 Columns are found by their names; the output states which were taken, and the options for reading name others."""
 
 _ABOUT = f"""Clean a recorded track: positions with their standard deviations, wrong fixes, and manoeuvres.
-Writes a table (and NAME.meta.json beside it, with all that belongs to no row) and a picture.
+Writes a table (and NAME.meta.json beside it, with metadata) and a picture.
 
 {FILES}"""
 
 _EXAMPLES = f"""examples:
-  torchfra track flight.csv                          # out/flight.csv and out/flight.png; the noise is found
+  torchfra track flight.csv                          # out/flight.csv and out/flight.png; the noise is estimated
   torchfra track flight.csv --out clean.parquet      # one table of all targets: {", ".join(outputs.FORMATS)}
   torchfra track flights.csv --format gpx            # out/NAME.gpx for each target
-  torchfra track walk.csv --sigma 5 --bank person    # known values need not be found
+  torchfra track walk.csv --sigma 5 --bank person    # known values are not estimated
   torchfra track log.csv --time when --lat breite --lon laenge --delimiter ";" --decimal ,
   torchfra track flight.csv --no-smooth --filter vsimm_srckf    # the estimates of a filter
   torchfra track flight.csv --dt 1 --html flight.html           # also every second, and an interactive page
 
 A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned
 position in the input's own coordinates, speed, course, climb, standard deviations along and across the course, the
-probability of an outlier, since when fixes are wrong and by how much, the probability of a manoeuvre, a flag, and the
-covariance."""
+probability of an outlier, the duration of consecutive outliers, the residual, the probability of a manoeuvre, a flag,
+and the covariance."""
 
 WORTHWHILE = 5_000
-"""Steps of the longest tracks that take an interpreted filter about as long as compiling it."""
+"""Steps of the longest track from which compiling saves time."""
 
 _LARGE = 1_000_000
-"""Bytes of a file from which on it may have work for several processes."""
+"""Bytes of a file from which on several processes may be useful."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
-    """Adds what the command is about, its options and its work to its parser."""
+    """Adds the description, the options and the function of the command to its parser."""
     command.description, command.epilog = _ABOUT, _EXAMPLES
     add = command.add_argument
     add("file", metavar="FILE", type=Path)
@@ -85,10 +85,10 @@ def add_to(command: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Runs the command; in the first process alone, which is enough for a file."""
+    """Runs the command, in the first process alone."""
     if distributed.rank():
         return
-    others = {"json": options.json, "html": options.html}
+    extra = {"json": options.json, "html": options.html}
     check_least(options, jobs=1)
     plans.ending_of(options.out, options.format)
     if options.html is not None:
@@ -96,8 +96,8 @@ def run(options: argparse.Namespace) -> None:
     if options.share_script:
         if options.html is None:
             raise ValueError("share-script: expected --html beside it, received none")
-        others["share-script"] = page.script_beside(options.html)
-    check_files(others, [options.file])
+        extra["share-script"] = page.script_beside(options.html)
+    check_files(extra, [options.file])
     check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
     options.jobs = options.jobs or cores()
     large = options.file.is_file() and options.file.stat().st_size > _LARGE
@@ -106,23 +106,23 @@ def run(options: argparse.Namespace) -> None:
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
-    check_files(others | {f"out, {path.name}": path for path in files.paths()}, [options.file])
+    check_files(extra | {f"out, {path.name}": path for path in files.paths()}, [options.file])
     if files.pictures or files.overview is not None:
-        import_module("torchfra.plotting")  # with matplotlib it takes long, as processes do to start: at the same time
+        import_module("torchfra.plotting")  # which takes long, while the processes start
     tell, _ = reporters(options.compile, options.quiet)
-    for said in dict.fromkeys(said for recording in recordings for said in recording.source.notes):
-        tell(printable(said))
+    for note in dict.fromkeys(note for recording in recordings for note in recording.source.notes):
+        tell(printable(note))
     failures = Failures()
     results = _cleaned(recordings, options, failures)
     if not results:
         failures.end()
-    _say(list(results.values()), tell)
+    _report(list(results.values()), tell)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
     if options.json is not None:
         with failures.of("json"):
             write_json(options.json, outputs.metadata(list(results.values()), _settings(options)))
-    written = [*files.paths(), *filter(None, others.values())]
+    written = [*files.paths(), *filter(None, extra.values())]
     tell(f"Written: {plans.in_brief([path for path in written if path.exists()])}")
     failures.end()
 
@@ -154,17 +154,17 @@ def _cleaned(
     return done
 
 
-def _say(results: Sequence[Cleaned], tell: Callable[[str], None]) -> None:
-    """What became of the tracks."""
-    said = outputs.sentences(results[0]) if len(results) == 1 else outputs.overview(results)
-    for line in (*outputs.settings_lines(results), *outputs.notes(results), *said):
+def _report(results: Sequence[Cleaned], tell: Callable[[str], None]) -> None:
+    """Prints the settings, the notes and the summary."""
+    summary = outputs.sentences(results[0]) if len(results) == 1 else outputs.overview(results)
+    for line in (*outputs.settings_lines(results), *outputs.notes(results), *summary):
         tell(line)
 
 
 def _write(
     results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
 ) -> None:
-    """The tables."""
+    """Writes the tables."""
     for path, recordings in progress_bar(files.tables.items(), "table", not options.quiet):
         of = [results[recording] for recording in recordings if recording in results]
         if not of:
@@ -185,9 +185,9 @@ def _check(cleaned: Cleaned) -> None:
 def _draw(
     results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
 ) -> None:
-    """The pictures and the page."""
+    """Writes the pictures and the page."""
     if files.pictures or files.overview is not None:
-        from torchfra import plotting  # matplotlib takes long to import, and not all need it
+        from torchfra import plotting  # matplotlib takes long to import
 
         for recording, path in progress_bar(files.pictures.items(), "picture", not options.quiet):
             if (cleaned := results.get(recording)) is not None:

@@ -1,4 +1,4 @@
-"""Filters compared as a paper would: intervals, paired tests, consistency, and how far the bound is."""
+"""Filters compared as a paper would: intervals, paired tests, consistency, and the Cramer-Rao bound."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.numbers import is_integer
 from torchfra.running.atomic_write import write, write_json
 from torchfra.running.pictures import picture_format
-from torchfra.scenarios import Bound, Scenario, Tracks, given
+from torchfra.scenarios import Bound, Scenario, Tracks, of_tracks
 from torchfra.scenarios import bound as bound_on
 from torchfra.tables import formed_table, significant, with_error
 
@@ -30,9 +30,9 @@ ERROR, LIKELIHOOD = "rmse_position", "log_likelihood"
 FORMS = {".txt": "text", ".csv": "csv", ".tex": "latex", ".md": "markdown"}
 """Forms of tables by the endings of files."""
 Cell = tuple[str, str]
-"""A value, and half the width of its interval; "" without one."""
+"""A value, and half the width of its confidence interval; "" without one."""
 MOST_FOR_BOUND = 500
-"""Runs that expectations of a bound are over at most."""
+"""Largest number of runs for the expectations of a bound."""
 
 
 def compare(
@@ -52,10 +52,10 @@ def compare(
 
     Args:
         filters: by any names, or names of the catalogue.
-        data: a scenario, or tracks of one's own; where no truth is known, measurements are compared by how likely each
-            filter held them to be.
-        runs: how many; None for 100 of a scenario, and each track once.
-        seed: of the random numbers; every filter sees the same runs.
+        data: a scenario, or tracks of the caller; without a truth, filters are compared by the log likelihood of the
+            measurements.
+        runs: number of runs; None for 100 of a scenario, and each track once.
+        seed: of the random numbers; every filter has the same runs.
         dt: seconds per step of ``Tracks``; a scenario has its own.
         limit: a run diverges when its position error, root mean square over time, is above this, m; None for that of
             the scenario, or one that follows its scale (``torchfra.evaluation.divergence_limit``).
@@ -106,13 +106,13 @@ def _check(
 
 
 def bound_of(scenario: Scenario, runs: int, seed: int) -> Bound | None:
-    """The bound of a scenario of so many runs; None where it is not known."""
+    """The Cramer-Rao bound of a scenario, from ``runs`` runs; None where it is unknown."""
     with torch.no_grad():
         return None if scenario.law is None else bound_on(scenario, runs=min(runs, MOST_FOR_BOUND), seed=seed)
 
 
 def _scenario(filters: Mapping[str, Filter] | Sequence[str], data: Scenario | Tracks, dt: float) -> Scenario:
-    """The data as a scenario; tracks get the models of the first filter."""
+    """The data as a scenario; that of tracks has the models of the first filter."""
     if isinstance(data, Scenario):
         return data
     if not isinstance(data, Tracks):
@@ -120,18 +120,18 @@ def _scenario(filters: Mapping[str, Filter] | Sequence[str], data: Scenario | Tr
     if not isinstance(filters, Mapping):
         raise ValueError("filters: expected filters by name with Tracks, which have no models for the catalogue's")
     first = next(iter(filters.values()))
-    return given(data, first.motion, first.sensor, dt=dt)
+    return of_tracks(data, first.motion, first.sensor, dt=dt)
 
 
 class Test(NamedTuple):
-    """Whether two filters are alike on the same runs."""
+    """A paired test of two filters on the same runs."""
 
     one: str
     other: str
     p: float
-    """Two-sided, of Wilcoxon's signed-rank test."""
+    """Two-sided p value of Wilcoxon's signed-rank test."""
     corrected: float
-    """By Holm's method, for all pairs."""
+    """The p value with Holm's correction for all pairs."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Comparison:
     results: dict[str, Result]
     """The figures of each filter, ``Result``."""
     metrics: Mapping[str, RunningMetrics]
-    """The metrics summed up in ``results``, with a number for each run."""
+    """The metrics behind ``results``, with a number for each run."""
     bound: Bound | None
     """Lower bound of the errors; None where it is not known."""
 
@@ -158,7 +158,7 @@ class Comparison:
         return ERROR if known else LIKELIHOOD
 
     def of_runs(self, name: str) -> Tensor:
-        """A number ``(runs,)`` for each run of a filter, by which it is compared: of several targets the mean."""
+        """The criterion ``(runs,)`` for each run of a filter; its mean over several targets."""
         values = self.metrics[name].runs(self.by)
         return values.view(self.runs, -1).mean(-1)
 
@@ -195,7 +195,7 @@ class Comparison:
             raise ValueError(f"filter: expected one of {', '.join(self.results)}, received {name!r}")
 
     def efficiency(self, name: str) -> float:
-        """The bound as a share of the error, both RMS over the runs and means over time; NaN without one.
+        """The bound divided by the error, both RMS over the runs and means over time; NaN without one.
 
         Raises:
             ValueError: a name that was not compared.
@@ -210,7 +210,7 @@ class Comparison:
         return bound.rmse(self.scenario.truth_position).nanmean().item()
 
     def table(self, form: str = "text") -> str:
-        """A line for each filter: means with 95 % intervals and so on; the best, and those as good, are bold.
+        """A line for each filter: means with 95 % intervals and so on; the best, and filters as good, are bold.
 
         Args:
             form: ``"text"``, ``"csv"``, in which half widths of intervals are columns of their own, ``"latex"``, for
@@ -236,8 +236,8 @@ class Comparison:
                 row[f"run RMSE {unit}"] = _cell(of[f"mean_track_rmse_{quantity}"])
                 if quantity == "position":
                     row["median run m"] = (significant(of["median_track_rmse_position"][0]), "")
-            lost = 100 * of["divergence_rate"]
-            row["diverged %"] = (significant(lost, 2) if lost else "0", "")
+            diverged = 100 * of["divergence_rate"]
+            row["diverged %"] = (significant(diverged, 2) if diverged else "0", "")
             row["ANEES"] = _cell(of["anees"])
         else:
             row["log likelihood"] = _cell(of["mean_log_likelihood"])
@@ -289,27 +289,27 @@ class Comparison:
     def caption(self) -> str:
         """The contents of the table, in sentences."""
         what = "RMSE of the position in a run" if self.by == ERROR else "log likelihood of a measurement"
-        said = [
+        sentences = [
             f"{self.scenario.name}: {self.runs} runs, seed {self.seed}",
             f"{what}: mean +- 95 % (Student)",
             f"p: against the best, Wilcoxon signed rank on the runs, Holm for {len(self._tests)} of them",
             *self._consistency(),
         ]
         if self.by == ERROR:
-            said.append(f"diverged: above {significant(self.results[self.best]['limit'])} m")
+            sentences.append(f"diverged: above {significant(self.results[self.best]['limit'])} m")
         if self.bound is not None and self.by == ERROR:
             least = significant(self._least(self.bound))
-            said.append(f"{self.bound}: {least} m, mean over time; in the table its share of the error")
-        return ". ".join(said) + "."
+            sentences.append(f"{self.bound}: {least} m, mean over time; in the table its share of the error")
+        return ". ".join(sentences) + "."
 
     def _consistency(self) -> list[str]:
         """The intervals of ANEES and ANIS of a consistent filter, in sentences."""
-        of, said = self.results[self.best], []
+        of, sentences = self.results[self.best], []
         for key, what in (("anees", "ANEES per component"), ("anis", "ANIS per element")):
             if key in of and not math.isnan(of[key][0]):
                 low, high = of[f"{key}_bounds"]
-                said.append(f"{what}: 1 of a consistent filter, of 95 % of its steps {low:.3f} to {high:.3f}")
-        return said
+                sentences.append(f"{what}: 1 of a consistent filter, of 95 % of its steps {low:.3f} to {high:.3f}")
+        return sentences
 
     def __str__(self) -> str:
         return f"{self.table()}\n" + "\n".join(self.caption().split(". "))

@@ -1,19 +1,19 @@
 """Monte-Carlo evaluation: runs of a scenario through filters, and what is written and printed of them."""
 
-from torchfra.evaluation.flights import Flight, flight
+from torchfra.evaluation.mapped_run import MappedRun, mapped_run
 from torchfra.evaluation.results import BASELINE, Result, headline, leaders, not_finite, recordings_table, report, table
 from torchfra.evaluation.runs import check_limit, divergence_limit, evaluate, measure, results_of, run
 
 __all__ = [
     "BASELINE",
-    "Flight",
+    "MappedRun",
     "Result",
     "check_limit",
     "divergence_limit",
     "evaluate",
-    "flight",
     "headline",
     "leaders",
+    "mapped_run",
     "measure",
     "not_finite",
     "recordings_table",

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from torchfra.cleaning.others import Fallback
+from torchfra.cleaning.catalogue_filters import Fallback
 from torchfra.filters import Filter
 from torchfra.motion.bank import Bank
 from torchfra.running.progress import progress_bar
@@ -27,9 +27,8 @@ def compiled(
 
     Args:
         filters: by name.
-        first_call: calls a filter in the way it will be called, so that its kernel is made.
-        fallback: called for each filter that has no kernel, which is then returned as it is; with None one without a
-            kernel raises the error.
+        first_call: calls a filter as later calls do, which compiles its kernel.
+        fallback: called for each filter without a kernel, which is then returned as it is; None raises the error.
         progress: whether to show a bar.
 
     Raises:
@@ -47,7 +46,7 @@ def compiled(
             return error
         return g
 
-    order = sorted(filters, key=lambda name: not isinstance(filters[name].motion, Bank))  # what takes longest first
+    order = sorted(filters, key=lambda name: not isinstance(filters[name].motion, Bank))  # the slowest to compile first
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         made = pool.map(attempt, [filters[name] for name in order])
         try:

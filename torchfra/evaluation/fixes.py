@@ -1,4 +1,4 @@
-"""Positions that measurements imply, and errors of measurements, which a map shows beside the estimates."""
+"""Positions that measurements imply, and errors of measurements, for maps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchfra.sensors.base import Sensor
 
 _ITERATIONS = 40
 _CONVERGED = 1e-6
-"""Metres, and as much of a fix's distance from the truth, that the last iteration may move it."""
+"""Largest step of the last iteration: m, and a share of the fix's distance from the truth."""
 _PARALLEL = 1e-6
 """Smallest ratio of the weakest measured direction to the strongest: parallel lines of sight give no fix."""
 
@@ -37,10 +37,10 @@ def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
         there = x.index_add(-1, torch.tensor(places), share * step)
         closer = _distance(sensor, z, there, u) <= _distance(sensor, z, x, u)
         x, share = torch.where(closer, there, x), torch.where(closer, (2 * share).clamp(max=1.0), share / 4)
-    off = (x - truth)[..., places]
+    offset = (x - truth)[..., places]
     strength = torch.linalg.svdvals(slope.nan_to_num())
     crossing = strength[..., len(places) - 1 :].amax(-1) > _PARALLEL * strength[..., 0]
-    converged = step.norm(dim=-1) <= _CONVERGED * (1 + off.norm(dim=-1))
+    converged = step.norm(dim=-1) <= _CONVERGED * (1 + offset.norm(dim=-1))
     measured = (~z.isnan()).sum(-1) >= len(places)
     return torch.where((measured & crossing & converged).unsqueeze(-1), x[..., places], torch.nan).unsqueeze(2)
 
@@ -48,7 +48,7 @@ def fixes(scenario: Scenario, tracks: Tracks) -> Tensor:
 def deviations(scenario: Scenario, tracks: Tracks) -> Tensor:
     """Largest error among the elements of each measurement, ``(B, T, J)``.
 
-    In standard deviations, as the sensor states them.  0 where nothing was measured or the truth is not known, and
+    In standard deviations, as the sensor states them.  0 where nothing was measured or the truth is unknown, and
     where filters have other coordinates than the truth.
     """
     if scenario.conversion is not None:
@@ -73,6 +73,6 @@ def _distance(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None) -> Tensor:
 
 
 def _residual(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None) -> Tensor:
-    """Measured minus that of states ``x``, in standard deviations, ``(..., m)``; 0 where missing."""
+    """Residual of the measurement at states ``x``, in standard deviations, ``(..., m)``; 0 where missing."""
     gap = torch.where(z.isnan(), 0.0, sensor.difference(z, sensor(x, u)))
     return sensor.measurement_noise(z).whiten(gap.unsqueeze(-1)).squeeze(-1)

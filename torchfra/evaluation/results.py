@@ -1,4 +1,4 @@
-"""Results of an evaluation: what a file holds, and tables as text."""
+"""Results of an evaluation: the contents of a file, and tables as text."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _COLUMNS = (
     ("RMSE m/s", "mean_rmse_velocity", 2),
     ("median m", "median_error_position", 1),
     ("worst run m", "worst_track", 0),
-    ("lost", "diverged", 0),
+    ("diverged", "diverged", 0),
     ("NEES", "nees_position", 2),
     ("us/step", "microseconds", 2),
 )
@@ -44,7 +44,7 @@ _COLUMNS = (
 _POSITION = ("mean_rmse_position", "median_error_position", "worst_track")
 """Columns in metres."""
 _MEANS = ("mean_rmse_position", "mean_rmse_velocity", "worst_track")
-"""Columns that are left out where a run is lost far away, whose errors outweigh all others."""
+"""Columns that are left out where the errors of diverged runs outweigh all others."""
 
 
 def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: int) -> dict[str, Any]:
@@ -68,9 +68,9 @@ def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: i
 
 
 def table(results: dict[str, Result], *, every: bool = True) -> str:
-    """The results as text, one line per filter, with what its name stands for.
+    """The results as text, one line per filter, with a description of it.
 
-    Where runs were lost so far away that the mean error is above the limit, the means are left out.
+    Where runs diverged so far that the mean error is above the limit, the means are left out.
 
     Args:
         results: by the names of filters.
@@ -100,7 +100,7 @@ def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
         scenario: with ``recordings``.
     """
     runs = len(next(iter(results.values()))["rmse_of_runs"])
-    repairs: Any = scenario.settings.get("repairs", [{}] * runs)  # nobody has repaired tracks of one's own
+    repairs: Any = scenario.settings.get("repairs", [{}] * runs)  # tracks of the caller have no repairs
     named = zip(scenario.recordings[:runs], repairs, strict=False)
     lines = [
         f"{number}: {printable(name)}" + (f"; repairs: {in_words(of)}" if of else "")
@@ -112,7 +112,7 @@ def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
          f"{of['diverged']}", f"{of['nees_position']:.2f}", f"{of['microseconds']:.2f}"]
         for name, of in results.items()
     ]  # fmt: skip
-    header = ["RMSE m", *map(str, range(1, runs + 1)), "mean", "median m", "lost", "NEES", "us/step"]
+    header = ["RMSE m", *map(str, range(1, runs + 1)), "mean", "median m", "diverged", "NEES", "us/step"]
     return "\n".join([*lines, text_table(header, rows)])
 
 
@@ -135,8 +135,10 @@ def families(results: dict[str, Result]) -> dict[str, tuple[str, ...]]:
 def headline(results: dict[str, Result], runs: int) -> str:
     """A sentence with the error of the first filter, of the best of the others and of the plain one."""
     first, *others = results
-    lost = results[first]["diverged"]
-    words = f"{first}: {_metres(results[first])}, " + (f"{lost} of {runs} runs lost" if lost else "no run lost")
+    diverged = results[first]["diverged"]
+    words = f"{first}: {_metres(results[first])}, " + (
+        f"{diverged} of {runs} runs diverged" if diverged else "no run diverged"
+    )
     best = min(others, key=lambda name: infinite(results[name]["mean_rmse_position"]), default=None)
     if best is not None:
         words += f"; best of the others: {best}, {_metres(results[best])}"
@@ -166,9 +168,9 @@ def _decimals(results: dict[str, Result], key: str, least: int) -> int:
 
 
 def leaders(results: dict[str, Result], most: int = 5) -> list[str]:
-    """The filters to look at first, at most ``most``.
+    """The most informative filters, at most ``most``.
 
-    They are the first one, the plain baseline, those that are none of the catalogue's (learned values, say), and the
+    They are the first one, the plain baseline, those that are not in the catalogue (learned values, say), and the
     best of the others by ``mean_rmse_position``, but none whose errors over time are those of one before it.
     """
     own = [name for name in results if name not in FILTERS]

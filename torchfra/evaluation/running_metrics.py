@@ -14,13 +14,13 @@ from torchfra.metrics.statistics import chi_square_bounds, mean_interval, median
 from torchfra.types import Estimate
 
 _DROPPED = 42
-"""Bits of a double's mantissa that the bins of a median do not tell apart: ten remain, 0.1 % from edge to edge."""
+"""Lowest bits of a double's mantissa that the bins of a median ignore: ten remain, 0.1 % from edge to edge."""
 
 
 class RunningMedian:
-    """Median of values of 0 or more that come in batches, to 0.05 %; NaN does not count.
+    """Median of nonnegative values in batches, to 0.05 %; NaN does not count.
 
-    A histogram: as doubles that are not negative are ordered like their bits, the leading bits are a bin.
+    It is that of a histogram: nonnegative doubles are ordered like their bits, of which the leading ones are the bin.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class RunningMedian:
         self.counts.index_add_(0, bins, torch.ones_like(bins))
 
     def merge(self, other: RunningMedian) -> None:
-        """Adds the values that another has."""
+        """Adds the values of another median."""
         self.counts += other.counts
 
     def __call__(self) -> float:
@@ -52,7 +52,7 @@ class RunningMedian:
 
 
 def _quantiles(track_rmse: Tensor) -> dict[str, float]:
-    """Errors of single tracks by their rank, so that infinite ones need no mean; tracks without truth do not count."""
+    """Quantiles of the errors of single tracks, without interpolation; tracks without truth do not count."""
     ordered = track_rmse[~track_rmse.isnan()].sort().values
     ranks = {"p05_track_rmse": 0.05, "median_track_rmse": 0.5, "p95_track_rmse": 0.95, "worst_track": 1.0}
     if not len(ordered):
@@ -61,11 +61,11 @@ def _quantiles(track_rmse: Tensor) -> dict[str, float]:
 
 
 FLOOR = 100.0
-"""Coordinates below count as this in relative errors, m."""
+"""Least denominator of a relative error of a coordinate, m."""
 
 
 class RunningMetrics:
-    """Errors of one filter and the time it took.
+    """Errors and run time of one filter.
 
     Args:
         states: components of the state by name, ``"position"`` among them.
@@ -74,8 +74,8 @@ class RunningMetrics:
     def __init__(self, states: Mapping[str, slice]) -> None:
         self.states = states
         self.sums: dict[str, Tensor] = {}
-        """Sums over the tracks ``(T,)``: ``square_position`` and so on, of squared errors, and ``count_position``, how
-        many these are; ``nees`` and ``nis``, and ``nees_components`` and so on, of how many components these are.  By
+        """Sums over the tracks ``(T,)``: ``square_position`` and so on, of squared errors, with their number
+        ``count_position``; ``nees`` and ``nis``, with their numbers of components ``nees_components`` and so on.  By
         coordinate ``(T, d)``: ``error``, ``square`` and ``share``; by model ``(T, K)``: ``probabilities``."""
         self.of_runs: dict[str, list[Tensor]] = {}
         """A number for each track: ``rmse_position`` and so on (over time), ``nees`` per component, ``nis`` per element
@@ -89,8 +89,8 @@ class RunningMetrics:
         Args:
             estimate: ``(B, T, n)``, or of several targets ``(B, N, T, n)``.
             truth: as the estimate, ``(B, T, n)`` or ``(B, N, T, n)``.
-            seconds: that filtering took.
-            z: the measurements ``(B, T, m)``; None for no figures of innovations, of scans say.
+            seconds: run time.
+            z: the measurements ``(B, T, m)``; None for scans, without figures of innovations.
         """
         if truth.dim() > 3:
             mean, root = estimate.mean.flatten(0, -3), estimate.scale_tril.flatten(0, -4)
@@ -114,13 +114,13 @@ class RunningMetrics:
         self.nees.add(nees)
         self._add_squares("nees", nees, (~nees.isnan()) * truth[..., states].shape[-1])
         if z is not None:
-            seen = (~z.isnan()).sum(-1) * ~estimate.nis.isnan()
-            self._add_squares("nis", estimate.nis, seen)
-            steps = (seen > 0).sum(-1)
-            self._keep("log_likelihood", torch.where(seen > 0, estimate.log_likelihood, 0.0).sum(-1) / steps)
+            measured = (~z.isnan()).sum(-1) * ~estimate.nis.isnan()
+            self._add_squares("nis", estimate.nis, measured)
+            steps = (measured > 0).sum(-1)
+            self._keep("log_likelihood", torch.where(measured > 0, estimate.log_likelihood, 0.0).sum(-1) / steps)
 
     def _add_squares(self, name: str, squares: Tensor, components: Tensor) -> None:
-        """Adds normalised squares ``(B, T)``, each of so many components."""
+        """Adds normalised squares ``(B, T)`` with their numbers of components."""
         known = torch.where(components > 0, squares, 0.0)
         self._keep(name, known.sum(-1) / components.sum(-1))
         self._sum(name, known.sum(0))
@@ -133,7 +133,7 @@ class RunningMetrics:
         self.of_runs.setdefault(name, []).append(values)
 
     def _add_coordinates(self, estimate: Estimate, truth: Tensor) -> None:
-        """Adds errors of each coordinate of the position, and the probabilities of interacting models."""
+        """Adds errors of each coordinate of the position, and the probabilities of models or regimes."""
         gap = estimate.mean[..., self.states["position"]] - truth
         gap = torch.where(gap.isnan() & ~truth.isnan(), torch.inf, gap)  # NaN in an estimate is an infinite error
         more = {"error": gap, "square": gap.square(), "share": gap.abs() / truth.abs().clamp_min(FLOOR)}
@@ -143,7 +143,7 @@ class RunningMetrics:
             self._sum(name, values.nansum(0))
 
     def merge(self, other: RunningMetrics) -> None:
-        """Adds the tracks that another has."""
+        """Adds the tracks of other metrics."""
         for name, total in other.sums.items():
             self._sum(name, total)
         for name, values in other.of_runs.items():
@@ -153,11 +153,11 @@ class RunningMetrics:
         self.seconds += other.seconds
 
     def runs(self, name: str) -> Tensor:
-        """A number for each track, in the order in which they came: see ``of_runs``."""
+        """A number for each track, in the order of ``add``: see ``of_runs``."""
         return torch.cat(self.of_runs[name])
 
     def errors(self) -> Tensor:
-        """Position errors of all tracks, root mean square over time, in the order in which they came."""
+        """Position errors of all tracks, root mean square over time, in the order of ``add``."""
         return self.runs("rmse_position")
 
     def summary(self, limit: float) -> dict[str, Any]:
@@ -218,7 +218,7 @@ class RunningMetrics:
 
 
 def _consistency(name: str, squares: Tensor, components: Tensor) -> dict[str, Any]:
-    """The bounds of the step with the most components, and how many steps are within their own."""
+    """The bounds of the step with the most components, and the share of steps within their own bounds."""
     known = components > 0
     if not bool(known.any()):
         return {f"{name}_bounds": [torch.nan, torch.nan], f"{name}_inside": torch.nan}

@@ -1,4 +1,4 @@
-"""Many runs of a scenario through many filters: one dictionary of figures for each."""
+"""Monte-Carlo runs of a scenario through filters: a dictionary of figures for each filter."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.catalogue import reference_filter, scenario_filters
-from torchfra.cleaning.others import Fallback
+from torchfra.cleaning.catalogue_filters import Fallback
 from torchfra.evaluation.compiling import compiled
 from torchfra.evaluation.fixes import fixes
 from torchfra.evaluation.results import Result
@@ -29,7 +29,7 @@ _FIRST = 5
 _DIVERGED = 10.0
 """A run has diverged if its error exceeds this multiple of the error of positions from single measurements."""
 _SAMPLED_RUNS = 32
-"""Number of runs from which the errors of such positions are taken."""
+"""Largest number of runs that determine this error."""
 
 
 def evaluate(
@@ -48,8 +48,8 @@ def evaluate(
     Args:
         scenario: what is tracked.
         filters: names of ``catalogue.FILTERS``, or filters by any names.
-        runs: how many.
-        seed: of the random numbers; every filter sees the same runs.
+        runs: number of runs.
+        seed: of the random numbers; every filter has the same runs.
         limit: a run diverges when its position error, root mean square over time, is above this, m; None for
             ``scenario.limit``, and where that is None for ``divergence_limit``.
         chunk: runs that are filtered at once; bounds the memory, which does not grow with ``runs`` except one number
@@ -81,7 +81,7 @@ def measure(
     progress: bool = False,
     reference: bool = True,
 ) -> dict[str, RunningMetrics]:
-    """Metrics of the filters, and of the reference for run times, with an error per run; ``evaluate`` sums them up.
+    """Metrics of the filters, and of the reference for run times, with an error per run, which ``evaluate`` summarises.
 
     Arguments and errors are those of ``evaluate``, and two more.  With a ``fallback`` a filter that cannot be compiled
     runs interpreted, after a call with its name and the reason; ``reference`` is whether the reference runs too.
@@ -103,7 +103,7 @@ def results_of(
     runs: int,
     limit: float | None = None,
 ) -> dict[str, Result]:
-    """The ``Result`` of each named filter, from what ``measure`` returned of so many runs.
+    """The ``Result`` of each named filter, from the metrics of ``measure`` for ``runs`` runs.
 
     Other arguments are those of ``evaluate``.
     """
@@ -141,11 +141,11 @@ def _accumulate(
     metrics = {name: RunningMetrics(scenario.quantities) for name in filters}
     with torch.no_grad():
         first_call = scenario.simulate(min(len(share), chunk), seed)
-        for f in filters.values():  # not timed: it allocates memory, and gets compiled filters ready for tracks so long
+        for f in filters.values():  # not timed: it allocates memory, and compiles filters for tracks of this length
             run(f, scenario, _beginning(first_call) if f.engine is INTERPRETED else first_call)
         for first in progress_bar(share[::chunk], f"{chunk} runs", progress):
             tracks = scenario.simulate(min(chunk, share.stop - first), seed, first=first)
-            z = tracks.z if tracks.z.dim() == 3 else None  # innovations of scans are of no measurement alone
+            z = tracks.z if tracks.z.dim() == 3 else None  # an innovation of a scan belongs to several measurements
             for name, f in filters.items():
                 start = time.perf_counter()
                 estimate, seconds = run(f, scenario, tracks), time.perf_counter() - start
@@ -155,7 +155,7 @@ def _accumulate(
 
 
 def _beginning(tracks: Tracks) -> Tracks:
-    """The first steps, each of which an interpreted filter computes as it computes all others."""
+    """The first steps: enough for an interpreted filter."""
     u = tracks.u if tracks.u is None else tracks.u[..., :_FIRST, :]
     return tracks._replace(truth=tracks.truth[..., :_FIRST, :], z=tracks.z[:, :_FIRST], u=u)
 
@@ -173,7 +173,7 @@ def _merged(metrics: dict[str, RunningMetrics]) -> dict[str, RunningMetrics]:
 
 
 def check_limit(limit: float | None) -> None:
-    """Checks a limit that a user gave; None means that none was given.
+    """Checks the limit of a user; None for none.
 
     Raises:
         ValueError: no number above 0.

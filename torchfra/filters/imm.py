@@ -64,9 +64,9 @@ class IMM(Filter[IMMState]):
         inner: a filter around a ``Bank`` of K motions; a copy of it runs all K in one batched call.
         transition: ``(K, K)``, ``transition[i, j] = P(now j | was i)``, rows that sum to one; it learns as
             ``transition``, row by row on the simplex.
-        stay: instead of ``transition``, for two models or more: the self-transition probability of every model, from
-            ``1 / K`` to below 1; a model switches to the others with equal probability.  It learns as ``stay``, one
-            number.  The more models there are, the more time it saves.
+        self_transition: instead of ``transition``, for two models or more: the self-transition probability of every
+            model, from ``1 / K`` to below 1; a model switches to the others with equal probability.  It learns as
+            ``self_transition``, one number.  The more models there are, the more time it saves.
         durations: instead of probabilities of a step, whatever its ``dt``: mean sojourn time of a model, s, one number
             for all or ``(K,)``.  The Markov chain is then one in continuous time, ``exp(G dt)`` over a step.  A model
             switches to the others with equal probability, or by the ``transition`` beside it, whose diagonal is 0.
@@ -84,10 +84,10 @@ class IMM(Filter[IMMState]):
     ``log_likelihood`` is that of their mixture.
 
     Raises:
-        ValueError: no bank, or a filter that takes no ``mix`` (``GPB``, ``IMM``); ``transition`` and ``stay`` both or
-            neither (``stay`` and ``durations`` both), a matrix that is no transition, a model that can never be
-            reached, a ``stay`` or a duration out of its range; a subset of other models, or beside arguments that it
-            excludes.
+        ValueError: no bank, or a filter that takes no ``mix`` (``GPB``, ``IMM``); ``transition`` and
+            ``self_transition`` both or neither (``self_transition`` and ``durations`` both), a matrix that is no
+            transition, a model that can never be reached, a ``self_transition`` or a duration out of its range; a
+            subset of other models, or beside arguments that it excludes.
 
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
@@ -95,14 +95,14 @@ class IMM(Filter[IMMState]):
     keeps_past = True
 
     transition: Hyper | None
-    """None if ``stay`` or ``durations`` alone was given."""
-    stay: Hyper | None
+    """None if ``self_transition`` or ``durations`` alone was given."""
+    self_transition: Hyper | None
     """None if ``transition`` or ``durations`` was given."""
     durations: Hyper | None
     """None if probabilities of a step were given."""
 
     def __init__(
-        self, inner: Filter, *, transition: Value | None = None, stay: Value | None = None,
+        self, inner: Filter, *, transition: Value | None = None, self_transition: Value | None = None,
         durations: Value | None = None, initial: Value | None = None, subset: LikelyModels | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
@@ -116,11 +116,11 @@ class IMM(Filter[IMMState]):
                 for hyper in hypers(part).values():
                     hyper.shared_dims = 1  # all models share the values of their track
         count = len(self.motion)
-        if durations is not None and stay is not None:
-            raise ValueError("stay, durations: expected one of the two, received both")
-        if durations is None and (transition is None) == (stay is None):
-            received = "neither" if stay is None else "both"
-            raise ValueError(f"transition, stay: expected one of the two, received {received}")
+        if durations is not None and self_transition is not None:
+            raise ValueError("self_transition, durations: expected one of the two, received both")
+        if durations is None and (transition is None) == (self_transition is None):
+            received = "neither" if self_transition is None else "both"
+            raise ValueError(f"transition, self_transition: expected one of the two, received {received}")
         if subset is not None:
             subset.check(self.motion, transition if durations is None else _reachable(count, transition), initial)
         initial = as_numbers([1 / count] * count if initial is None else initial, "initial")
@@ -129,7 +129,7 @@ class IMM(Filter[IMMState]):
         self.transition = None
         if transition is not None:
             self.transition = _as_transition(count, transition, zero_diagonal=durations is not None)
-        self.stay = None if stay is None else _as_stay(count, stay)
+        self.self_transition = None if self_transition is None else _as_self_transition(count, self_transition)
         self.durations = None if durations is None else _as_durations(count, durations)
         self.initial = None if subset else Hyper(initial.double(), constraints.simplex, event_dim=1, name="initial")
         self.subset = subset
@@ -196,8 +196,8 @@ class IMM(Filter[IMMState]):
     def restart_probability(self, dt: Tensor) -> Tensor | None:
         """``e (...)`` of a transition ``(1 - e) I + e / K`` over ``dt (...)`` seconds; None if it has not this form."""
         count = len(self.motion)
-        if self.stay is not None:
-            return torch.where(dt == 0, 0.0, (1 - self.stay()) * count / (count - 1))
+        if self.self_transition is not None:
+            return torch.where(dt == 0, 0.0, (1 - self.self_transition()) * count / (count - 1))
         if self.durations is None or self.durations.event_dim or self.transition is not None:
             return None
         return -torch.expm1(-dt / self.durations() * (count / (count - 1)))
@@ -210,10 +210,10 @@ class IMM(Filter[IMMState]):
         if self.transition is not None:
             return self.transition(like)  # type: ignore[no-any-return]
         count = len(self.motion)
-        stay = torch.zeros(1, 1, dtype=torch.float64) if self.stay is None else self.stay()[..., None, None]
-        stay = stay if like is None else stay.to(like.device)
-        same = torch.eye(count, dtype=torch.bool, device=stay.device)
-        matrix = torch.where(same, stay, (1 - stay) / (count - 1))
+        diagonal = torch.zeros((), dtype=torch.float64) if self.self_transition is None else self.self_transition()
+        diagonal = (diagonal if like is None else diagonal.to(like.device))[..., None, None]
+        same = torch.eye(count, dtype=torch.bool, device=diagonal.device)
+        matrix = torch.where(same, diagonal, (1 - diagonal) / (count - 1))
         return matrix if like is None else matrix.to(like)
 
     def probabilities(self, like: Tensor, dt: Tensor) -> Tensor:
@@ -232,21 +232,21 @@ class IMM(Filter[IMMState]):
             return identity_at_zero_dt(self.matrix(like).log(), dt)
         return safe_log(self.probabilities(like, dt))
 
-    def stay_to_transition(self) -> None:
-        """Replaces ``stay``, if there is one, by the same ``transition``, whose rows can learn."""
-        if self.stay is not None:
-            shared, self.stay.shared_dims = self.stay.shared_dims, 0
+    def use_matrix(self) -> None:
+        """Replaces ``self_transition``, if there is one, by the same ``transition``, whose rows can learn."""
+        if self.self_transition is not None:
+            shared, self.self_transition.shared_dims = self.self_transition.shared_dims, 0
             self.transition = _as_transition(len(self.motion), self.matrix().detach())
-            self.transition.shared_dims, self.stay = shared, None
+            self.transition.shared_dims, self.self_transition = shared, None
 
     def provide(self, names: Collection[str]) -> None:
-        """Replaces ``stay`` by a ``transition`` if that is among the names."""
+        """Replaces ``self_transition`` by a ``transition`` if that is among the names."""
         if "transition" in names:
-            self.stay_to_transition()
+            self.use_matrix()
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
         if f"{prefix}transition.raw" in state_dict:
-            self.stay_to_transition()
+            self.use_matrix()
         super()._load_from_state_dict(state_dict, prefix, *args)
 
     def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
@@ -345,12 +345,12 @@ def _as_durations(count: int, value: Value) -> Hyper:
     return sojourn_times(value, min(value.dim(), 1), "durations")
 
 
-def _as_stay(count: int, value: Value) -> Hyper:
+def _as_self_transition(count: int, value: Value) -> Hyper:
     """The self-transition probability of ``count`` models as a hyperparameter.
 
     Raises:
         ValueError: a single model, or a value out of its range.
     """
     if count < 2:
-        raise ValueError(f"stay: expected None for a single model, received {value}")
-    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="stay")
+        raise ValueError(f"self_transition: expected None for a single model, received {value}")
+    return Hyper(value, constraints.half_open_interval(1 / count, 1.0), name="self_transition")

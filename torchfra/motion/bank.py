@@ -201,7 +201,7 @@ class Embedded(Motion):
         return self.into.to(dt) @ self.inside.process_noise(dt)
 
 
-def aircraft(q: Value = 4.0, dims: int = 2, *, spectral: bool = False) -> Bank:
+def aircraft(q: Value = 4.0, dims: int = 2, *, continuous: bool = False) -> Bank:
     """Seven motions for aircraft and gliders: straight on, accelerating, turns of 3 and 12 deg/s to both sides.
 
     The current statistical model, of up to 1 g, covers all manoeuvres that the other motions do not describe.  In
@@ -210,36 +210,36 @@ def aircraft(q: Value = 4.0, dims: int = 2, *, spectral: bool = False) -> Bank:
     Args:
         q: variance of the acceleration noise, m^2/s^4; straight flight has a fortieth.
         dims: dimensions of space.
-        spectral: whether ``q`` is the density of white noise, m^2/s^3; that of the jerk is a hundredth, m^2/s^5.
+        continuous: whether ``q`` is the density of white noise, m^2/s^3; that of the jerk is a hundredth, m^2/s^5.
     """
-    return _manoeuvring((3.0, 12.0), 9.8, q, dims, spectral)
+    return _manoeuvring((3.0, 12.0), 9.8, q, dims, continuous)
 
 
-def ships(q: Value = 0.01, dims: int = 2, *, spectral: bool = False) -> Bank:
+def ships(q: Value = 0.01, dims: int = 2, *, continuous: bool = False) -> Bank:
     """The motions of ``aircraft`` for ships: turns of 0.5 and 2 deg/s, up to 0.5 m/s^2."""
-    return _manoeuvring((0.5, 2.0), 0.5, q, dims, spectral)
+    return _manoeuvring((0.5, 2.0), 0.5, q, dims, continuous)
 
 
-def vehicles(q: Value = 2.0, dims: int = 2, *, spectral: bool = False) -> Bank:
+def vehicles(q: Value = 2.0, dims: int = 2, *, continuous: bool = False) -> Bank:
     """The motions of ``aircraft`` for vehicles and drones: turns of 8 and 25 deg/s, up to 6 m/s^2."""
-    return _manoeuvring((8.0, 25.0), 6.0, q, dims, spectral)
+    return _manoeuvring((8.0, 25.0), 6.0, q, dims, continuous)
 
 
-def people(q: Value = 0.5, dims: int = 2, *, spectral: bool = False) -> Bank:
+def people(q: Value = 0.5, dims: int = 2, *, continuous: bool = False) -> Bank:
     """The motions of ``aircraft`` for people: turns of 20 and 60 deg/s, up to 3 m/s^2."""
-    return _manoeuvring((20.0, 60.0), 3.0, q, dims, spectral)
+    return _manoeuvring((20.0, 60.0), 3.0, q, dims, continuous)
 
 
-def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, spectral: bool) -> Bank:
+def _manoeuvring(rates: Sequence[float], limit: float, q: Value, dims: int, continuous: bool) -> Bank:
     """Seven motions: turns at two ``rates``, deg/s, to both sides, and accelerations up to a ``limit``, m/s^2."""
     turns = [
-        CoordinatedTurn(math.radians(side * rate), q, dims, orders=3, spectral=spectral)
+        CoordinatedTurn(math.radians(side * rate), q, dims, orders=3, continuous=continuous)
         for rate in rates
         for side in (1, -1)
     ]
     models = [
-        ConstantVelocity(q / 40, dims, orders=3, spectral=spectral),
-        ConstantAcceleration(q / 100 if spectral else q, dims, spectral=spectral),
+        ConstantVelocity(q / 40, dims, orders=3, continuous=continuous),
+        ConstantAcceleration(q / 100 if continuous else q, dims, continuous=continuous),
         CurrentStatistical(1 / 20, limit, dims=dims),
         *turns,
     ]

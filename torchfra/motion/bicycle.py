@@ -28,10 +28,10 @@ class Bicycle(Motion):
 
     Args:
         wheelbase: distance between the axles, m.
-        q: variance of the acceleration along the path, m^2/s^4; with ``spectral`` its density, m^2/s^3.
-        steer: variance of the steering rate, rad^2/s^2; with ``spectral`` its density, rad^2/s.
+        q: variance of the acceleration along the path, m^2/s^4; with ``continuous`` its density, m^2/s^3.
+        steer: variance of the steering rate, rad^2/s^2; with ``continuous`` its density, rad^2/s.
         rear: distance of the state's position in front of the rear axle, m.
-        spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
+        continuous: whether both are white noise in time, so that two short steps are the same as a long one, and not
             constant over each step.
 
     Raises:
@@ -41,7 +41,9 @@ class Bicycle(Motion):
     Control Design", eq. (1).  The noise is derived here.
     """
 
-    def __init__(self, wheelbase: Value, q: Value, steer: Value, *, rear: float = 0.0, spectral: bool = False) -> None:
+    def __init__(
+        self, wheelbase: Value, q: Value, steer: Value, *, rear: float = 0.0, continuous: bool = False
+    ) -> None:
         if not 0 <= as_number(rear) < math.inf:
             raise ValueError(f"rear: expected finite metres, 0 or more, received {rear!r}")
         super().__init__(
@@ -51,7 +53,7 @@ class Bicycle(Motion):
         )  # fmt: skip
         self.wheelbase = Hyper(wheelbase, name="wheelbase")
         self.steer = Hyper(steer, constraints.nonnegative, name="steer")
-        self.rear, self.spectral = float(rear), spectral
+        self.rear, self.continuous = float(rear), continuous
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 5)`` after ``dt (...)`` seconds, without process noise."""
@@ -91,7 +93,7 @@ class Bicycle(Motion):
             return torch.stack([torch.cat(by_speed, -1), torch.cat(by_steering, -1)], -1)
 
         variances = torch.stack(torch.broadcast_tensors(self.q(mean), self.steer(mean)), -1)
-        return driven(response, dt, variances, spectral=self.spectral)
+        return driven(response, dt, variances, continuous=self.continuous)
 
     def _rolls(self, steering: Tensor, wheelbase: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Curvature of the path, 1/m, its slip angle to the heading, rad, and their derivatives by the steering."""

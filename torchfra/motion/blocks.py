@@ -72,7 +72,7 @@ def _gauss_legendre(points: int) -> tuple[list[float], list[float]]:
     return ((at + 1) / 2).tolist(), (weight / 2).tolist()
 
 
-def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *, spectral: bool) -> Tensor:
+def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *, continuous: bool) -> Tensor:
     """Root of the process noise by ``r`` disturbances over a step of ``dt (...)`` seconds.
 
     It is computed in each step, by a quadrature of few points: exact to rounding along arcs of up to half a turn.
@@ -80,13 +80,13 @@ def driven(response: Callable[[Tensor], Tensor], dt: Tensor, variance: Tensor, *
     Args:
         response: from the seconds ``(..., 10)`` since a unit disturbance to its effect ``(..., 10, n, r)`` on a state.
         dt: seconds.
-        variance: ``(..., r)`` of each disturbance, constant over the step; with ``spectral`` the density.
-        spectral: whether the disturbances are white noise in time.
+        variance: ``(..., r)`` of each disturbance, constant over the step; with ``continuous`` the density.
+        continuous: whether the disturbances are white noise in time.
     """
     at, weight = gauss_legendre(dt, 10)
     columns = response(dt.unsqueeze(-1) * at) * variance.sqrt()[..., None, None, :]
     dt, weight = dt[..., None, None, None], weight[:, None, None]
-    if not spectral:
+    if not continuous:
         return (columns * (dt * weight)).sum(-3)
     return tria((columns * (dt * weight).sqrt()).movedim(-3, -2).flatten(-2))
 

@@ -33,7 +33,7 @@ class WhiteJerk(ConstantAcceleration):
     """
 
     def __init__(self, q: Value, dims: int = 2) -> None:
-        super().__init__(q, dims, spectral=True)
+        super().__init__(q, dims, continuous=True)
 
 
 class Singer(Motion):

@@ -19,11 +19,11 @@ class ConstantSpeed(Motion):
     moves straight on.
 
     Args:
-        q: variance of the acceleration noise in every direction, m^2/s^4; with ``spectral`` its density, m^2/s^3.
-        wander: variance of the turn rate about every axis across the velocity, rad^2/s^2; with ``spectral`` its
+        q: variance of the acceleration noise in every direction, m^2/s^4; with ``continuous`` its density, m^2/s^3.
+        wander: variance of the turn rate about every axis across the velocity, rad^2/s^2; with ``continuous`` its
             density, rad^2/s.
         dims: dimensions of space.
-        spectral: whether the noise is white in time, so that two short steps are the same as a long one, and not
+        continuous: whether the noise is white in time, so that two short steps are the same as a long one, and not
             constant over each step.
 
     Raises:
@@ -35,11 +35,11 @@ class ConstantSpeed(Motion):
 
     usual_layout = True
 
-    def __init__(self, q: Value, wander: Value, dims: int = 3, *, spectral: bool = False) -> None:
+    def __init__(self, q: Value, wander: Value, dims: int = 3, *, continuous: bool = False) -> None:
         super().__init__(dims, 2, None)
         self.q = Hyper(q, name="q")
         self.wander = Hyper(wander, constraints.nonnegative, name="wander")
-        self.spectral = spectral
+        self.continuous = continuous
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` after ``dt (...)`` seconds, straight on."""
@@ -48,7 +48,7 @@ class ConstantSpeed(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, r)`` for ``dt (...)``, at rest."""
-        if self.spectral:
+        if self.continuous:
             return white_root(dt, self.q(dt), 2, self.dims)
         return acceleration_gain(dt, self.q(dt), (2, 1), self.dims)
 

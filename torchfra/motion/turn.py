@@ -32,10 +32,10 @@ class CoordinatedTurn(Motion):
 
     Args:
         rate: turn rate, rad/s, counter-clockwise from x to y; a tensor broadcasts with the batch.
-        q: variance of the acceleration noise, m^2/s^4; with ``spectral`` its density, m^2/s^3.
+        q: variance of the acceleration noise, m^2/s^4; with ``continuous`` its density, m^2/s^3.
         dims: dimensions of space, 2 or more.
         orders: 3 for states with an acceleration, which after each step is that of the turn.
-        spectral: whether the acceleration is white noise in time, so that two short steps are the same as a long one;
+        continuous: whether the acceleration is white noise in time, so that two short steps are the same as a long one;
             the process noise is by Gauss-Legendre quadrature, exact to rounding for steps of up to two turns.
 
     Raises:
@@ -46,12 +46,12 @@ class CoordinatedTurn(Motion):
 
     linear = usual_layout = True
 
-    def __init__(self, rate: Value, q: Value, dims: int = 2, *, orders: int = 2, spectral: bool = False) -> None:
+    def __init__(self, rate: Value, q: Value, dims: int = 2, *, orders: int = 2, continuous: bool = False) -> None:
         if dims < 2:
             raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
         super().__init__(dims, check_orders(orders), q)
         self.rate = Hyper(rate, constraints.real, name="rate")
-        self.spectral = spectral
+        self.continuous = continuous
 
     def describe(self) -> str:
         """The turn, with its rate if that is a single number."""
@@ -71,8 +71,8 @@ class CoordinatedTurn(Motion):
         return torch.cat([top, bottom], -2)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, r)``: ``sqrt(q) [dt^2/2; dt]`` with ``r = dims``; with ``spectral`` along the turn."""
-        if self.spectral:
+        """``S_Q (..., n, r)``: ``sqrt(q) [dt^2/2; dt]`` with ``r = dims``; with ``continuous`` along the turn."""
+        if self.continuous:
             at, weight = gauss_legendre(dt)
             moved = self._moved(dt.unsqueeze(-1) * at, self.rate(dt).unsqueeze(-1))[..., self.dims :]
             columns = moved * (self.q(dt).sqrt() * dt.sqrt())[..., None, None, None] * weight.sqrt()[:, None, None]
@@ -101,28 +101,28 @@ class UnknownTurn(Motion):
     States ``[position, velocity, rate]``; the rate counts counter-clockwise from x to y, rad/s, and drifts.
 
     Args:
-        q: variance of the acceleration noise, m^2/s^4; with ``spectral`` its density, m^2/s^3.
-        drift: variance of the change of the rate per second, rad^2/s^4; with ``spectral`` its density, rad^2/s^3.
+        q: variance of the acceleration noise, m^2/s^4; with ``continuous`` its density, m^2/s^3.
+        drift: variance of the change of the rate per second, rad^2/s^4; with ``continuous`` its density, rad^2/s^3.
         dims: dimensions of space, 2 or more.
-        spectral: whether both are white noise in time, so that two short steps are the same as a long one, and not
+        continuous: whether both are white noise in time, so that two short steps are the same as a long one, and not
             constant over each step.  The process noise then follows the turn at the predicted mean, exact to first
             order and to rounding for steps of up to half a turn.  Otherwise it is that of a straight step, without the
-            effect of the rate's change on position and velocity within the step; so take ``spectral`` for long steps.
+            effect of the rate's change on position and velocity within the step; so take ``continuous`` for long steps.
 
     Raises:
         ValueError: ``dims`` below 2, a value below 0.
 
-    Source: Bar-Shalom, Li & Kirubarajan (2001), section 11.7.  The spectral noise is derived here.
+    Source: Bar-Shalom, Li & Kirubarajan (2001), section 11.7.  The continuous-time noise is derived here.
     """
 
-    def __init__(self, q: Value, drift: Value, dims: int = 2, *, spectral: bool = False) -> None:
+    def __init__(self, q: Value, drift: Value, dims: int = 2, *, continuous: bool = False) -> None:
         if dims < 2:
             raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
         names = [letter + axis_name(axis, dims) for letter in ("", "v") for axis in range(dims)]
         kinds = ["position"] * dims + ["velocity"] * dims + ["rate"]
         super().__init__(dims, 2, q, size=2 * dims + 1, components=[*names, "rate"], kinds=kinds)
         self.drift = Hyper(drift, constraints.nonnegative, name="drift")
-        self.spectral = spectral
+        self.continuous = continuous
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` after ``dt (...)`` seconds, without process noise."""
@@ -134,9 +134,9 @@ class UnknownTurn(Motion):
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, dims + 1)``: ``sqrt(q) [dt^2/2; dt]`` and ``sqrt(drift) dt``.
 
-        With ``spectral`` it is ``(..., n, n)``, at a velocity and a rate of 0.
+        With ``continuous`` it is ``(..., n, n)``, at a velocity and a rate of 0.
         """
-        if self.spectral:
+        if self.continuous:
             moved, rate = white_root(dt, self.q(dt), 2, self.dims), self.drift(dt).sqrt() * dt.sqrt()
         else:
             moved, rate = acceleration_gain(dt, self.q(dt), (2, 1), self.dims), self.drift(dt).sqrt() * dt
@@ -145,8 +145,8 @@ class UnknownTurn(Motion):
         return torch.cat([pad(moved.expand(*batch, -1, -1), (0, 1)), corner], -2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
-        """``S_Q`` at a predicted mean ``(..., n)``: with ``spectral`` ``(..., n, n)`` along the turn."""
-        if not self.spectral:
+        """``S_Q`` at a predicted mean ``(..., n)``: with ``continuous`` ``(..., n, n)`` along the turn."""
+        if not self.continuous:
             return process_noise
         velocity, rate = mean[..., None, self.dims : 2 * self.dims], mean[..., -1:]
 
@@ -163,7 +163,7 @@ class UnknownTurn(Motion):
             return torch.cat([by_velocity, by_rate.unsqueeze(-1)], -1)
 
         q, drift = torch.broadcast_tensors(self.q(mean), self.drift(mean))
-        return driven(response, dt, torch.stack([q] * self.dims + [drift], -1), spectral=True)
+        return driven(response, dt, torch.stack([q] * self.dims + [drift], -1), continuous=True)
 
 
 def _turned(velocity: Tensor, c: Tensor, s: Tensor, rest: float = 0.0) -> Tensor:

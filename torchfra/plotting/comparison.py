@@ -1,4 +1,4 @@
-"""Filters compared: a flight on a map, all runs of every filter, errors over time; and for print."""
+"""Filters compared: a run on a map, all runs of every filter, errors over time; and for print."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.cleaning.outputs.view import corners
-from torchfra.evaluation import Flight
+from torchfra.evaluation import MappedRun
 from torchfra.evaluation.results import infinite
 from torchfra.plotting.labels import SIZE, Array, at_ends, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, plain_ticks, without_box, words
@@ -35,11 +35,11 @@ _PRINTED_ROW, _PRINTED_CURVES = 0.17, 1.9
 
 def comparison(
     results: Mapping[str, Mapping[str, Any]], shown: Sequence[str], dt: float, limit: float, title: str,
-    flight: Flight | None = None,
+    mapped: MappedRun | None = None,
 ) -> Figure:  # fmt: skip
-    """Filters compared: one flight, the errors of all runs, and those of some filters over time.
+    """Filters compared: one run on a map, the errors of all runs, and those of some filters over time.
 
-    The axes are labelled ``"map"`` (where there is a flight), ``"runs"`` and ``"time"``.
+    The axes are labelled ``"map"`` (where there is a run to draw), ``"runs"`` and ``"time"``.
 
     Args:
         results: from ``torchfra.evaluation.evaluate``.
@@ -47,25 +47,25 @@ def comparison(
         dt: seconds per step.
         limit: position error above which a run has diverged, m.
         title: of the figure.
-        flight: for the map; the filters of its estimates are among ``shown``.
+        mapped: the run on the map; the filters of its estimates are among ``shown``.
     """
     colours = dict(zip(shown, APART, strict=False))
-    height = max(4.5 if flight is None else 7.0, 1.6 + _ROW * len(results))
+    height = max(4.5 if mapped is None else 7.0, 1.6 + _ROW * len(results))
     figure = Figure(figsize=(11.5, height), layout="constrained")
-    if flight is None:
+    if mapped is None:
         panels = figure.subplot_mosaic([["time", "runs"]], width_ratios=[1.2, 1])
     else:
         places: list[Any] = [["map", "runs"], ["time", "runs"]]
         panels = figure.subplot_mosaic(places, width_ratios=[1.2, 1], height_ratios=[1.55, 1])
-        metres = _draw_map(panels["map"], flight, colours)
+        metres = _draw_map(panels["map"], mapped, colours)
     _draw_runs(panels["runs"], results, limit, colours)
     ends = _draw_time(panels["time"], results, dt, limit, colours)
     figure.suptitle(words(title, TITLE))
     lay_out(figure)  # labels are put where there is room, which the layout decides
     at_ends(panels["time"], ends, colours)
     lay_out(figure)
-    if flight is not None:
-        _label_map(panels["map"], flight, colours, metres)
+    if mapped is not None:
+        _label_map(panels["map"], mapped, colours, metres)
     return figure
 
 
@@ -82,8 +82,8 @@ def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: floa
         axes.plot([least, most], [row, row], color=colour, linewidth=6, alpha=0.45, solid_capstyle="butt")
         axes.plot(worst, row, marker="|" if values[row, 3] <= high else ">", color=colour, markersize=6, clip_on=False)
         axes.plot(median, row, "o", color=colour, markersize=5, clip_on=False)
-        if lost := results[name]["diverged"]:
-            axes.annotate(f"{lost} lost", (1.0, row), (6, 0), xycoords=("axes fraction", "data"),
+        if diverged := results[name]["diverged"]:
+            axes.annotate(f"{diverged} diverged", (1.0, row), (6, 0), xycoords=("axes fraction", "data"),
                           textcoords="offset points", va="center", fontsize=SIZE, color="black")  # fmt: skip
     if low < limit < high:
         axes.axvline(limit, color="black", linestyle=":", linewidth=1)
@@ -91,7 +91,7 @@ def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: floa
     for label, name in zip(axes.get_yticklabels(), names, strict=True):
         label.set(color=colours.get(name, "black"), fontweight="bold" if name in colours else "normal")
     axes.set(xscale="log", xlim=(low, high), ylim=(-0.6, len(names) - 0.4), xlabel="RMSE of the position in a run, m")
-    axes.set_title(f"all runs: median, 5 to 95 %, worst; lost: over {limit:g} m", fontsize=10)
+    axes.set_title(f"all runs: median, 5 to 95 %, worst; diverged: over {limit:g} m", fontsize=10)
     axes.tick_params(axis="y", length=0)
     plain_ticks(axes.xaxis)
     axes.grid(axis="x", alpha=0.25)
@@ -125,47 +125,47 @@ def _limits(values: Array, limit: float) -> tuple[float, float]:
     return low / 1.15, high * 1.15
 
 
-# ---------------------------------------------------------------- one flight on a map
+# ---------------------------------------------------------------- one run on a map
 
 
-def _draw_map(axes: Axes, flight: Flight, colours: Mapping[str, str]) -> float:
+def _draw_map(axes: Axes, mapped: MappedRun, colours: Mapping[str, str]) -> float:
     """The true path, what was measured, and what filters made of it; returns the metres in the unit of the axes."""
-    path, fixes = flight.truth.flatten(0, 1).numpy(), flight.fixes.flatten(0, 1).numpy()
+    path, fixes = mapped.truth.flatten(0, 1).numpy(), mapped.fixes.flatten(0, 1).numpy()
     low, high = np.nanmin(path, 0), np.nanmax(path, 0)
     low, high = corners(low, high, fixes, _ROOM * max((high - low).max(), 1.0))
     unit, metres = ("km", 1000.0) if (high - low).max() >= 500 else ("m", 1.0)
-    for path in flight.truth.numpy() / metres:
+    for path in mapped.truth.numpy() / metres:
         axes.plot(*path.T, color="black", linewidth=4, alpha=0.25, solid_capstyle="round")
-    for name, of in _fixes(flight).items():
+    for name, of in _fixes(mapped).items():
         mark, colour = (".", GREY) if name == "measured" else ("x", BLACK)
         axes.plot(*(of / metres).T, linestyle="none", marker=mark, color=colour, zorder=3)
-    for name, paths in reversed(flight.estimates.items()):
+    for name, paths in reversed(mapped.estimates.items()):
         for path in paths.numpy() / metres:
             axes.plot(*path.T, color=colours[name], linewidth=1.4)
     (left, bottom), (right, top) = low / metres, high / metres
     axes.set_xlim(left, right, auto=True)  # may be widened, so that both axes have the same scale
     axes.set_ylim(bottom, top, auto=True)
     axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", aspect="equal", adjustable="datalim")
-    name = flight.name if len(flight.name) <= _LONGEST else f"...{flight.name[3 - _LONGEST :]}"
-    nowhere = flight.outlying.flatten().numpy() & np.isnan(fixes).any(1)  # outliers without a position
+    name = mapped.name if len(mapped.name) <= _LONGEST else f"...{mapped.name[3 - _LONGEST :]}"
+    nowhere = mapped.outlying.flatten().numpy() & np.isnan(fixes).any(1)  # outliers without a position
     count = int((((fixes < low) | (fixes > high)).any(1) | nowhere).sum())
     outside = f", {count} measured elsewhere" if count else ""
-    axes.set_title(f"{words(name)}, {flight.time[0]:g} to {flight.time[-1]:g} s{outside}", fontsize=10)
+    axes.set_title(f"{words(name)}, {mapped.time[0]:g} to {mapped.time[-1]:g} s{outside}", fontsize=10)
     finish(axes)
     return metres
 
 
-def _label_map(axes: Axes, flight: Flight, colours: Mapping[str, str], metres: float) -> None:
+def _label_map(axes: Axes, mapped: MappedRun, colours: Mapping[str, str], metres: float) -> None:
     """Names what is on the map, once the figure has its layout."""
-    lines = {"truth": flight.truth} | flight.estimates
-    points = {name: _dense(paths.numpy()) for name, paths in lines.items()} | _fixes(flight)
+    lines = {"truth": mapped.truth} | mapped.estimates
+    points = {name: _dense(paths.numpy()) for name, paths in lines.items()} | _fixes(mapped)
     shades = {"truth": "#555555", "measured": "#777777", "outlier": BLACK} | dict(colours)
     in_free_places(axes, {name: of / metres for name, of in points.items()}, shades)
 
 
-def _fixes(flight: Flight) -> dict[str, Array]:
+def _fixes(mapped: MappedRun) -> dict[str, Array]:
     """Positions that were measured, and those that are outliers: ``(k, 2)`` each."""
-    fixes, outlying = flight.fixes.flatten(0, 1).numpy(), flight.outlying.flatten().numpy()
+    fixes, outlying = mapped.fixes.flatten(0, 1).numpy(), mapped.outlying.flatten().numpy()
     return {"measured": fixes[~outlying], "outlier": fixes[outlying]}
 
 

@@ -33,8 +33,9 @@ Inner = Callable[[Motion, Sensor], Filter]
 
 @register.filter("imm", words="interacting motions", bank=True, listed=False)
 def imm(
-    models: Models, sensor: Sensor, *, inner: Inner = srckf, stay: float = 0.95, transition: Value | None = None,
-    durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
+    models: Models, sensor: Sensor, *, inner: Inner = srckf, self_transition: float = 0.95,
+    transition: Value | None = None, durations: Value | None = None, initial: Value | None = None,
+    learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """Interacting multiple models.
 
@@ -42,31 +43,36 @@ def imm(
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
-        stay: self-transition probability of every model, which switches to the others with equal probability.  It
-            learns as one number.
-        transition: ``(K, K)`` probabilities instead of ``stay``, ``[i, j] = P(now j | was i)``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``stay``; then probabilities
-            follow from ``dt``, and a ``transition`` is that at the end of a sojourn time: ``filters.IMM``.
+        self_transition: self-transition probability of every model, which switches to the others with equal
+            probability.  It learns as one number.
+        transition: ``(K, K)`` probabilities instead of ``self_transition``, ``[i, j] = P(now j | was i)``:
+            ``filters.IMM``.
+        durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``self_transition``; then
+            probabilities follow from ``dt``, and a ``transition`` is that at the end of a sojourn time:
+            ``filters.IMM``.
         initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.  With ``"transition"`` among them
-            the filter has a transition matrix, which starts as that of ``stay`` and takes more time.
+            the filter has a transition matrix, which starts as that of ``self_transition`` and takes more time.
 
     Raises:
-        ValueError: a single motion, or ``stay`` that is no probability between 0 and 1.
+        ValueError: a single motion, or ``self_transition`` that is no probability between 0 and 1.
 
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020) for the square-root cubature form.
     """
     bank = _bank(models)
-    uniform = transition is None and len(bank) > 1 and 1 / len(bank) <= as_number(stay) < 1
-    chain: dict[str, Any] = {"transition": transition, "durations": durations}
-    if durations is None:
-        chain = {"stay": stay} if uniform else {"transition": _transition(len(bank), stay, transition)}
+    uniform = transition is None and len(bank) > 1 and 1 / len(bank) <= as_number(self_transition) < 1
+    if durations is not None:
+        chain: dict[str, Any] = {"transition": transition, "durations": durations}
+    elif uniform:
+        chain = {"self_transition": self_transition}
+    else:
+        chain = {"transition": _transition(len(bank), self_transition, transition)}
     return with_learning(IMM(inner(bank, sensor), **chain, initial=initial), learn)
 
 
 @register.filter("imm_srckf", words="interacting motions", bank=True)
 def imm_srckf(
-    models: Models, sensor: Sensor, *, stay: float = 0.95, transition: Value | None = None,
+    models: Models, sensor: Sensor, *, self_transition: float = 0.95, transition: Value | None = None,
     durations: Value | None = None, initial: Value | None = None, learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
     """``imm`` with ``srckf`` for each model.  Source: Du & Zhang (2020).
@@ -74,13 +80,21 @@ def imm_srckf(
     Args:
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
-        stay: self-transition probability of every model, which switches to the others with equal probability.
-        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, instead of ``stay``, as of ``imm``.
+        self_transition: probability that a model stays active; it switches to the others with equal probability.
+        transition: ``(K, K)`` probabilities instead of ``self_transition``: ``filters.IMM``.
+        durations: mean sojourn times of the models, s, instead of ``self_transition``, as of ``imm``.
         initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    return imm(models, sensor, stay=stay, transition=transition, durations=durations, initial=initial, learn=learn)
+    return imm(
+        models,
+        sensor,
+        self_transition=self_transition,
+        transition=transition,
+        durations=durations,
+        initial=initial,
+        learn=learn,
+    )
 
 
 imm_ckf = register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)(imm_srckf)
@@ -93,7 +107,7 @@ that the paper reports.  This filter computes with roots too.
 
 @register.filter("imm_fra", words="interacting motions, each with fra", bank=True, gated=True)
 def imm_fra(
-    models: Models, sensor: Sensor, *, stay: float = 0.99, transition: Value | None = None,
+    models: Models, sensor: Sensor, *, self_transition: float = 0.99, transition: Value | None = None,
     durations: Value | None = None, initial: Value | None = None, threshold: Value | None = None,
     per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
@@ -107,9 +121,9 @@ def imm_fra(
     Args:
         models: motions of one state, or a ``Bank`` of them.
         sensor: what is measured.
-        stay: self-transition probability of every model; high, so that one outlier does not change the model.
-        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, instead of ``stay``, as of ``imm``.
+        self_transition: probability that a model stays active; high, so that one outlier does not change the model.
+        transition: ``(K, K)`` probabilities instead of ``self_transition``: ``filters.IMM``.
+        durations: mean sojourn times of the models, s, instead of ``self_transition``, as of ``imm``.
         initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         threshold: see ``fra``, as for all arguments up to ``rule``.
         per_element: whether each element of a measurement has its own threshold.
@@ -138,15 +152,15 @@ def imm_fra(
         plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional, final=final,
         rule=rule,
     )  # fmt: skip
-    return imm(models, sensor, inner=inner, stay=stay, transition=transition, durations=durations, initial=initial,
-               learn=learn)  # fmt: skip
+    return imm(models, sensor, inner=inner, self_transition=self_transition, transition=transition,
+               durations=durations, initial=initial, learn=learn)  # fmt: skip
 
 
 @register.filter("vsimm_srckf", words="interacting motions, a few at a time", bank=True)
 @with_values
 def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,
-    first: Sequence[int] | None = None, stay: float = 0.95, transition: Value | None = None,
+    first: Sequence[int] | None = None, self_transition: float = 0.95, transition: Value | None = None,
     durations: Value | None = None, unlikely: Value = 0.05, principal: Value = 0.5, values: str | None = None,
     learn: Collection[str] = (),
 ) -> IMM:  # fmt: skip
@@ -158,24 +172,24 @@ def vsimm_srckf(
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
         neighbours: of each model, those that it may activate, see ``filters.LikelyModels``; the bank's if None.
         first: models that are active first; the bank's if None: ``filters.LikelyModels``.
-        stay: self-transition probability of every model, which switches to the others with equal probability.
-        transition: ``(K, K)`` probabilities instead of ``stay``: ``filters.IMM``.
-        durations: mean sojourn times of the models, s, instead of ``stay``, as of ``imm``.
+        self_transition: probability that a model stays active; it switches to the others with equal probability.
+        transition: ``(K, K)`` probabilities instead of ``self_transition``: ``filters.IMM``.
+        durations: mean sojourn times of the models, s, instead of ``self_transition``, as of ``imm``.
         unlikely: probability below which a model is unlikely: ``filters.LikelyModels``.
         principal: probability above which a model activates its neighbours: ``filters.LikelyModels``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
 
     Raises:
-        ValueError: a single motion, neither ``neighbours`` and ``first`` nor a bank that has them, or ``stay`` that is
-            no probability between 0 and 1.
+        ValueError: a single motion, neither ``neighbours`` and ``first`` nor a bank that has them, or
+            ``self_transition`` that is no probability between 0 and 1.
     """
     bank = _bank(models)
     neighbours = bank.neighbours if neighbours is None else neighbours
     first = bank.first if first is None else first
     if neighbours is None or first is None:
         raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
-    matrix = _transition(len(bank), stay, transition) if durations is None else transition
+    matrix = _transition(len(bank), self_transition, transition) if durations is None else transition
     subset = LikelyModels(neighbours, first, unlikely=unlikely, principal=principal)
     return with_learning(IMM(inner(bank, sensor), transition=matrix, durations=durations, subset=subset), learn)
 
@@ -186,10 +200,10 @@ def _bank(models: Models) -> Bank:
     return models if isinstance(models, Bank) else Bank(models)
 
 
-def _transition(count: int, stay: float, transition: Value | None) -> Value:
+def _transition(count: int, self_transition: float, transition: Value | None) -> Value:
     """The matrix ``(count, count)`` of the argument, or one with the same self-transition probability for all."""
-    fraction("stay", stay)
+    fraction("self_transition", self_transition)
     if transition is not None:
         return transition
     eye = torch.eye(count, dtype=torch.float64)
-    return stay * eye + (1 - stay) / (count - 1) * (1 - eye) if count > 1 else eye
+    return self_transition * eye + (1 - self_transition) / (count - 1) * (1 - eye) if count > 1 else eye

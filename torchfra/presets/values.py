@@ -25,7 +25,7 @@ from torchfra.tables import significant, text_table
 P = ParamSpec("P")
 F = TypeVar("F")
 FILE = Path(__file__).with_name("values.json")
-INSTEAD = {"robust": "threshold", "stay": "transition", "durations": "transition"}
+INSTEAD = {"robust": "threshold", "self_transition": "transition", "durations": "transition"}
 """Arguments that take the place of another argument if they are given."""
 
 

@@ -1,8 +1,8 @@
-"""The experiments: a motion, a sensor, a prior and the tracks to go with them."""
+"""Experiments: a motion, a sensor, a prior, and tracks."""
 
 from torchfra.scenarios.adsb import adsb_models, adsb_turns
 from torchfra.scenarios.as_stated import as_stated
-from torchfra.scenarios.base import Scenario, Tracks, given
+from torchfra.scenarios.base import Scenario, Tracks, of_tracks
 from torchfra.scenarios.bearings import bearings_manoeuvre, bearings_outliers
 from torchfra.scenarios.bounds import Bound, bound
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
@@ -29,10 +29,10 @@ __all__ = [
     "clutter_crossing",
     "clutter_many",
     "clutter_straight",
-    "given",
     "growth",
     "level_then_weave",
     "noise_change",
+    "of_tracks",
     "ranges_outliers",
     "recorded",
     "recorded_ranges",

@@ -21,7 +21,7 @@ from torchfra.types import Gaussian
 
 DT, SAMPLES, SPEED = 2.0, 450, 15.0
 _LEGS = ((400.0, 0.0), (200.0, 1.0), (10.0, 0.0), (50.0, -1.0), (240.0, 0.0))
-"""Seconds of each leg, and which way it turns the velocity by a quarter."""
+"""Seconds of each leg, and the sign of its quarter turn; 0 if it is straight."""
 
 
 def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
@@ -38,7 +38,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
     Raises:
         ValueError: an argument out of its range.
 
-    Source: Du & Zhang (2020), section 3.  Differs: measurement noise and the truth of the turns are our reading.
+    Source: Du & Zhang (2020), section 3.  Differs: measurement noise and the form of the turns are an interpretation.
     """
     one_of(turns=(turns, ("acceleration", "arc")))
     if not std > 0:
@@ -56,7 +56,7 @@ def adsb_turns(turns: str = "acceleration", *, std: float = 30.0) -> Scenario:
     prior = Gaussian(path[1], root)
     settings = {"turns": turns, "std": std}
     motion, bank = ConstantAcceleration(0.02**2), adsb_models()
-    rates = [way * math.pi / 2 / seconds for seconds, way in _LEGS for _ in range(round(seconds / DT))]
+    rates = [side * math.pi / 2 / seconds for seconds, side in _LEGS for _ in range(round(seconds / DT))]
     moves = [CoordinatedTurn(rate if turns == "arc" else 0.0, 0.0, orders=3) for rate in rates]
     law = Law(root, moves[2:], sensor, std, known=("manoeuvres",))
     return Scenario("adsb-turns", motion, sensor, prior, DT, SAMPLES - 2, block, settings, bank, law=law)
@@ -80,9 +80,9 @@ def adsb_models() -> Bank:
 def _path(turns: str) -> Tensor:
     """States ``(SAMPLES, 6)`` after 2, 4, ... s."""
     state, path = torch.tensor([0, 2000, SPEED, 0], dtype=torch.float64), []
-    for seconds, way in _LEGS:
-        rate = way * math.pi / 2 / seconds
-        pull = way * SPEED / seconds * torch.tensor([-1.0, 1.0], dtype=torch.float64)
+    for seconds, side in _LEGS:
+        rate = side * math.pi / 2 / seconds
+        pull = side * SPEED / seconds * torch.tensor([-1.0, 1.0], dtype=torch.float64)
         matrix = CoordinatedTurn(rate, 0.0).transition(torch.tensor(DT, dtype=torch.float64))
         for _ in range(round(seconds / DT)):
             position, velocity = state[:2], state[2:]

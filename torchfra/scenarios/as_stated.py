@@ -24,9 +24,9 @@ from torchfra.sensors.ranges import Ranges
 from torchfra.types import Gaussian
 
 STD, AWAY, LIMIT = 1.0, 1e4, 100.0
-"""Standard deviation of a measured position, how far away stations are, and the error of a run that is lost: m."""
-TURN, STAY = 0.1, 0.95
-"""A turn, rad per step; the probability that a motion of the bank stays."""
+"""Standard deviation of a measured position, distance of the stations, and error above which a run has diverged, m."""
+TURN, SELF_TRANSITION = 0.1, 0.95
+"""A turn, rad per step; the self-transition probability of a motion of the bank."""
 _MOTIONS, _SENSORS = ("velocity", "acceleration", "turn", "bank"), ("position", "bearings", "radar", "ranges")
 _OUTLIERS = ("none", "covariance", "std", "bursts")
 
@@ -45,17 +45,18 @@ def as_stated(
 ) -> Scenario:
     """Tracks drawn from a filter's own models: prior, process noise and measurement noise are as stated to filters.
 
-    Filters whose models hold have nothing to find out here, and must not be worse than a plain Kalman filter.  With
-    ``q`` or ``std`` other than 1 the stated values are that many times as large as the true ones.
+    Here the models of filters hold, so that an adaptive filter should be as good as a plain Kalman filter.  ``q`` and
+    ``std`` are the ratios of the stated values to the true ones.
 
     A position is measured to 1 m (across a line of sight, and along it), and targets cover 20 m in a step.
 
     Args:
         motion: ``"velocity"`` or ``"acceleration"``, constant except for noise; a ``"turn"`` of 0.1 rad per step; or a
-            ``"bank"`` of constant velocity and turns to both sides, each of which stays with probability 0.95.
+            ``"bank"`` of constant velocity and turns to both sides, with self-transition probabilities of 0.95.
         sensor: ``"position"``, ``"bearings"`` of two stations, ``"radar"`` for range and bearing, ``"ranges"`` to four
             anchors; stations are 10 km away.
-        index: the manoeuvring index squared, ``q dt^4 / std^2``: process noise of a step in units of what is measured.
+        index: the manoeuvring index squared, ``q dt^4 / std^2``: process noise of a step in units of the measurement
+            noise.
         dt: seconds per step.
         steps: measurements of a run.
         outliers: what is ten times larger in one of twenty measurements, of each device by itself: ``"covariance"`` or
@@ -67,7 +68,7 @@ def as_stated(
     Raises:
         ValueError: an argument out of its range.
 
-    Source: made up; Kalata (1984) for the manoeuvring index.
+    Source: this project; Kalata (1984) for the manoeuvring index.
     """
     one_of(motion=(motion, _MOTIONS), sensor=(sensor, _SENSORS), outliers=(outliers, _OUTLIERS))
     for name, value in (("index", index), ("dt", dt), ("q", q), ("std", std)):
@@ -132,8 +133,8 @@ def _sensor(name: str, std: float) -> Sensor:
 
 
 def _modes(rng: np.random.Generator, steps: int, count: int) -> Tensor:
-    """``(steps, BLOCK)`` numbers of motions, each of which stays, or another follows."""
-    leaves, other = rng.random((steps, BLOCK)) >= STAY, rng.integers(1, max(count, 2), (steps, BLOCK))
+    """``(steps, BLOCK)`` numbers of the motions, a Markov chain."""
+    leaves, other = rng.random((steps, BLOCK)) >= SELF_TRANSITION, rng.integers(1, max(count, 2), (steps, BLOCK))
     return torch.from_numpy(np.where(leaves, other, 0).cumsum(0) % count)
 
 

@@ -19,20 +19,20 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Estimate, Gaussian
 
 BLOCK = 256
-"""Runs that are always simulated together, so that a run never depends on how many others are asked for."""
+"""Runs that are always simulated together, so that a run does not depend on the number of runs."""
 
 
 class Tracks(NamedTuple):
-    """A batch of tracks: the truth, the measurements, and what a filter may know."""
+    """A batch of tracks: the truth, the measurements, the inputs and the prior."""
 
     truth: Tensor
     """``(B, T, n)`` states, of several targets ``(B, N, T, n)``; NaN where unknown."""
     z: Tensor
     """``(B, T, m)`` measurements, or scans ``(B, T, J, m)`` in which they are in any order; NaN is missing."""
     u: Tensor | None
-    """``(T, k)`` or ``(B, T, k)`` what the models need to know at each step."""
+    """``(T, k)`` or ``(B, T, k)`` inputs of the models at each step."""
     prior: Gaussian
-    """``mean (B, n)`` and ``scale_tril (n, n)`` or ``(B, n, n)``: each run's belief one step before the first;
+    """``mean (B, n)`` and ``scale_tril (n, n)`` or ``(B, n, n)``: the belief of each run one step before the first;
     of several targets ``(B, N, n)`` and ``(B, N, n, n)``."""
 
 
@@ -51,14 +51,14 @@ class Scenario:
 
     Args:
         name: of the experiment.
-        motion: the model that filters use; the targets may well move otherwise.
+        motion: the model that filters use; the targets may move otherwise.
         sensor: what is measured.
-        prior: the belief all runs start from, or the centre of what they start from (each run's own: ``Tracks.prior``).
+        prior: the prior of all runs, or the centre of their priors (each run's own: ``Tracks.prior``).
         dt: seconds per step.
         steps: measurements per run.
         block: simulates the runs of these numbers, ``(BLOCK,)`` or one for each recording, from a generator.
-        settings: what to write beside results.
-        bank: motions for interacting models, which may know more of the targets than ``motion`` does.
+        settings: metadata of results.
+        bank: motions for interacting models, which may describe the targets better than ``motion``.
         extra_quantities: components of the truth besides position and velocity whose errors are of interest, by name.
         clutter: how dense false measurements are, of scans of several targets.
         detection: probability that a target is measured, of scans.
@@ -66,8 +66,8 @@ class Scenario:
             the truth's; None if the motion's coordinates are the truth's.
         limit: position error, root mean square over time, above which a run has diverged, m; None for one that follows
             the scale of the scenario (``torchfra.evaluation.divergence_limit``).
-        recordings: where measurements are recorded, what the runs are called; after the last comes the first again.
-        law: how the targets truly move and are measured, where that is known; what ``scenarios.bound`` needs.
+        recordings: names of the runs where measurements are recorded; after the last comes the first again.
+        law: the true models of targets and measurements, where these are known, for ``scenarios.bound``.
     """
 
     name: str
@@ -137,7 +137,7 @@ class Scenario:
         """Simulates the runs from ``first`` up to, not including, ``first + runs``.
 
         Args:
-            runs: how many.
+            runs: number of runs.
             seed: of the random numbers.
             first: number of the first run; run i of a seed is the same to the bit in every call.
             dtype: of the result.
@@ -145,10 +145,10 @@ class Scenario:
         Raises:
             ValueError: ``runs`` below 1, ``seed`` or ``first`` below 0.
         """
-        given = (runs, seed, first)
-        if not all(is_integer(x, least) for x, least in zip(given, (1, 0, 0), strict=True)):
-            received = ", ".join(map(repr, given))
-            raise ValueError(f"runs, seed, first: expected whole numbers, runs of at least 1, received {received}")
+        received = (runs, seed, first)
+        if not all(is_integer(x, least) for x, least in zip(received, (1, 0, 0), strict=True)):
+            values = ", ".join(map(repr, received))
+            raise ValueError(f"runs, seed, first: expected whole numbers, runs of at least 1, received {values}")
         size = len(self.recordings) or BLOCK
         numbers = range(first // size, -(-(first + runs) // size))
         blocks = [self.block(np.random.default_rng([seed, n]), torch.arange(n * size, (n + 1) * size)) for n in numbers]
@@ -166,7 +166,7 @@ class Scenario:
         return Tracks(joined([b.truth for b in blocks]), joined([b.z for b in blocks]), u, prior)
 
 
-def given(tracks: Tracks, motion: Motion, sensor: Sensor, *, dt: float = 1.0, name: str = "tracks") -> Scenario:
+def of_tracks(tracks: Tracks, motion: Motion, sensor: Sensor, *, dt: float = 1.0, name: str = "tracks") -> Scenario:
     """A scenario whose runs are the given tracks, one after the other.
 
     Args:

@@ -28,7 +28,7 @@ STEPS, DT, Q, STD = 100, 1.0, 1e-2, math.radians(1.0)
 LIMIT = 2000.0
 """Position error above which a run has diverged, m."""
 _START = torch.tensor([2000.0, 4000.0, 6.0, -10.0, 0.2, -0.3], dtype=torch.float64)
-_POOR = torch.tensor([2400.0, 1500.0, 10.0, 15.0, 1.0, 1.0], dtype=torch.float64)
+_BAD_PRIOR = torch.tensor([2400.0, 1500.0, 10.0, 15.0, 1.0, 1.0], dtype=torch.float64)
 _ROOT = torch.tensor([10.0, 10.0, 1.0, 1.0, 0.1, 0.1], dtype=torch.float64).diag()
 
 
@@ -106,7 +106,7 @@ def _scenario(name: str, path: Tensor, moves: Sequence[Motion], sizes: dict[int,
     size = torch.ones(STEPS, 1, dtype=torch.float64)
     for second, times in sizes.items():
         size[second - 1] = times
-    centre = _POOR if initial == "paper" else _START
+    centre = _BAD_PRIOR if initial == "paper" else _START
 
     def block(rng: np.random.Generator, numbers: Tensor) -> Tracks:
         # One draw holds all that any setting may need, so that settings can be compared on the same noise.

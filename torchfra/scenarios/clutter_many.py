@@ -37,12 +37,12 @@ def clutter_many(
 ) -> Scenario:
     """Aircraft that begin anywhere, fly anywhere at 20 to 60 m/s, and appear and disappear; 100 scans, 1 s apart.
 
-    Each comes at some scan in the first 30 % and goes at some scan in the last 30 %: its truth is NaN outside.  The
-    prior is what is known of it one step before the first scan.
+    Each appears at a scan in the first 30 % and disappears at one in the last 30 %: its truth is NaN outside.  The
+    prior is the belief of each one step before the first scan.
 
     Args:
-        count: of aircraft.
-        clutter: false measurements per scan, shared out among the aircraft, also among those that are not there.
+        count: number of aircraft.
+        clutter: false measurements per scan, divided among the aircraft, present or not.
         detection: probability that an aircraft is measured.
         std: of azimuth, elevation (rad) and range (m).
         truth_noise: variance of the aircraft's random acceleration, m^2/s^4.
@@ -84,7 +84,7 @@ def _starts(rng: np.random.Generator, count: int) -> Tensor:
 
 
 def _lives(rng: np.random.Generator, count: int) -> Tensor:
-    """Whether each is there, ``(BLOCK, count, STEPS)``."""
+    """Whether each aircraft is present, ``(BLOCK, count, STEPS)``."""
     first = torch.from_numpy(rng.uniform(0, _LATEST * STEPS, (BLOCK, count, 1)))
     last = torch.from_numpy(rng.uniform(_EARLIEST * STEPS, STEPS, (BLOCK, count, 1)))
     step = torch.arange(STEPS)

@@ -42,7 +42,7 @@ class Growth(Motion):
 
 
 class Square(Sensor):
-    """Measures ``x^2 / 20``, which does not tell the sign."""
+    """Measures ``x^2 / 20``, without the sign of ``x``."""
 
     def __init__(self) -> None:
         super().__init__(1, [False], 1.0, None)
@@ -57,7 +57,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
 
     Args:
         outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``.
-        size: how many times larger.
+        size: the factor.
         share: of the measurements that are outliers.
 
     Raises:
@@ -72,7 +72,7 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
     factors = outlier_factors(outliers, size, share)
 
     def block(rng: np.random.Generator, runs: Tensor) -> Tracks:
-        # One draw holds all that any setting may need, so that settings can be compared on the same noise.
+        # The draws do not depend on the settings, so that these can be compared on the same noise.
         process, noise = torch.from_numpy(rng.standard_normal((2, BLOCK, STEPS, 1)))
         state, states = torch.full((BLOCK, 1), START, dtype=torch.float64), []
         for k, step in enumerate(process.unbind(1)):
@@ -83,6 +83,6 @@ def growth(outliers: str = "covariance", *, size: float = 15.0, share: float = 0
         return Tracks(truth, z, numbers, Gaussian(prior.mean.expand(BLOCK, 1), prior.scale_tril))
 
     settings = {"outliers": outliers, "size": size, "share": share}
-    noise, tells = torch.eye(1, dtype=torch.float64), mixed_information(outliers, size, share, 1)
-    law = Law(torch.zeros_like(noise), motion, sensor, 1.0, noise, tells, ("start",))
+    noise, information = torch.eye(1, dtype=torch.float64), mixed_information(outliers, size, share, 1)
+    law = Law(torch.zeros_like(noise), motion, sensor, 1.0, noise, information, ("start",))
     return Scenario("growth", motion, sensor, prior, 1.0, STEPS, block, settings, law=law)

@@ -22,14 +22,14 @@ class Law:
 
     Args:
         start: ``(n, p)`` root of the covariance of the error of the initial beliefs.
-        motion: how states follow each other, except for ``process_noise`` and for known changes, which no bound depends
-            on; linear ones may be given for each step.
+        motion: the transition of states, except for ``process_noise`` and for known inputs, on which no bound depends;
+            linear ones may be given for each step.
         sensor: what is measured of a state, given ``u``.
         std: ``(m,)`` or ``(T, m)`` standard deviation of a measurement without outliers; a tensor or a number.
         process_noise: ``(n, q)`` root of that of a step; None for paths that are fixed, or known except their start.
-        information: ``(T,)`` or a number: what a measurement with outliers tells, relative to one without
+        information: ``(T,)`` or a number: Fisher information of a measurement with outliers, relative to one without
             (``metrics.outlier_information``).
-        known: what the bound takes as known although no filter knows it, in words.
+        known: the quantities that the bound takes as known although filters do not know them, in words.
     """
 
     start: Tensor
@@ -44,8 +44,8 @@ class Law:
 def burst_information(steps: int, share: float = SHARE, size: float = SIZE) -> Tensor:
     """``(T,)`` Fisher information of measurements with outliers in known bursts (``burst_factors``).
 
-    Bursts persist: a measurement tells whether the next one is good, so the information of a mixture that is
-    independent at each step would be too small.
+    As bursts persist, a measurement is informative about whether the next one is an outlier, so the information of an
+    independent mixture at each step would be too small.
     """
     age = torch.arange(1, steps + 1, dtype=torch.float64).clamp(max=LENGTH)
     inside = 1 - (1 - share / LENGTH) ** age

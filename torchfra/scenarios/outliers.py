@@ -1,4 +1,4 @@
-"""Outliers of simulated measurements: each for itself, or in bursts."""
+"""Outliers of simulated measurements: independent, or in bursts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 from torchfra.hyper import one_of
 
 LENGTH, SIZE, SHARE = 4, 10.0, 0.05
-"""Steps of a burst, how many times larger the standard deviation is in it, and its share of all steps."""
+"""Steps of a burst, factor on the standard deviation in it, and the share of steps in bursts."""
 
 
 def burst_factors(
@@ -25,10 +25,10 @@ def burst_factors(
     in one.
 
     Args:
-        rng: where random numbers come from.
-        runs: how many runs.
+        rng: the generator.
+        runs: number of runs.
         steps: measurements of a run.
-        share: of the steps that are in a burst, about.
+        share: approximate share of the steps in a burst.
         size: the factor in a burst.
     """
     starts = rng.random((runs, steps)) < share / LENGTH
@@ -43,7 +43,7 @@ def outlier_factors(outliers: str, size: float | None, share: float) -> Callable
 
     Args:
         outliers: what is ``size`` times larger in an outlier: ``"covariance"`` or ``"std"``, or ``"none"``.
-        size: how many times; None for an integer from 1 to 20, drawn each time.
+        size: the factor; None for an integer from 1 to 20, drawn each time.
         share: of the measurements that are outliers.
 
     Raises:

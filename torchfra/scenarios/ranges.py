@@ -1,4 +1,4 @@
-"""A walker and four anchors whose ranges are sometimes metres off for some steps in a row."""
+"""A walker and four anchors whose ranges have errors of metres for some consecutive steps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STEPS, DT, Q, STD, HEIGHT = 1000, 0.1, 0.3, 0.15, 0.1
 LIMIT = 20.0
 """Position error above which a run has diverged, m."""
 _AREA = torch.tensor([[0.0, -5.0], [50.0, 5.0]], dtype=torch.float64)
-"""Lowest and highest coordinates of where the walker goes, m."""
+"""Lowest and highest coordinates of the walker, m."""
 _ANCHORS = {
     "together": [[0.7, 0.9, 0.5], [2.6, 0.9, 2.0], [2.6, -0.9, 2.0], [2.6, -0.9, 0.5]],
     "around": [[0.0, -5.0, 0.5], [50.0, -5.0, 2.0], [50.0, 5.0, 2.0], [0.0, 5.0, 0.5]],
@@ -41,7 +41,7 @@ def ranges_outliers(
     """Someone walks, stops and turns in an area of 50 m by 10 m for 100 s; ranges from four anchors, 10 a second.
 
     Ranges have errors of 0.15 m.  In a run of some steps the ranges of one anchor are off by the same distance; others
-    are missing, also in runs.  A filter has lost the walker if its root mean square error is above 20 m.
+    are missing, also in runs.  A run has diverged if its root mean square error is above 20 m.
 
     Args:
         outliers: ranges that are off are too ``"short"``, too long as without a line of sight (``"nlos"``), or
@@ -49,14 +49,15 @@ def ranges_outliers(
         anchors: ``"together"``: within 2 m at one end of the area, where directions are hard to tell; ``"around"``: in
             its corners.
         share: of the ranges that are off.
-        size: by how far on average, m; a gamma distribution of shape 2.
-        length: steps in a row.
-        missing: share of the ranges that do not come.
+        size: mean error of these, m, of a gamma distribution of shape 2.
+        length: consecutive steps of such an error.
+        missing: share of the ranges that are missing.
 
     Raises:
         ValueError: an argument out of its range.
 
-    Source: made up.  Defaults are those of four recordings of ultra-wideband ranges over 15 minutes, with and without a
+    Source: this project.  Defaults are those of four recordings of ultra-wideband ranges over 15 minutes, with and
+        without a
     line of sight: 0.44 % of the ranges were more than 1 m off, all of them too short, by 7 m in the median and 19 m at
     most, two or three in a row and never from two anchors at once; 5 to 18 % were missing, mostly in runs of 1 to 6
     steps; the walker's speed was 1 m/s in the median and 2 at most.  Differs: the errors of the other ranges changed

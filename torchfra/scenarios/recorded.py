@@ -25,7 +25,7 @@ from torchfra.types import Gaussian
 
 _ROOT = torch.tensor([100.0, 100.0, 10.0, 10.0, 2.0, 2.0], dtype=torch.float64).diag()
 _KNOWN = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64)
-"""Components of the true state that the initial belief is centred on: not the acceleration."""
+"""Components of the true state on which the prior is centred: all but the acceleration."""
 LIMIT = 2000.0
 """Position error above which a run has diverged, m."""
 _SHORTEST = 20
@@ -40,9 +40,9 @@ def recorded(
 ) -> Scenario:  # fmt: skip
     """A simulated sensor on recorded tracks, in the horizontal plane.
 
-    The time stamps of recorded flights are off by seconds, so that as recorded they have accelerations that no aircraft
-    flies, and a filter that follows every jump would look best.  So they are mended first, as ``readers.flyable`` says:
-    positions move along the path, its turns stay, and no acceleration is left above about 1 g.  ``repair=False`` takes
+    The time stamps of recorded flights have errors of seconds, so that the recorded accelerations are impossible for an
+    aircraft, and a filter that follows every jump would seem best.  So they are corrected first by ``readers.flyable``:
+    positions move along the path, its turns remain, and no acceleration exceeds about 1 g.  ``repair=False`` takes
     tracks as they are: for those of vehicles that are recorded exactly, or to see what the repair changes.
 
     Tracks are resampled to a regular step, split at gaps and cut into windows; run i takes window i modulo their
@@ -61,10 +61,10 @@ def recorded(
         outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``;
             ``"bursts"`` for outliers in standard deviation that come in runs of four steps.
         share: of the measurements that are outliers.
-        size: how many times larger.
+        size: the factor.
         q: variance of the change of acceleration per step that filters assume, m^2/s^4; also of the bank
             (``torchfra.motion.aircraft``).
-        repair: mends time stamps.
+        repair: whether to correct time stamps.
 
     Raises:
         ValueError: an argument out of its range, or no track long enough.
@@ -93,9 +93,11 @@ def recorded(
                       Gaussian(start.squeeze(1) * _KNOWN + draw[:, :6] @ _ROOT, _ROOT))  # fmt: skip
 
     bursts = outliers == "bursts"
-    tells = burst_information(steps, share, size) if bursts else mixed_information(outliers, size, share, model.size)
+    information = (
+        burst_information(steps, share, size) if bursts else mixed_information(outliers, size, share, model.size)
+    )
     known = ("accelerations", "outliers") if bursts else ("accelerations",)
-    law = Law(_ROOT, ConstantVelocity(0.0, orders=3), model, spread, None, tells, known)
+    law = Law(_ROOT, ConstantVelocity(0.0, orders=3), model, spread, None, information, known)
     prior = Gaussian(windows[0, 0] * _KNOWN, _ROOT)
     return Scenario("recorded", ConstantAcceleration(q), model, prior, dt, steps, block, settings, aircraft(q),
                     limit=LIMIT, law=law)  # fmt: skip

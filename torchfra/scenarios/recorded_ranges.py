@@ -31,16 +31,16 @@ def recorded_ranges(
         recordings: from ``torchfra.readers.read_ranges``, with reference paths.
         dt: seconds per step.
         std: of the ranges, as filters assume, m.
-        q: variance of the change of acceleration per step that filters assume, m^2/s^4; the bank has a tenth of it, it,
-            and 50 times it.
+        q: variance of the change of acceleration per step that filters assume, m^2/s^4; the bank has 0.1, 1 and
+            50 times this.
         height: of the target, m, where anchors are in space; None for the median of the reference path's.
 
     Raises:
         ValueError: no recording, one without a reference path or without its height, or an argument out of its range.
         TypeError: something else than recordings, such as names of files.
     """
-    alone = isinstance(recordings, RangeRecording)
-    wrong = [recordings] if alone else [one for one in recordings if not isinstance(one, RangeRecording)]
+    single = isinstance(recordings, RangeRecording)
+    wrong = [recordings] if single else [one for one in recordings if not isinstance(one, RangeRecording)]
     if wrong:
         expected = "a list of what torchfra.readers.read_ranges returns"
         raise TypeError(f"recordings: expected {expected}, received {type(wrong[0]).__name__}")
@@ -97,14 +97,14 @@ def _padded(values: Array, rows: int, columns: int) -> Tensor:
 def _places(recording: RangeRecording, grid: RangeGrid, height: float | None, count: int) -> Tensor:
     """Positions of the anchors, relative to the target's height, ``(3 count,)``; 0 where there is none."""
     places = np.zeros((count, 3))
-    given = recording.anchors
-    places[: len(given), : given.shape[1]] = given
-    if given.shape[1] == 3:
+    anchors = recording.anchors
+    places[: len(anchors), : anchors.shape[1]] = anchors
+    if anchors.shape[1] == 3:
         if height is None:
             if grid.reference is None or grid.reference.shape[1] < 3:
                 raise ValueError(f"height: expected metres, as the path of {recording.name} has no z, received None")
             height = float(np.median(grid.reference[:, 2]))
-        places[: len(given), 2] -= height
+        places[: len(anchors), 2] -= height
     elif height is not None:
         raise ValueError(
             f"height: expected anchors in space beside it, received {height} for those of {recording.name}"

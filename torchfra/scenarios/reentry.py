@@ -91,7 +91,7 @@ def reentry(
         outliers: what is ``size`` times larger in an outlier: ``"covariance"``, ``"std"``, or ``"none"``.
         radar: ``"paper"`` (32 m and 13 mrad, its numbers read as variances) or ``"precise"`` (1 m and 0.17 mrad,
             those of the literature).
-        size: how many times larger; None for an integer from 1 to 20, drawn each time.
+        size: the factor; None for an integer from 1 to 20, drawn each time.
         share: of the measurements that are outliers.
         method: of the filters' integration, as in ``Reentry``.
 
@@ -119,9 +119,9 @@ def reentry(
         "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
         "method": method,
     }  # fmt: skip
-    tells = mixed_information(outliers, size, share, 2)
-    start = prior.scale_tril[:, :4]  # the parameter is as filters start
-    law = Law(start, Reentry(), sensor, std, _shaken(jolt), tells)
+    information = mixed_information(outliers, size, share, 2)
+    start = prior.scale_tril[:, :4]  # filters start with the true parameter
+    law = Law(start, Reentry(), sensor, std, _shaken(jolt), information)
     return Scenario(
         "reentry", motion, sensor, prior, DT, STEPS, block, settings, extra_quantities={"parameter": slice(4, 5)},
         law=law,
@@ -129,7 +129,7 @@ def reentry(
 
 
 def _shaken(jolt: Tensor) -> Tensor:
-    """Root ``(5, 2 SUBSTEPS)`` of what the shocks of a second add to a state, gravity and drag aside."""
+    """Root ``(5, 2 SUBSTEPS)`` of the process noise of a second, without gravity and drag."""
     left = torch.arange(SUBSTEPS - 1, -1, -1, dtype=torch.float64) * DT / SUBSTEPS
     moved = torch.kron(torch.stack([left, torch.ones_like(left)]), torch.eye(2, dtype=torch.float64))
     return pad(jolt * moved, (0, 0, 0, 1))

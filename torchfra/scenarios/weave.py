@@ -30,7 +30,7 @@ def level_then_weave(outliers: str = "planted") -> Scenario:
     Raises:
         ValueError: ``outliers`` that are neither.
 
-    Source: Xu et al., section 4.  Numbers of the track that the paper lost are chosen here.
+    Source: Xu et al., section 4.  Numbers of the track that the paper does not state are chosen here.
     """
     one_of(outliers=(outliers, ("planted", "none")))
     truth = _path()

@@ -1,4 +1,4 @@
-"""What ``torchfra track`` gives back: tables, tracks for maps, what belongs to them, and a summary in sentences."""
+"""Outputs of ``torchfra track``: tables, tracks for maps, their metadata, and a summary in sentences."""
 
 from torchfra.cleaning.outputs.formats import FORMATS, MAPS, check_format, write
 from torchfra.cleaning.outputs.metadata import metadata

@@ -1,4 +1,4 @@
-"""How a target moves, in words that people use, and how sure that is."""
+"""Speed, course and climb of a target, with their standard deviations."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.readers.columns import Array
 
 
 class Course(NamedTuple):
-    """Each ``(T,)``; along the axes of the place where the target is, not those of a far origin."""
+    """Each ``(T,)``; in the local axes of the target, not those of a far origin."""
 
     speed: Array
     """Over ground, m/s."""
@@ -22,13 +22,13 @@ class Course(NamedTuple):
     course: Array
     """Degrees clockwise from north (from +y without an origin), in [0, 360)."""
     climb: Array | None
-    """m/s; None in the plane."""
+    """Vertical velocity, m/s; None in the plane."""
     along: Array
     """Standard deviation of the position along the course, m."""
     across: Array
-    """To the right of it, horizontally, m."""
+    """Standard deviation to the right of the course, horizontally, m."""
     up: Array | None
-    """m; None in the plane."""
+    """Vertical standard deviation, m; None in the plane."""
 
 
 def course(cleaned: Cleaned) -> Course:
@@ -56,7 +56,7 @@ def _std(covariance: NDArray[np.float64], way: Array) -> Array:
 
 
 def _at_the_target(cleaned: Cleaned) -> tuple[Array, NDArray[np.float64], NDArray[np.float64]]:
-    """Velocity ``(T, d)`` along east, north and up where the target is; covariances of position and it."""
+    """Velocity ``(T, d)`` along east, north and up where the target is; covariances of position and velocity."""
     d, origin = cleaned.raw.shape[1], cleaned.recording.origin
     position, velocity = cleaned.covariance[:, :d, :d], cleaned.covariance[:, d:, d:]
     if origin is None:

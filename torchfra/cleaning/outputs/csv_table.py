@@ -14,7 +14,7 @@ from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.table import columns, united
 
 _DIGITS = {"latitude": 8, "longitude": 8, "outlier": 4, "manoeuvre": 4, "regime": 4}
-"""Behind the point, by the words of a column's name; others have three."""
+"""Decimal places, by the words of a column's name; other columns have three."""
 _SPECIAL = re.compile('[,"\r\n]')
 """Signs for which a cell is quoted."""
 
@@ -35,7 +35,7 @@ def _quoted(text: str) -> str:
 
 
 def _cells(name: str, values: NDArray[Any]) -> tuple[str, list[Any]]:
-    """How cells of a column are written, and what is."""
+    """The format of a column's cells, and their values."""
     if values.dtype.kind in "iu":
         return "%s", ["" if name == "row" and v < 0 else v for v in values.tolist()]
     if values.dtype.kind != "f":

@@ -22,9 +22,9 @@ FORMATS: dict[str, Callable[[Sequence[Cleaned]], bytes]] = {
     ".geojson": geojson.encode,
     ".kml": kml.encode,
 }
-"""What makes a file of some targets, by its ending."""
+"""Encoders of some targets, by the ending of the file."""
 MAPS = (".gpx", ".geojson", ".kml")
-"""Those that hold latitudes and longitudes only."""
+"""Formats that hold latitudes and longitudes only."""
 _NEEDS = {".parquet": "pyarrow", ".gpx": "gpxpy"}
 """The package that a format needs."""
 
@@ -47,7 +47,7 @@ def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
 
 
 def write(results: Sequence[Cleaned], path: Path, settings: Mapping[str, Any]) -> None:
-    """Writes some targets in the format of the file's ending, and what belongs to them beside it.
+    """Writes some targets in the format of the file's ending, and their metadata beside it.
 
     Args:
         results: one or more, of one file.
@@ -64,5 +64,5 @@ def write(results: Sequence[Cleaned], path: Path, settings: Mapping[str, Any]) -
 
 
 def beside(path: Path) -> Path:
-    """The file with what belongs to a table."""
+    """The file with the metadata of a table."""
     return path.with_suffix(".meta.json")

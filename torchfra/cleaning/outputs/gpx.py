@@ -12,7 +12,7 @@ from torchfra.cleaning.outputs.points import Points, points
 from torchfra.tables import printable
 
 NAMESPACE = "https://pypi.org/project/torchfra/gpx"
-"""Of the elements that GPX itself has not."""
+"""Namespace of the elements that extend GPX."""
 
 
 def encode(results: Sequence[Cleaned]) -> bytes:

@@ -85,7 +85,7 @@ def _placemark(folder: Element, name: str, style: str) -> Element:
 
 
 def _mode(geometry: Element, high: bool) -> None:
-    """Altitudes are metres above the sea; without them it is on the ground."""
+    """Says whether altitudes are above the sea, or the geometry is on the ground."""
     _add(geometry, "altitudeMode", "absolute" if high else "clampToGround")
 
 

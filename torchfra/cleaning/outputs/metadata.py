@@ -1,4 +1,4 @@
-"""What belongs to a table but is no row of it: how it was made, its origin, the manoeuvres."""
+"""Metadata of a table: its input, settings, origin and manoeuvres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchfra.running.versions import versions
 
 
 def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """All that is known of some targets of a file, for JSON.
+    """Metadata of some targets of a file, for JSON.
 
     Args:
         results: of one file.

@@ -18,7 +18,7 @@ _PACKED = "zstd"
 
 
 def encode(results: Sequence[Cleaned]) -> bytes:
-    """The rows of all targets; a number that is not known is null, and what the columns hold is in the metadata.
+    """The rows of all targets; an unknown number is null, and descriptions of the columns are in the metadata.
 
     Raises:
         ImportError: pyarrow is missing.
@@ -37,7 +37,7 @@ class Growing:
     """A file that grows by some targets at a time; files of the same data set have the same columns.
 
     Args:
-        file: to write to.
+        file: open for writing.
         like: any target of the data set, of as many dimensions as any.
     """
 

@@ -21,7 +21,7 @@ ATTRIBUTES = ("row", "seconds", "speed", "course", "climb", "std_along", "std_ac
 
 
 class Points(NamedTuple):
-    """Of one target, each ``(T,)`` of the steps whose estimate is finite."""
+    """One target, with values ``(T,)`` of the steps whose estimate is finite."""
 
     name: str
     place: Array
@@ -29,11 +29,11 @@ class Points(NamedTuple):
     dates: list[str] | None
     """UTC, ISO 8601; None where the times of the input are no dates."""
     attributes: dict[str, list[Any]]
-    """By name of ``ATTRIBUTES``; None is not known."""
+    """By name of ``ATTRIBUTES``; None where unknown."""
     rejected: list[list[float]]
-    """Of each fix that is an outlier, where it was recorded: longitude, latitude and, if it is known, altitude."""
+    """The recorded place of each outlier: longitude, latitude and, if it is known, altitude."""
     rejected_rows: list[int]
-    """Their rows of the input."""
+    """Rows of these outliers in the input."""
     manoeuvres: list[tuple[Segment, NDArray[np.intp]]]
     """Each with the numbers of its steps."""
 

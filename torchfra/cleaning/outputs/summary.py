@@ -1,4 +1,4 @@
-"""What became of tracks, in numbers and in sentences."""
+"""Summaries of cleaned tracks, in numbers and in sentences."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from torchfra.readers.repairs import in_words, plural
 from torchfra.tables import duration, metres, printable, text_table
 
 _OF_EACH = ("Kind of target", "Sigma of the height")
-"""What is said of every target."""
+"""Beginnings of notes that every target has."""
 LONGEST_NAME = 100
 """Characters of a target's name in a line."""
 _NOUNS = {"climbing": "climb", "descending": "descent", "speeding up": "acceleration", "slowing down": "deceleration"}
-"""What a manoeuvre is called that is counted."""
+"""Nouns for counts of manoeuvres."""
 
 
 def summary(cleaned: Cleaned) -> dict[str, Any]:
-    """Counts, distances in m and what was found of a track."""
+    """Counts, distances in m and the settings of a track."""
     measured, rejected = cleaned.row >= 0, cleaned.flag == "outlier"
-    off, found, name = cleaned.off, cleaned.found, cleaned.recording.name
+    residual, found, name = cleaned.residual, cleaned.found, cleaned.recording.name
     counts = {flag or "usual": int((cleaned.flag[measured] == flag).sum()) for flag in FLAGS}
     of = course(cleaned)
     return {
@@ -36,22 +36,23 @@ def summary(cleaned: Cleaned) -> dict[str, Any]:
         "steps": len(cleaned.time),
         "seconds": float(cleaned.time[-1]),
         "flags": counts,
-        "median_correction": _quantile(off[measured & ~rejected], 0.5),
-        "largest_correction": _quantile(off[measured & ~rejected]),
-        "largest_rejected": _quantile(off[rejected]),
+        "median_correction": _quantile(residual[measured & ~rejected], 0.5),
+        "largest_correction": _quantile(residual[measured & ~rejected]),
+        "largest_rejected": _quantile(residual[rejected]),
         "median_std": _quantile(np.sqrt((of.along**2 + of.across**2) / 2), 0.5),
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
         "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma,
-        "stated": found.stated, "q": found.q, "nis": found.nis, "doubt": found.doubt, "found": sorted(found.found),
-        "said": list(found.said),
+        "stated": found.stated, "q": found.q, "nis": found.nis, "sigma_unsure": found.sigma_unsure,
+        "estimated": sorted(found.estimated),
+        "notes": list(found.notes),
         "segments": [segment._asdict() for segment in cleaned.segments],
         "regimes": list(cleaned.regimes),
     }  # fmt: skip
 
 
 def sentences(cleaned: Cleaned) -> list[str]:
-    """What became of a track, for a person: sentences of a line each."""
+    """The summary of a track in sentences of a line each."""
     of = summary(cleaned)
     said = [headline(of)]
     if cleaned.segments:
@@ -63,8 +64,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(f"The cleaned path has a standard deviation of {metres(of['median_std'])} per axis (median)")
     if math.isfinite(of["nis"]):
         said.append(f"Normalised innovation squared per axis (NIS): {of['nis']:.2f}; it is 1 if sigma and q are right")
-    if of["doubt"]:
-        said.append(of["doubt"])
+    if of["sigma_unsure"]:
+        said.append(of["sigma_unsure"])
     if _is_unlikely(of):
         said.append(UNLIKELY)
     if _is_mixed(cleaned):
@@ -91,7 +92,7 @@ UNLIKELY = (
     "A third of the fixes or more were rejected: do not trust the path. Columns, units or times may be other than "
     "taken, or the target may move as none of its kind does (--bank, --sigma)"
 )
-"""What is said of a track that its fixes contradict."""
+"""The warning for a track that its fixes contradict."""
 
 
 def _is_unlikely(of: Mapping[str, Any]) -> bool:
@@ -100,7 +101,7 @@ def _is_unlikely(of: Mapping[str, Any]) -> bool:
 
 
 MIXED = "The rejected fixes lie along ways of their own: there may be several targets in one"
-"""What is said of a track that may be of several targets."""
+"""The warning for a track that may be of several targets."""
 _MIXED, _NEAR, _IN_LINE = 0.2, 4, 0.1
 """Share of the fixes that must be rejected for that; how many others before and after are looked at; and how far a fix
 is at most from the line between two of these, as a share of its distance to the path."""
@@ -111,7 +112,7 @@ def _is_mixed(cleaned: Cleaned) -> bool:
     rejected = cleaned.flag == "outlier"
     if rejected.sum() < max(_MIXED * (cleaned.row >= 0).sum(), 2 * _NEAR):
         return False
-    time, place, off = cleaned.time[rejected], cleaned.raw[rejected, :2], cleaned.off[rejected]
+    time, place, residual = cleaned.time[rejected], cleaned.raw[rejected, :2], cleaned.residual[rejected]
     nearest = np.full(len(time), np.inf)
     for before in range(1, _NEAR + 1):
         for after in range(1, _NEAR + 1):
@@ -121,17 +122,17 @@ def _is_mixed(cleaned: Cleaned) -> bool:
             )
             away = np.linalg.norm(at - first - passed[:, None] * (last - first), axis=1)
             nearest[before:-after] = np.minimum(nearest[before:-after], away)
-    return bool(np.median(nearest / off) < _IN_LINE)
+    return bool(np.median(nearest / residual) < _IN_LINE)
 
 
 COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", "moved", "std", "sigma")
-"""Of a table of several targets."""
+"""Columns of a table of several targets."""
 LEGEND = (
     "farthest: of the rejected fixes; moved: the others, in the median",
     "std: of the cleaned path per axis, in the median",
     "sigma: of a fix per axis, or a factor on what the file states",
 )
-"""What some of them hold."""
+"""What some of these columns hold."""
 
 
 def cells(of: Mapping[str, Any]) -> list[tuple[float, str]]:
@@ -149,14 +150,14 @@ def cells(of: Mapping[str, Any]) -> list[tuple[float, str]]:
 
 
 def overview(results: Sequence[Cleaned]) -> list[str]:
-    """What became of several tracks: a table with a row for each, and sentences on all."""
+    """The summary of several tracks: a table with a row for each, and sentences on all."""
     every, word = [summary(cleaned) for cleaned in results], results[0].recording.source.word
     rows = [[printable(of["name"], 24), *(text for _, text in cells(of))] for of in every]
     fixes, rejected = sum(of["fixes"] for of in every), sum(of["flags"]["outlier"] for of in every)
     said = [text_table([word, *COLUMNS], rows), *LEGEND]
     said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
-    if doubtful := [of["name"] for of in every if of["doubt"]]:
-        said.append(f"Sigma is unsure of {listed(doubtful)}")
+    if unsure := [of["name"] for of in every if of["sigma_unsure"]]:
+        said.append(f"Sigma is unsure of {listed(unsure)}")
     if mixed := [cleaned.recording.name for cleaned in results if _is_mixed(cleaned)]:
         said.append(f"There may be several targets in one (--id): {listed(mixed)}")
     if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
@@ -175,15 +176,15 @@ def listed(names: Sequence[str]) -> str:
 
 
 def notes(results: Sequence[Cleaned]) -> list[str]:
-    """What there is to say of all tracks alike; and of what is said of some, how many these are."""
-    said = Counter(text for cleaned in results for text in cleaned.found.said)
+    """The notes that all tracks have; and for those that some have, the number of these."""
+    said = Counter(text for cleaned in results for text in cleaned.found.notes)
     some = Counter(text.partition(":")[0] for text, count in said.items() for _ in range(count) if count < len(results))
     lines = [text for text, count in said.items() if count == len(results)]
     return lines + [f"{what}: {count:,} of {len(results):,}" for what, count in some.items() if what not in _OF_EACH]
 
 
 def settings_lines(results: Sequence[Cleaned]) -> list[str]:
-    """With what tracks were cleaned, and which of it was found; of several only what they have in common."""
+    """The settings of tracks, and which of them were estimated; of several tracks only what they have in common."""
     lines = Counter(
         f"{_method(of.found)}; sigma {sigma_in_words(of.found.sigma, of.found.stated)} ({_how(of.found, 'sigma')}), "
         f"q {of.found.q:.3g} m^2/s^3 ({_how(of.found, 'q')})"
@@ -205,17 +206,23 @@ def sigma_in_words(sigma: float, stated: bool) -> str:
 
 
 def _how(found: Found, name: str) -> str:
-    return "given" if name not in found.found else "found, unsure" if name == "sigma" and found.doubt else "found"
+    return (
+        "given"
+        if name not in found.estimated
+        else "found, unsure"
+        if name == "sigma" and found.sigma_unsure
+        else "found"
+    )
 
 
 def manoeuvres(cleaned: Cleaned) -> str:
-    """How many there are of which kind, and how long they take together."""
+    """The number of manoeuvres of each kind, and their total duration."""
     kinds = Counter(_NOUNS.get(segment.kind, segment.kind) for segment in cleaned.segments)
     counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in kinds.most_common())
     return f"Manoeuvres: {counts}; {duration(sum(end - begin for begin, end in spans(cleaned.segments)))} in all"
 
 
 def _quantile(values: Any, share: float = 1.0) -> float:
-    """A quantile of what is finite; NaN of nothing."""
+    """A quantile of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(np.quantile(known, share)) if len(known) else np.nan

@@ -27,12 +27,12 @@ UNITS = {
     "z": "as the input has it; m up of the origin",
     "vx": "m/s", "vy": "m/s", "vz": "m/s", "speed": "m/s over ground", "course": "degrees clockwise from north, or +y",
     "climb": "m/s", "std_along": "m, along the course", "std_across": "m, to its right", "std_up": "m",
-    "nis": "normalised innovation squared", "outlier": "probability that the fix is wrong",
-    "wrong_for": "s since the first of the fixes in a row that are wrong", "off": "m from fix to cleaned position",
+    "nis": "normalised innovation squared", "outlier": "probability that the fix is an outlier",
+    "outlier_duration": "s since the first of consecutive outliers", "residual": "m from fix to cleaned position",
     "manoeuvre": "probability of a manoeuvre", "flag": "outlier, manoeuvre, unclear, or empty",
     "regime_": "probability of this motion", "cov_": "covariance, m and m/s", "raw_": "as recorded",
 }  # fmt: skip
-"""What the columns hold, by their names or by how these begin."""
+"""Descriptions of the columns, by their names or by the beginning of these."""
 
 
 def columns(cleaned: Cleaned) -> Table:
@@ -53,7 +53,12 @@ def columns(cleaned: Cleaned) -> Table:
         table |= _geodetic(cleaned, prefix)
         table |= {prefix + axis: position[:, i] / unit for i, axis in enumerate(axes)}
     table |= {f"v{axis}": cleaned.velocity[:, i] for i, axis in enumerate(axes)} | _course(cleaned)
-    table |= {"nis": cleaned.nis, "outlier": cleaned.outlier, "wrong_for": cleaned.wrong_for, "off": cleaned.off}
+    table |= {
+        "nis": cleaned.nis,
+        "outlier": cleaned.outlier,
+        "outlier_duration": cleaned.outlier_duration,
+        "residual": cleaned.residual,
+    }
     table |= {"manoeuvre": cleaned.manoeuvre, "flag": cleaned.flag}
     table |= {regime_column(name): cleaned.regime[:, i] for i, name in enumerate(cleaned.regimes)}
     return table | _covariance(cleaned, axes)
@@ -86,7 +91,7 @@ def regime_column(name: str) -> str:
 
 
 def about(names: list[str]) -> dict[str, str]:
-    """What columns hold, by their names."""
+    """Descriptions of columns, by their names."""
     return {name: _about(name) for name in names}
 
 

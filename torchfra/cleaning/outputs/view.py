@@ -1,4 +1,4 @@
-"""What a picture of a cleaned track shows, whoever draws it."""
+"""The numbers in a picture of a cleaned track, for matplotlib and for pages."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from torchfra.tables import duration, metres, printable
 SURE = 2.0
 """Standard deviations to each side that a band is wide."""
 MOST_STD = 6.0
-"""Of an innovation, up to which it is shown."""
+"""Standard deviations of an innovation up to which it is shown."""
 _ROOM = 0.5
-"""How far kept fixes may widen the map of the path, as a share of it."""
+"""Share of the path's size by which kept fixes may widen the map."""
 _MEDIAN, _SPIKE = 5, 3.0
 """Steps of running medians; and how many times as wide as these values may spread before their spikes do not count."""
 _MOST_OFF = 4.5
@@ -29,13 +29,13 @@ of a Gaussian."""
 _NAME = 40
 """Characters of a target's name in a title."""
 _REGIMES = 5
-"""That are shown by themselves, with the calm one."""
+"""Largest number of regimes that are shown by themselves, with the calm one."""
 _LEAST_SHARE = 0.01
 """Mean probability of a regime that is shown by itself."""
 
 
 _UNITS = {"turn": "deg/s", "climb": "m/s", "descend": "m/s"}
-"""Of the rate of a manoeuvre, by a word of its kind; of others it is m/s^2."""
+"""Units of a manoeuvre's rate, by a word of its kind; the unit of all others is m/s^2."""
 
 
 class Band(NamedTuple):
@@ -60,11 +60,11 @@ class Band(NamedTuple):
 
 
 class View(NamedTuple):
-    """Numbers of a picture; ``T`` steps."""
+    """The numbers in a picture; ``T`` steps."""
 
     title: str
     unit: str
-    """Of the map, with ``metres`` in one."""
+    """The unit of the map, of ``metres`` m."""
     metres: float
     path: Array
     """``(T, 2)`` east and north, in ``unit``."""
@@ -73,7 +73,7 @@ class View(NamedTuple):
     recorded: Array
     """``(T, 2)``; NaN between fixes."""
     rejected: NDArray[np.bool_]
-    """``(T,)`` which of them are outliers."""
+    """``(T,)`` whether a fix is an outlier."""
     window: tuple[Array, Array]
     """Lower left and upper right of the map."""
     time: Array
@@ -84,7 +84,7 @@ class View(NamedTuple):
     innovation: Array
     """``(T,)`` in standard deviations per axis: 1 is as expected; NaN between fixes."""
     manoeuvres: list[tuple[float, float, str]]
-    """Begin and end in units of ``time``, and what it was."""
+    """Begin and end in units of ``time``, and a description."""
     shades: list[tuple[float, float]]
     """Begin and end of the time with any manoeuvre."""
     regimes: dict[str, Array]
@@ -92,7 +92,7 @@ class View(NamedTuple):
 
 
 def view(cleaned: Cleaned) -> View:
-    """What there is to be seen of a track."""
+    """The numbers in a picture of a track."""
     moved, d = course(cleaned), cleaned.raw.shape[1]
     rejected = cleaned.flag == "outlier"
     low, high = _corners(cleaned, rejected)
@@ -120,16 +120,16 @@ def view(cleaned: Cleaned) -> View:
 
 
 def named(segment: Segment) -> str:
-    """What a manoeuvre was, and how hard."""
+    """The kind of a manoeuvre and its rate."""
     unit = next((unit for word, unit in _UNITS.items() if word in segment.kind), "m/s²")
     return f"{segment.kind}, {abs(segment.rate):.2g} {unit}"
 
 
 def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, str]:
-    """Rejected fixes that are not on a map from ``low`` to ``high``, and how much else is not.
+    """Rejected fixes outside a map from ``low`` to ``high``, and a sentence on all fixes outside.
 
     Returns:
-        Points ``(k, 2)`` where they would leave it, directions ``(k, 2)`` of length 1, and what to say; "" of nothing.
+        Points ``(k, 2)`` on its edge, directions ``(k, 2)`` of length 1, and the sentence; "" if there are none.
     """
     outside = ((of.recorded < low) | (of.recorded > high)).any(1) & np.isfinite(of.path).all(1)
     fixes = of.recorded[outside & of.rejected]
@@ -146,7 +146,7 @@ def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, str]:
 
 
 def placed(of: View, letters: int) -> list[tuple[float, int, str]]:
-    """Where names of manoeuvres have room above a panel that is so many letters wide: in two rows, none on another.
+    """Places for names of manoeuvres above a panel ``letters`` wide: in two rows, without overlap.
 
     Returns:
         The middle as a share of the width, the row, and the name.
@@ -184,7 +184,7 @@ def _clock(cleaned: Cleaned) -> tuple[str, float]:
 
 
 def _sides(cleaned: Cleaned, across: Array) -> Array:
-    """``(T, 2, 2)`` m: the path, moved to its left and to its right by how unsure it is."""
+    """``(T, 2, 2)`` m: the path, moved to its left and to its right by ``SURE`` standard deviations."""
     velocity = cleaned.velocity[:, :2]
     ahead = velocity / np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-12)
     left = SURE * across[:, None] * np.stack([-ahead[:, 1], ahead[:, 0]], 1)
@@ -231,7 +231,7 @@ def corners(low: Array, high: Array, fixes: Array, room: float) -> tuple[Array, 
 
 
 def _regimes(cleaned: Cleaned) -> dict[str, Array]:
-    """Those that are likely at some time, and the others as one; none where that is the usual one alone."""
+    """Regimes that are likely at some time, and the others as one; empty where that is the usual one alone."""
     if not cleaned.regimes:
         return {}
     known = np.nan_to_num(cleaned.regime)

@@ -276,9 +276,9 @@ class GPB(Filter[GPBState]):
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """The estimates of all steps; the one-step smoothed estimate of a step is that of the next step's info."""
-        time = info.regimes.dim() - 2
-        lagged = tree.one_earlier(info.lagged, state.belief, time, info.regimes.shape[time])
-        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.regimes, info.outlier, info.alarm)
+        time = info.probabilities.dim() - 2
+        lagged = tree.one_earlier(info.lagged, state.belief, time, info.probabilities.shape[time])
+        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm)
 
     # ------------------------------------------------------------ whether the sensor is faulty
 

@@ -52,7 +52,7 @@ class GPBInfo(NamedTuple):
     """``mean (..., T, n)`` and ``scale_tril``: the filtered estimate."""
     lagged: Gaussian
     """The one-step smoothed estimate, in the same shapes; it equals ``filtered`` where no step follows."""
-    regimes: Tensor
+    probabilities: Tensor
     """``(..., T, R)`` probabilities of the regimes."""
     outlier: Tensor
     """``(..., T, B)`` probability that each block is an outlier; 0 in a step without any measurement.  For a block that
@@ -65,7 +65,7 @@ class Step(NamedTuple):
     """The info of one step; ``lagged`` is of the step before."""
 
     lagged: Late
-    regimes: Tensor
+    probabilities: Tensor
     outlier: Tensor
     alarm: Alarm
 

@@ -1,4 +1,4 @@
-"""Fixes whose time stamps are off are moved along the path to where the target was at that time."""
+"""Wrong time stamps: fixes are moved along the path to where the target was at the stated time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchfra.cleaning.batches import steps_of
 from torchfra.cleaning.cleaned import Cleaned
 from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.positions import Settings, answers
-from torchfra.cleaning.second import second_differences, spread
+from torchfra.cleaning.second_differences import second_differences, spread
 from torchfra.readers.columns import Array
 from torchfra.readers.flyable import flyable, running_median
 from torchfra.readers.recording import Recording
@@ -18,29 +18,31 @@ from torchfra.readers.smoothing import differences
 from torchfra.tables import metres
 
 _RATIO = 2.0, 1.5
-"""How much larger accelerations are along the track than across where stamps are off, in ADS-B and else: those of
-noise are alike."""
-_GROWS = 1.3
-"""Without every second fix, white errors of stamps do not grow so much; those of a motion do, by 1.4 or more."""
+"""Least ratio of accelerations along the track and across where stamps are wrong, in ADS-B and elsewhere: those of
+noise are equal."""
+_GROWTH = 1.3
+"""Without every second fix, second differences due to white errors of stamps grow less; those of a motion grow by 1.4
+or more."""
 _LEAST = 8, 60
-"""Fixes from which on that can be seen of ADS-B, and of others, which do change their speed as they go."""
+"""Fewest fixes of ADS-B, and of other tracks, whose targets change their speed more often."""
 _HALF = 0.5
-"""Seconds by which a target is ahead, in the mean, of where it was at a time that was cut to a whole second."""
-_CUT = 0.2, 0.45
-"""Standard deviations of stamps, s, between which they may be cut to whole seconds: even errors of 1 s have 0.29."""
+"""Seconds from a time that was truncated to a whole second to the fix, in the mean."""
+_TRUNCATED = 0.2, 0.45
+"""Standard deviations of stamps, s, between which they may be truncated to whole seconds: uniform errors of 1 s have
+0.29."""
 _HIDDEN = 0.4
-"""Seconds of the way that noise is as large as, from which on it hides whether times are cut."""
+"""Noise over speed, s, from which on noise hides whether times are truncated."""
 _REGULAR = 0.95
-"""Share of the gaps that are alike from which on fixes came at whole seconds, and no time was cut."""
+"""Share of equal gaps from which on fixes came at whole seconds, and no time was truncated."""
 _ASIDE = 5.0
-"""Standard deviations that a fix lies beside the path of which not only the stamp is off."""
+"""Standard deviations across the path from which on the position of a fix is wrong too."""
 
 
-def stamps_are_off(recording: Recording, kind: str) -> bool:
-    """Whether fixes jump to and fro along a path that is smooth by itself.
+def stamps_are_wrong(recording: Recording, kind: str) -> bool:
+    """Whether fixes jump to and fro along a path that is smooth across.
 
-    Noise of the positions would show across the track as well, and so do turns.  A target that changes its speed goes
-    on for several fixes, and by less than its kind can.
+    Noise of the positions and turns would show across the track as well.  A change of speed lasts for several fixes,
+    and is smaller than the kind of target allows.
 
     Args:
         recording: of a target.
@@ -61,12 +63,12 @@ def stamps_are_off(recording: Recording, kind: str) -> bool:
     return _white(time, path)
 
 
-def stamps_are_cut(recording: Recording) -> bool:
-    """Whether times are those of the fixes cut to whole seconds, so that a target was ahead by half a second.
+def stamps_are_truncated(recording: Recording) -> bool:
+    """Whether times were truncated to whole seconds, so that fixes are half a second late in the mean.
 
-    All are whole though the fixes come irregularly, and errors along the path are larger than those across by what such
-    stamps make of its speed.  Where noise hides that, they are taken as they are: receivers of AIS cut times as well as
-    add to them what passes until a fix is heard.
+    Then all times are whole though fixes come irregularly, and errors along the path exceed those across it by the
+    speed times such errors of stamps.  Where noise hides that, times are taken as they are: receivers of AIS truncate
+    them, and add the time until a message is heard.
 
     Args:
         recording: of a target.
@@ -82,37 +84,37 @@ def stamps_are_cut(recording: Recording) -> bool:
     speed = running_median(ahead / (time[2:] - time[:-2]), 7)
     fast = speed >= np.median(speed)
     one, other = (spread(x[fast] / speed[fast].clip(1e-9), 0.5) for x in (along, across))
-    seen = other <= _HIDDEN and bool(_CUT[0] ** 2 < one**2 - other**2 < _CUT[1] ** 2)
+    seen = other <= _HIDDEN and bool(_TRUNCATED[0] ** 2 < one**2 - other**2 < _TRUNCATED[1] ** 2)
     return seen and (recording.source.word == "ship" or _white(time, path))
 
 
-def earlier(one: Cleaned) -> Cleaned:
-    """The result at stamps that were cut, half a second before the times of the fixes in the mean."""
+def at_truncated_times(one: Cleaned) -> Cleaned:
+    """The result at truncated time stamps, which are half a second before the fixes in the mean."""
     if one.found.failure:
         return one
     d = one.raw.shape[1]
     back = np.eye(2 * d)
     back[:d, d:] = -_HALF * np.eye(d)
     usual = metres(_HALF * float(np.nanmedian(np.linalg.norm(one.velocity[:, :2], axis=1))))
-    said = (
-        "Times are taken as cut to whole seconds, not as rounded (--no-repair): "
+    note = (
+        "Times are taken as truncated to whole seconds, not as rounded (--no-repair): "
         f"the path is {_HALF:g} s behind the fixes ({usual} in the median)"
     )
     return replace(one, mean=one.mean @ back.T, covariance=back @ one.covariance @ back.T, behind=_HALF,
-                   found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
+                   found=replace(one.found, notes=(*one.found.notes, note)))  # fmt: skip
 
 
 def _as_reported(recording: Recording) -> bool:
-    """Whether a file is of aircraft as they report themselves: their stamps may be off for a while."""
+    """Whether a file has reports of aircraft (ADS-B), whose stamps may be wrong for a while."""
     return recording.source.word == "aircraft"
 
 
-def in_place(recording: Recording, kind: str) -> tuple[Recording, Array]:
-    """The recording with each fix moved along the path to where the target was, and ``(k,)`` how sure that is, m^2.
+def moved_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
+    """The recording with each fix moved along the path to where the target was, and variances ``(k,)`` of these, m^2.
 
-    Positions that aircraft report come late, are held, or are interpolated between others: ``readers.flyable``.  As a
-    track alone does not tell whether all of its stamps are late, the variance is of how far fixes were usually moved.
-    Stamps of others are off by white noise.
+    Positions that aircraft report come late, repeat, or are interpolated: ``readers.flyable``.  As a track alone cannot
+    show that all of its stamps are late, the variance is that of the usual shift.  Stamps of other targets have white
+    errors.
 
     Outliers stay as they are.
     """
@@ -127,9 +129,9 @@ def in_place(recording: Recording, kind: str) -> tuple[Recording, Array]:
 
 
 def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
-    """With distances along the track smoothed by a filter whose noise contains the shifts of fixes by wrong stamps.
+    """Smooths distances along the track by a filter whose noise contains the shifts of fixes by wrong stamps.
 
-    Errors along the track are then as large as those across it, and no larger: a filter of positions takes both as one.
+    Errors along the track are then as large as those across it: a filter of positions has one variance for both.
     """
     time, position, d = recording.time, recording.position.copy(), recording.position.shape[1]
     there = np.isfinite(position[:, :2]).all(1)
@@ -151,11 +153,11 @@ def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
 
 
 def as_recorded(one: Cleaned, recording: Recording, variance: Array) -> Cleaned:
-    """The result of a recording whose fixes were put in place, with the fixes where they were recorded.
+    """The result of a recording whose fixes were moved, with the fixes where they were recorded.
 
     Args:
         one: the result.
-        recording: as it came.
+        recording: before its fixes were moved.
         variance: ``(k,)`` of the positions along the track, m^2, which is added to the covariances.
     """
     moved = np.linalg.norm((one.recording.position - recording.position)[:, :2], axis=1)
@@ -163,19 +165,19 @@ def as_recorded(one: Cleaned, recording: Recording, variance: Array) -> Cleaned:
     raw = np.full_like(one.raw, np.nan)
     raw[one.row >= 0] = recording.position[one.row[one.row >= 0]]
     usual, most = metres(float(np.median(moved))), metres(float(moved.max()))
-    said = f"Time stamps were off: fixes moved along the path by {usual} (median) to {most}"
+    note = f"Time stamps were off: fixes moved along the path by {usual} (median) to {most}"
     course, covariance = _course(one.velocity), one.covariance.copy()
     more = np.interp(one.time, recording.time - recording.time[0], variance)
     covariance[:, :d, :d] += more[:, None, None] * course[:, :, None] * course[:, None, :]
     return replace(one, recording=recording, raw=raw, covariance=covariance,
-                   found=replace(one.found, said=(*one.found.said, said)))  # fmt: skip
+                   found=replace(one.found, notes=(*one.found.notes, note)))  # fmt: skip
 
 
 def _white(time: Array, path: Array) -> bool:
-    """Whether errors along a path are white, and smaller than the way between fixes; those of a motion are not."""
+    """Whether errors along a path are white, and smaller than the distance of fixes; those of a motion are not."""
     along, _, ahead = _along_and_across(time, path)
     fewer = np.concatenate([_along_and_across(time[first::2], path[first::2])[0] for first in (0, 1)])
-    return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWS * spread(along))
+    return bool(2 * spread(along) < np.median(ahead) and spread(fewer) < _GROWTH * spread(along))
 
 
 def _along_and_across(time: Array, path: Array) -> tuple[Array, Array, Array]:
@@ -187,5 +189,5 @@ def _along_and_across(time: Array, path: Array) -> tuple[Array, Array, Array]:
 
 
 def _course(velocity: Array) -> Array:
-    """Unit vectors of the way ahead."""
+    """Unit vectors along the velocity."""
     return np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True).clip(1e-9))

@@ -1,4 +1,4 @@
-"""Second differences of fixes: what is left of them where a target goes straight on, which is mostly noise."""
+"""Second differences of fixes: mostly noise where a target goes straight on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torchfra.readers.columns import Array
 from torchfra.readers.smoothing import differences
 
 _STD = {0.25: 0.3186, 0.5: 0.6745, 0.8: 1.2816}
-"""Standard deviations below which so large a share of a normal distribution's absolute values is."""
+"""Quantiles of the absolute value of a standard normal variable, by their shares."""
 
 
 def second_differences(time: Array, path: Array) -> Array:
@@ -24,5 +24,5 @@ def second_differences(time: Array, path: Array) -> Array:
 
 
 def spread(values: Array, share: float = 0.8) -> float:
-    """The standard deviation of what is normally distributed about 0, as far as this share of it."""
+    """The standard deviation of a normal distribution about 0 with the values' quantile of this share."""
     return float(np.quantile(np.abs(values), share)) / _STD[share]

@@ -1,4 +1,4 @@
-"""One run for a map: which one, which part of it, and the points and lines of the map."""
+"""A run for a map: its choice, the part that is shown, and the points and lines."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from torchfra.filters.base import Filter
 from torchfra.scenarios import Scenario
 
 OUTLYING = 4.0
-"""Standard deviations, as the sensor states them, beyond which a measurement is an outlier: 1 of 16,000 good ones."""
+"""Standard deviations, as the sensor states them, beyond which a measurement is an outlier: 1 in 16,000 inliers."""
 _CANDIDATES = 25
-"""Runs around the median among which one with a turn is chosen."""
+"""Number of runs around the median among which one with a turn is chosen."""
 _SHORTEST = 20
 """Steps of the shortest part that is shown."""
 _VISIBLE = 1 / 30
-"""Share of a map that an error takes up when it can be seen."""
+"""Least visible size of an error, as a share of the map."""
 
 
-class Flight(NamedTuple):
+class MappedRun(NamedTuple):
     """A part of one run in the horizontal plane, m; ``N`` targets, ``T`` steps, ``J`` measurements of a step."""
 
     number: int
@@ -44,13 +44,13 @@ class Flight(NamedTuple):
     """``(N, T, 2)`` by name of the filter."""
 
 
-def flight(
+def mapped_run(
     scenario: Scenario, filters: Mapping[str, Filter], rmse: Sequence[Tensor], seed: int, number: int | None = None
-) -> Flight | None:
+) -> MappedRun | None:
     """A run of a scenario through filters, as a map shows it.
 
-    Where errors would be too small to be seen on the whole run, it is the part around the measurement that is furthest
-    off, or around the largest error if nothing is known of the measurements.
+    Where errors would be too small to be seen on the whole run, it is the part around the largest error of a
+    measurement, or of an estimate if errors of measurements are unknown.
 
     Args:
         scenario: what is tracked.
@@ -61,7 +61,7 @@ def flight(
         number: of the run; None for the typical one.
 
     Returns:
-        None if there is no map: the position has one dimension, or nothing is known of the true one.
+        None if there is no map: the position has one dimension, or the true one is unknown.
     """
     if scenario.motion.dims < 2:
         return None
@@ -77,7 +77,7 @@ def flight(
     paths = {name: path[:, part] for name, path in paths.items()}
     name = scenario.recordings[number] if scenario.recordings else f"run {number}"
     places, outlying = fixes(scenario, tracks)[0, part, :, :2], off[part] > OUTLYING
-    return Flight(number, name, time[part], truth[:, part], places, outlying, paths)
+    return MappedRun(number, name, time[part], truth[:, part], places, outlying, paths)
 
 
 def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:
@@ -97,13 +97,13 @@ def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:
     targets = len(_plane(scenario, scenario.simulate(1, seed).truth))
     runs = sorted({int(i) // targets for i in ratio.argsort(stable=True)[max(0, middle - half) : middle + half + 1]})
 
-    def dull(number: int) -> tuple[bool, float]:
+    def uninteresting(number: int) -> tuple[bool, float]:
         tracks = scenario.simulate(1, seed, first=number)
         off, worst = deviations(scenario, tracks)[0].amax(-1).max(0)
         near = _around(int(worst), _SHORTEST, scenario.steps)
         return bool(off <= OUTLYING), abs(math.pi - _turn(_plane(scenario, tracks.truth)[:, near]))
 
-    return min(runs, key=dull)
+    return min(runs, key=uninteresting)
 
 
 def _plane(scenario: Scenario, states: Tensor) -> Tensor:
@@ -112,7 +112,7 @@ def _plane(scenario: Scenario, states: Tensor) -> Tensor:
 
 
 def _part(truth: Tensor, paths: Tensor, off: Tensor) -> slice:
-    """The steps to show, of paths ``(F, N, T, 2)``: fewer and fewer until their errors can be seen."""
+    """The steps to show of paths ``(F, N, T, 2)``: halved until errors are visible."""
     known = int(truth.isfinite().all(-1).any(0).nonzero().amax()) + 1
     error = (paths - truth).norm(dim=-1)
     most = off.amax(-1) if off.any() else error.nan_to_num().amax((0, 1))
@@ -123,7 +123,7 @@ def _part(truth: Tensor, paths: Tensor, off: Tensor) -> slice:
 
 
 def _around(step: int, length: int, steps: int) -> slice:
-    """``length`` steps of which a third comes before ``step``, as far as there are so many."""
+    """``length`` steps, a third of which is before ``step``, within all steps."""
     first = max(0, min(step - length // 3, steps - length))
     return slice(first, min(first + length, steps))
 
@@ -135,6 +135,6 @@ def _extent(path: Tensor) -> Tensor:
 
 
 def _turn(path: Tensor) -> float:
-    """The angle by which paths ``(N, T, 2)`` turn to one side, rad; the largest of several."""
+    """The angle by which paths ``(N, T, 2)`` turn to one side, rad; the largest over the targets."""
     east, north = path.diff(dim=1).unbind(-1)
     return float(wrap(torch.atan2(east, north).diff(dim=1)).nansum(-1).abs().amax())

@@ -1,4 +1,4 @@
-"""Filters of the catalogue on recorded tracks, with what they say of each step in the words of cleaning."""
+"""Filters of the catalogue on recorded tracks: their estimates, and probabilities of outliers and regimes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
-from torchfra.filters import GPB, Filter, GPBInfo
+from torchfra.filters import GPB, Filter
 from torchfra.filters.records import SmoothInfo
 from torchfra.motion.bank import Bank, aircraft
 from torchfra.motion.polynomial import ConstantVelocity
@@ -38,43 +38,43 @@ def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank
         options |= {"max_gap": LONGEST_GAP, "period": period}
     if bank is not None and bank.dims != d:
         raise ValueError(f"bank: expected motions in {d} dimensions, received {bank.dims}")
-    motion = ConstantVelocity(q, d, orders=3, spectral=True)
+    motion = ConstantVelocity(q, d, orders=3, continuous=True)
     sensor = Position(sigma.unsqueeze(-1).expand(-1, d), dims=d)
-    return make_filter(name, motion, sensor, bank or aircraft(q, d, spectral=True), **options)
+    return make_filter(name, motion, sensor, bank or aircraft(q, d, continuous=True), **options)
 
 
 def estimated(
     f: Filter, name: str, tracks: Sequence[Steps], sigma: Tensor, *, smooth: bool, compile: bool = False,
     fallback: Fallback | None = None,
 ) -> Estimate:  # fmt: skip
-    """What a filter says of tracks as one batch.
+    """Estimates of a filter for tracks as one batch.
 
     Raises:
         CompileError: it cannot be compiled, and there is no ``fallback``.
     """
     z, gaps, std = padded(tracks)
     n, d = f.motion.size, z.shape[-1]
-    start = torch.nan_to_num(z[:, 0])
-    mean = torch.cat([start, start.new_zeros(len(z), n - d)], -1)
+    first = torch.nan_to_num(z[:, 0])
+    mean = torch.cat([first, first.new_zeros(len(z), n - d)], -1)
     spread = torch.tensor([1.0, 300.0, 5.0], dtype=z.dtype).repeat_interleave(d)[:n]
     root = torch.cat([10 * sigma.unsqueeze(-1).expand(-1, d), torch.ones_like(mean[:, d:])], -1) * spread
     own = None if bool((std == 1).all()) else std * sigma[:, None, None]
-    given = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
+    arguments = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
     run = f.smooth if smooth else f
     with torch.no_grad():
         if not compile:
-            return run(**given)  # type: ignore[arg-type]
+            return run(**arguments)  # type: ignore[arg-type]
         try:
             from torchfra.compiler.llvm import binding  # only where it is needed
 
             binding()
             g = copy.copy(f).compile()
-            return (g.smooth if smooth else g)(**given)  # type: ignore[arg-type]
+            return (g.smooth if smooth else g)(**arguments)  # type: ignore[arg-type]
         except (CompileError, NotImplementedError) as error:
             if fallback is None:
                 raise
             fallback(name, str(error))
-        return run(**given)  # type: ignore[arg-type]
+        return run(**arguments)  # type: ignore[arg-type]
 
 
 def outlier_of(estimate: Estimate) -> Tensor:
@@ -87,12 +87,11 @@ def outlier_of(estimate: Estimate) -> Tensor:
 
 
 def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
-    """Names of what the filter weighs at each step, and its probabilities ``(..., T, R)``; none of a single motion."""
+    """Names of the regimes or models of a filter, and their probabilities ``(..., T, R)``; none of a single motion."""
     info = estimate.info
-    weights = info.probabilities if isinstance(info, SmoothInfo) else None
-    if weights is None:
-        info = info.filtered.info if isinstance(info, SmoothInfo) else info
-        weights = info.regimes if isinstance(info, GPBInfo) else getattr(info, "probabilities", None)
+    weights = getattr(info, "probabilities", None)
+    if weights is None and isinstance(info, SmoothInfo):
+        weights = getattr(info.filtered.info, "probabilities", None)
     motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
     if isinstance(f, GPB) and weights is not None:
         first, *others = motions
@@ -103,7 +102,7 @@ def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
 
 
 def _calm_first(f: GPB, weights: Tensor) -> Tensor:
-    """Of regimes ``(..., R)`` those of the first motion up to its stated process noise, those above, others, jumps.
+    """Sums of regimes ``(..., R)``: the first motion up to its stated process noise, above it, other motions, jumps.
 
     A climb is calm but for the vertical noise, which is the stated one.
     """

@@ -9,12 +9,12 @@ import torch
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, aircraft, people, ships, vehicles
 
 MOTIONS = {
-    "constant velocity": ConstantVelocity(0.7, 3, spectral=True),
-    "with an acceleration": ConstantVelocity(0.7, 2, orders=3, spectral=True),
-    "constant acceleration": ConstantAcceleration(0.7, 2, spectral=True),
-    "turn": CoordinatedTurn(0.2, 0.7, 3, spectral=True),
-    "turn with an acceleration": CoordinatedTurn(-0.4, 0.7, 2, orders=3, spectral=True),
-    "turn of no rate": CoordinatedTurn(0.0, 0.7, 2, spectral=True),
+    "constant velocity": ConstantVelocity(0.7, 3, continuous=True),
+    "with an acceleration": ConstantVelocity(0.7, 2, orders=3, continuous=True),
+    "constant acceleration": ConstantAcceleration(0.7, 2, continuous=True),
+    "turn": CoordinatedTurn(0.2, 0.7, 3, continuous=True),
+    "turn with an acceleration": CoordinatedTurn(-0.4, 0.7, 2, orders=3, continuous=True),
+    "turn of no rate": CoordinatedTurn(0.0, 0.7, 2, continuous=True),
 }
 
 
@@ -50,13 +50,13 @@ def test_the_noise_of_a_turn_is_its_integral_to_many_digits(rate):
     of_x = torch.tensor(x, dtype=torch.float64)
     expected = of_x + turned @ of_x @ turned.mT
     torch.testing.assert_close(
-        covariance(CoordinatedTurn(rate, q, spectral=True), dt), expected, rtol=1e-12, atol=1e-12
+        covariance(CoordinatedTurn(rate, q, continuous=True), dt), expected, rtol=1e-12, atol=1e-12
     )
 
 
 def test_white_noise_has_its_closed_form():
     expected = 0.7 * torch.tensor([[2.0**3 / 3, 2.0**2 / 2], [2.0**2 / 2, 2.0]], dtype=torch.float64)
-    torch.testing.assert_close(covariance(ConstantVelocity(0.7, 1, spectral=True), 2.0), expected)
+    torch.testing.assert_close(covariance(ConstantVelocity(0.7, 1, continuous=True), 2.0), expected)
 
 
 def test_the_form_of_the_papers_stays_the_default():
@@ -66,7 +66,7 @@ def test_the_form_of_the_papers_stays_the_default():
 
 @pytest.mark.parametrize("make", [aircraft, ships, vehicles, people])
 def test_banks_are_of_one_state_and_take_densities_of_a_batch(make):
-    bank = make(torch.tensor([1.0, 2.0], dtype=torch.float64), 3, spectral=True)
+    bank = make(torch.tensor([1.0, 2.0], dtype=torch.float64), 3, continuous=True)
     assert (len(bank), bank.size) == (7, 9)
     assert bank.process_noise(torch.ones(2, dtype=torch.float64)).shape[:3] == (2, 7, 9)
     rates = sorted(abs(math.degrees(model.rate())) for model in bank if isinstance(model, CoordinatedTurn))
