@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import threading
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +20,7 @@ from torchfra.cli.reading_options import add_bound_option, add_cleaning_options,
 from torchfra.readers import Recording
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
-from torchfra.running.jobs import add_jobs_option, cores, prepare
+from torchfra.running.jobs import add_jobs_option, cores
 from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 
@@ -48,9 +49,6 @@ and the covariance."""
 
 WORTHWHILE = 5_000
 """Steps of the longest track from which compiling saves time."""
-
-_LARGE = 1_000_000
-"""Bytes of a file from which on several processes may be useful."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
@@ -100,15 +98,13 @@ def run(options: argparse.Namespace) -> None:
     check_files(extra, [options.file])
     check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
     options.jobs = options.jobs or cores()
-    large = options.file.is_file() and options.file.stat().st_size > _LARGE
-    if options.jobs > 1 and options.filter == DEFAULT and large:
-        prepare("torchfra.cleaning.core")
     words: dict[str, Any] = reading_of(options)
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
     check_files(extra | {f"out, {path.name}": path for path in files.paths()}, [options.file])
     if files.pictures or files.overview is not None:
-        import_module("torchfra.plotting")  # which takes long, while the processes start
+        # With matplotlib it takes half a second, in which others work.
+        threading.Thread(target=import_module, args=("torchfra.plotting",)).start()
     tell, _ = reporters(options.compile, options.quiet)
     for note in dict.fromkeys(note for recording in recordings for note in recording.source.notes):
         tell(printable(note))

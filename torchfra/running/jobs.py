@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import io
 import multiprocessing
 import os
@@ -15,8 +16,6 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice, starmap
 from typing import Any, TypeVar
-
-import torch
 
 from torchfra.running.memory import keep_memory
 
@@ -35,6 +34,8 @@ def add_jobs_option(
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Lets torch work in one thread, for operations so small that several would only wait for each other."""
+    import torch  # which takes a second, and which ``prepare`` does without
+
     before = torch.get_num_threads()
     if before == 1:  # as in a thread that began while another was in here, whose number is not restored by this one
         yield
@@ -106,7 +107,10 @@ def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int
 
 def _as_worker() -> None:
     """Gives a worker process one thread, and lets it end with the process that started it, even if that is killed."""
+    import torch
+
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    gc.freeze()  # what has been imported stays
     torch.set_num_threads(1)
     keep_memory()
 
@@ -122,6 +126,8 @@ class _Pickler(pickle.Pickler):
     """Sends tensors by their values, as plain ones on the CPU; torch would open a file for each of thousands."""
 
     def reducer_override(self, x: Any) -> Any:
+        import torch
+
         return (torch.from_numpy, (x.detach().numpy(),)) if isinstance(x, torch.Tensor) else NotImplemented
 
 

@@ -1,0 +1,66 @@
+"""Processes for a large file begin to import torch before this one does; no other call starts any."""
+
+import gc
+import subprocess
+import sys
+
+import pytest
+
+from torchfra.cli import early
+
+
+@pytest.fixture
+def started(monkeypatch, tmp_path):
+    """Modules for which processes were started, on two processors, in a folder with a large file and a small one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "large.csv").write_text(" " * 1_000_001)
+    (tmp_path / "small.csv").write_text(" ")
+    modules = []
+    monkeypatch.setattr(early, "prepare", modules.append)
+    monkeypatch.setattr(early, "cores", lambda: 2)
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    return modules
+
+
+@pytest.mark.parametrize("line", ["large.csv", "--quiet large.csv --out small.csv", "large.csv --jobs 3"])
+def test_a_large_file_starts_them(started, line):
+    early.start_processes(line.split())
+    assert started == ["torchfra.cleaning.core"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "small.csv",
+        "small.csv --out large.csv",
+        "none.csv",
+        "",
+        "large.csv --jobs 1",
+        "large.csv --jobs some",
+        "large.csv --filter imm",
+        "large.csv --out",
+    ],
+)
+def test_no_other_line_does(started, line):
+    early.start_processes(line.split())
+    assert not started
+
+
+def test_no_process_of_several_does(started, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    early.start_processes(["large.csv"])
+    assert not started
+
+
+def test_this_process_has_not_imported_torch_before():
+    code = "import sys; from torchfra.cli import early; early.start_processes([]); sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_garbage_is_collected_after_an_import_as_before_it(monkeypatch):
+    monkeypatch.delitem(sys.modules, "colorsys", raising=False)
+    frozen = []
+    monkeypatch.setattr(gc, "freeze", lambda: frozen.append(gc.isenabled()))
+    assert early.imported("colorsys").__name__ == "colorsys"
+    assert frozen == [False]
+    assert gc.isenabled()
