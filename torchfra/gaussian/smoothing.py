@@ -10,7 +10,7 @@ from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
 from torchfra.linalg.tracing import is_elementary, is_traced
-from torchfra.linalg.triangular import eliminated, hstack, tria
+from torchfra.linalg.triangular import dependent, eliminated, hstack, rounding, tria
 from torchfra.types import Gaussian
 
 
@@ -63,7 +63,7 @@ def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """
     terms = 3 * n + joint.shape[-1]
     if is_elementary():
-        return eliminated(joint, n, _rounding(terms, joint.dtype))  # L22 need not be a triangle
+        return eliminated(joint, n, rounding(terms, joint.dtype))  # L22 need not be a triangle
     lower, certain = without_certain(tria(joint), n, terms)
     root = lower[..., :n, :n] + torch.diag_embed(certain.to(lower))
     return root, lower[..., n:, :n], lower[..., n:, n:], certain
@@ -92,13 +92,7 @@ def without_certain(root: Tensor, count: int, terms: int) -> tuple[Tensor, Tenso
     Returns:
         The root, and ``(..., count)`` bool, which directions are certain.
     """
-    value = root.detach()[..., :count, :count]
-    certain = value.diagonal(dim1=-2, dim2=-1) <= _rounding(terms, root.dtype) * value.square().sum(-1).sqrt()
+    certain = dependent(root[..., :count, :count], terms)
     if is_traced(root) or bool(certain.any()):
         root = tria(torch.where(pad(certain, (0, root.shape[-2] - count)).unsqueeze(-1), 0.0, root))
     return root, certain
-
-
-def _rounding(terms: int, dtype: torch.dtype) -> float:
-    """Relative rounding error of sums of ``terms`` terms."""
-    return 4 * terms * torch.finfo(dtype).eps
