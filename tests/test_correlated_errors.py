@@ -11,7 +11,7 @@ from oracles.lasting import lasting_errors
 import torchfra
 from torchfra import Gaussian, presets
 from torchfra.catalogue import FILTERS
-from torchfra.motion import ConstantVelocity, CoordinatedTurn, Odometry
+from torchfra.motion import ConstantVelocity, CoordinatedTurn, Odometry, aircraft
 from torchfra.scenarios import clutter_crossing
 from torchfra.sensors import Biased, Correlated, Position, RangeBearing, Ranges, Stacked
 from torchfra.stream import Tracker
@@ -178,3 +178,13 @@ def test_filters_of_several_targets_refuse_errors_that_last():
     scenario = clutter_crossing()
     with pytest.raises(ValueError, match="sensor: expected one without time-correlated errors"):
         presets.jpda(scenario.motion, Correlated(scenario.sensor, 3.0, 60.0), clutter=scenario.clutter, detection=0.9)
+
+
+@pytest.mark.parametrize("name", ["asrckf", "fra"])
+def test_rounding_errors_decide_no_fading_factor_where_a_turn_determines_its_acceleration(name):
+    f = getattr(presets, name)(aircraft()[3], Correlated(Position(1.0), std=3.0, time=10.0))
+    generator = torch.Generator().manual_seed(7)
+    mean, z = (torch.randn(*shape, **F64, generator=generator) for shape in ((6,), (8, 2)))
+    prior = Gaussian(5 * mean, torch.tensor([9.0, 7.0, 5.0, 6.0, 2.0, 1.0], **F64).diag())
+    one, other = (f(20 * z + change, prior).mean for change in (0.0, 1e-12))
+    assert (one - other).abs().max() < 1e-9

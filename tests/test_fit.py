@@ -220,6 +220,25 @@ def test_without_a_prior_tracks_begin_at_their_first_whole_measurement():
         batch_of(bearing, z, runs=0, seed=0)
 
 
+@pytest.mark.parametrize("loss", ["likelihood", "robust"])
+def test_tracks_of_the_test_change_nothing_that_is_learned(loss):
+    truth, z = walks(8, 12, 6)
+    data = {"z": z, "truth": truth}
+    tests = torch.randperm(12, generator=torch.Generator().manual_seed(0))[:2]  # as seed 0 splits 12 tracks
+    other = {name: x.index_copy(0, tests, 1e3 + 50.0 * x[tests]) for name, x in data.items()}
+    options = {"learn": ("q", "std"), "loss": loss, "compile": False, "iterations": 3, "polish": False}
+    one, two = (torchfra.fit(start(), x, **options) for x in (data, other))
+    assert (two.learned, two.settings) == (one.learned, one.settings)
+    assert two.held_out[loss].after != one.held_out[loss].after
+
+
+def test_the_speed_of_tracks_without_a_prior_is_not_that_of_one_that_is_infinite():
+    z = walks(2, 6, 8)[1]
+    z[0, 1] = torch.inf
+    f = start()
+    assert torch.equal(batch_of(f, z, runs=0, seed=0).prior.speed[1:], batch_of(f, z[1:], runs=0, seed=0).prior.speed)
+
+
 @pytest.mark.slow
 def test_a_start_without_a_prior_does_not_move_what_is_found():
     z = walks(4, 300, 12)[1]
@@ -357,8 +376,11 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
         torchfra.fit(start(), z, checkpoint=path, **options)
     with pytest.raises(ValueError, match=r"resume: expected the settings of .*fit\.pt, these differ: lr$"):
         torchfra.fit(start(), z, checkpoint=path, resume=True, **options | {"lr": 0.2})
-    with pytest.raises(ValueError, match=r"these differ: data$"):
+    with pytest.raises(ValueError, match=r"these differ: data, loss at the start$"):
         torchfra.fit(start(), {**z, "z": z["z"] + 1.0}, checkpoint=path, resume=True, **options)
+    robust = presets.rsrckf(ConstantVelocity(3 * Q), Position(3 * STD))
+    with pytest.raises(ValueError, match=r"these differ: loss at the start$"):
+        torchfra.fit(robust, z, checkpoint=path, resume=True, **options | {"compile": False})
     resumed = torchfra.fit(start(), z, checkpoint=path, resume=True, **options)
     assert resumed.learned == unbroken.learned
     assert resumed.rows == unbroken.rows

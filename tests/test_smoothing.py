@@ -11,9 +11,17 @@ from torchfra.angles import wrap
 from torchfra.coordinates import AZIMUTH, belief_from_cartesian, from_cartesian
 from torchfra.filters import SRCKF
 from torchfra.gaussian import fifth_degree
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion, Spherical
+from torchfra.motion import (
+    Augmented,
+    ConstantAcceleration,
+    ConstantVelocity,
+    GaussMarkov,
+    Motion,
+    Spherical,
+    aircraft,
+)
 from torchfra.scenarios.reentry import Reentry
-from torchfra.sensors import InfraredLaser, Position, RangeBearing
+from torchfra.sensors import Biased, InfraredLaser, Position, RangeBearing
 
 nan = float("nan")
 START = torch.tensor([30.0, -20.0, 12.0, -8.0]).double()
@@ -66,6 +74,16 @@ def test_a_linear_track_is_that_of_least_squares_over_all_of_it(motion, singular
     z = walk(motion, start)
     f = presets.srckf(motion, Position(2.0))
     expected = oracles.whole_track(z.numpy(), start.numpy(), (root @ root.mT).numpy(), of(motion))
+    close(f.smooth(z, Gaussian(start, root), dt=DT), expected)
+
+
+def test_errors_behind_an_acceleration_that_the_turn_determines_keep_their_uncertainty():
+    motion = Augmented(aircraft()[3], GaussMarkov(3.0, 10.0, 2))  # its acceleration follows from its velocity
+    start, root = torch.zeros(8).double(), torch.tensor([9.0, 7.0, 3.0, 4.0, 1.0, 1.0, 3.0, 3.0]).double().diag()
+    model = of(motion)._replace(h=lambda x, k: x[:2] + x[6:])
+    z = walk(motion, start)
+    expected = oracles.whole_track(z.numpy(), start.numpy(), (root @ root.mT).numpy(), model)
+    f = presets.srckf(motion, Biased(Position(2.0), [6, 7]))
     close(f.smooth(z, Gaussian(start, root), dt=DT), expected)
 
 

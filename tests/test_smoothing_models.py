@@ -7,8 +7,8 @@ import torch
 
 from torchfra import Gaussian, presets
 from torchfra.filters import IMM, SRCKF
-from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, aircraft
-from torchfra.sensors import Position
+from torchfra.motion import Augmented, Bank, ConstantVelocity, CoordinatedTurn, GaussMarkov, aircraft
+from torchfra.sensors import Biased, Position
 
 nan = float("nan")
 STD = 5.0
@@ -118,6 +118,16 @@ def test_models_that_are_all_alike_are_one():
     torch.testing.assert_close(several.mean, alone.mean, rtol=1e-9, atol=1e-5)
     torch.testing.assert_close(several.covariance, alone.covariance, rtol=1e-9, atol=1e-5)
     torch.testing.assert_close(several.info.probabilities, several.info.filtered.info.probabilities, rtol=0, atol=1e-6)
+
+
+def test_turns_with_errors_that_are_all_alike_are_one():
+    one, sensor = (Augmented(aircraft()[3], GaussMarkov(3.0, 10.0, 2)), Biased(Position(STD), [6, 7]))
+    prior = Gaussian(torch.zeros(8).double(), torch.tensor([9.0, 7.0, 3.0, 4.0, 1.0, 1.0, 3.0, 3.0]).double().diag())
+    _, z = simulated(bank(), runs=4, steps=15)
+    alone = SRCKF(one, sensor).smooth(z, prior)
+    several = IMM(SRCKF(Bank([one, one]), sensor), transition=TRANSITION).smooth(z, prior)
+    torch.testing.assert_close(several.mean, alone.mean, rtol=1e-9, atol=1e-5)
+    torch.testing.assert_close(several.covariance, alone.covariance, rtol=1e-9, atol=1e-5)
 
 
 def test_where_nothing_is_measured_any_more_it_is_as_filtered():

@@ -13,7 +13,7 @@ from torch.distributions import constraints
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.gram import gram_pinv
 from torchfra.linalg.safe import in_range, safe_divide
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.linalg.triangular import dependent, hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number, as_numbers
 from torchfra.tree import event_ranks
@@ -176,9 +176,9 @@ class Fading(NoFading):
         """
         d = whitened.reads
         root = prediction.belief.scale_tril[..., :d, :d]
-        # A prediction with a component of zero variance cannot fade.  Its zero pivots are ones here, and its factor is
-        # 1 below (``undefined``).
-        certain = root.diagonal(dim1=-2, dim2=-1) == 0
+        # A prediction with a component of zero variance, or one that others determine, cannot fade.  Its zero pivots
+        # are ones here, and its factor is 1 below (``undefined``).
+        certain = dependent(root, 4 * d)
         h = torch.linalg.solve_triangular(
             root + torch.diag_embed(certain.to(root)), whitened.slope, upper=False, left=False
         )

@@ -42,6 +42,8 @@ class First(NamedTuple):
     """``(N, m)``."""
     u: Tensor | None
     """``(N, k)`` inputs of the sensor."""
+    step: Tensor
+    """``(N,)`` m/s, the speed of the first step; NaN where it is not measured."""
     speed: Tensor
     """``(N,)`` m/s, the standard deviation of the velocity in each direction."""
 
@@ -74,6 +76,13 @@ class Batch(NamedTuple):
     def belief(self, f: Filter) -> Gaussian:
         """The priors of the tracks for the filter with its current values."""
         return self.prior if isinstance(self.prior, Gaussian) else started(f.motion, f.sensor, self.prior)
+
+    def begun_as(self, others: Batch) -> Batch:
+        """The batch with velocities in its priors that are as uncertain as the first steps of ``others`` say."""
+        if isinstance(self.prior, Gaussian) or isinstance(others.prior, Gaussian):
+            return self
+        step = self.prior.step
+        return self._replace(prior=self.prior._replace(speed=_uncertain(others.prior.step).expand_as(step)))
 
     def digest(self) -> str:
         """SHA-256 of all numbers, by which a resumed fit checks that it has the same tracks."""
@@ -273,11 +282,19 @@ def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor |
     inputs = [None if u is None else u[:, k] for k in (0, 1)]
     with torch.no_grad():
         here, there = (place(f.motion, f.sensor, z[:, k], inputs[k]).mean for k in (0, 1))
-    speed = ((there - here) / dt[:, 1:2]).square().sum(-1).nanmean().sqrt()
-    speed = torch.where(speed > 0, 2.0 * speed, OnePoint().velocity)
-    first = First(z[:, 0], inputs[0], speed.expand(len(z)))
+    step = torch.linalg.vector_norm((there - here) / dt[:, 1:2], dim=-1)
+    first = First(z[:, 0], inputs[0], step, _uncertain(step).expand_as(step))
     u, truth = (None if x is None else x[:, 1:] for x in (u, truth))
     return Batch(z[:, 1:], first, dt[:, 1:], u, truth)
+
+
+def _uncertain(step: Tensor) -> Tensor:
+    """Standard deviation ``()`` of velocities: twice the root mean square of the finite speeds of first steps ``(N,)``.
+
+    Where none is above 0 it is that of a birth.
+    """
+    speed = step[step.isfinite()].square().mean().sqrt()
+    return torch.where(speed > 0, 2.0 * speed, OnePoint().velocity)
 
 
 def _from_first_measurement(

@@ -57,7 +57,8 @@ def fit(
             with a truth also ``"robust"``, ``"mse"`` (of the position) and ``"nll"``, see ``torchfra.losses``; or a
             function of an estimate and a batch that gives a number for each track.  None: the robust error if there is
             a truth, else the likelihood.
-        scale: position error, m, above which the robust loss flattens; None for the filter's median error at the start.
+        scale: position error, m, above which the robust loss flattens; None for the filter's median error at the start,
+            on the tracks for learning.
         skip: steps at the start of each track that do not count.
         runs: tracks of a scenario or a function.
         iterations: of Adam, at most.
@@ -91,15 +92,19 @@ def fit(
     path = _file(checkpoint, resume)
     tracks = batch_of(f, data, runs=runs, seed=seed)
     objective = objective_of(f, vector, data, tracks, loss, scale, skip)
-    settings = settings.of(objective, errors)
     notes, runs_compiled = compiled(objective, tracks, compile)
     start = vector.raw()
     used, lost = _finite(objective, tracks, start)
     notes += [f"{lost} tracks have no finite loss at the start and are left out"] if lost else []
-    train, valid, test = _split(used, settings)
+    parts = _split(used, settings)  # of which the first alone is learned from, widths of priors and scales too
+    train, valid, test = (part.begun_as(parts[0]) for part in parts)
+    if scale is None:
+        objective.choose_scale(train)
+    settings = settings.of(objective, errors)
 
     learner = Minibatches(objective, train, valid, starting_points(start, vector.directions, settings), settings)
-    same = {"learn": vector.names, "start": start.tolist(), "data": used.digest()}  # as must be what is resumed
+    first = float(objective.losses(start[None, None], valid.to(torch.float64)).mean())
+    same = {"learn": vector.names, "start": start.tolist(), "data": used.digest(), "loss at the start": f"{first:.6g}"}
     descent = Descent(learner, learner.values, learner.validation(), asdict(settings) | same)
     if path is not None and resume:
         descent.resume(path, "fit")

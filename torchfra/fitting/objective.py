@@ -73,6 +73,14 @@ class Objective:
             if part is not None:
                 part.engine = INTERPRETED
 
+    @torch.no_grad()
+    def choose_scale(self, tracks: Batch) -> None:
+        """Takes as the scale of a robust loss the median over tracks of the error of the filter's values."""
+        if self.loss == "robust":
+            assert tracks.truth is not None
+            mean = self._estimate(tracks).mean
+            self.scale = positive("scale", float(losses.mse(mean, tracks.truth, self.states).nanmedian().sqrt()))
+
     @property
     def name(self) -> str:
         """The name of the loss."""
@@ -198,7 +206,7 @@ def objective_of(
         data: that was given.
         tracks: that it came to.
         loss: by name, of one's own, or None for the robust error where there is a truth, else the likelihood.
-        scale: of the robust loss; None for the median over tracks of the error at the start.
+        scale: of the robust loss; None for 1 until ``choose_scale``.
         skip: steps at the start of each track that do not count.
 
     Raises:
@@ -212,19 +220,8 @@ def objective_of(
     states, convert = f.motion.position, None
     if isinstance(data, Scenario):
         states, convert = data.truth_position, data.cartesian
-    if kind == "robust" and scale is None:
-        scale = _error(f, tracks, states, convert)
     scale = 1.0 if scale is None else scale
     return Objective(f, vector, kind, scale=positive("scale", scale), skip=skip, states=states, convert=convert)
-
-
-@torch.no_grad()
-def _error(f: Filter, tracks: Batch, states: slice, convert: Callable[[Estimate], Estimate] | None) -> float:
-    """The median over tracks of the error at the start, in the coordinates of the truth."""
-    estimate = f(tracks.z, tracks.belief(f), dt=tracks.dt, u=tracks.u)
-    estimate = estimate if convert is None else convert(estimate)
-    assert tracks.truth is not None
-    return float(losses.mse(estimate.mean, tracks.truth, states).nanmedian().sqrt())
 
 
 def compiled(objective: Objective, tracks: Batch, wanted: bool | None) -> tuple[list[str], bool]:

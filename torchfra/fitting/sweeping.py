@@ -70,6 +70,8 @@ def sweep(
     raw = torch.cartesian_prod(*grids).reshape(-1, len(grids))
     tracks = batch_of(f, data, runs=runs, seed=seed)
     objective = objective_of(f, vector, data, tracks, loss, scale, skip)
+    if scale is None:
+        objective.choose_scale(tracks)
     notes, _ = compiled(objective, tracks, compile)
     mean = objective.losses(raw.unsqueeze(1), tracks).mean(1)
     return Sweep(keys, list(itertools.product(*(map(float, values[key]) for key in keys))), mean.tolist(), notes)

@@ -9,8 +9,8 @@ from torch.nn.functional import pad
 from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
-from torchfra.linalg.tracing import is_elementary
-from torchfra.linalg.triangular import eliminated, hstack, tria
+from torchfra.linalg.tracing import is_elementary, is_traced
+from torchfra.linalg.triangular import dependent, eliminated, hstack, rounding, tria
 from torchfra.types import Gaussian
 
 
@@ -27,7 +27,7 @@ def smooth_step(
     the linearisation error counts as process noise.
 
     A direction in which the prediction is certain (a pivot of ``S-`` at the level of rounding errors) carries no
-    information: the gain is that of a pseudo-inverse, and its column of ``L21`` stays in ``L22``.
+    information: the gain is that of a pseudo-inverse, and its column of ``L21`` goes to ``L22``.
 
     Args:
         belief: ``(..., n)`` filtered.
@@ -63,12 +63,10 @@ def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """
     terms = 3 * n + joint.shape[-1]
     if is_elementary():
-        return eliminated(joint, n, _rounding(terms, joint.dtype))  # L22 need not be a triangle
-    lower = tria(joint)
-    cross, remainder = lower[..., n:, :n], lower[..., n:, n:]
-    root, certain = invertible(lower[..., :n, :n], terms)
-    columns = certain.unsqueeze(-2)
-    return root, torch.where(columns, 0.0, cross), hstack(remainder, torch.where(columns, cross, 0.0)), certain
+        return eliminated(joint, n, rounding(terms, joint.dtype))  # L22 need not be a triangle
+    lower, certain = without_certain(tria(joint), n, terms)
+    root = lower[..., :n, :n] + torch.diag_embed(certain.to(lower))
+    return root, lower[..., n:, :n], lower[..., n:, n:], certain
 
 
 def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
@@ -76,11 +74,25 @@ def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
 
     A direction is certain if its pivot is at the level of the rounding errors of sums of ``terms`` terms.
     """
-    value = root.detach()
-    certain = value.diagonal(dim1=-2, dim2=-1) <= _rounding(terms, root.dtype) * value.square().sum(-1).sqrt()
-    return torch.where(certain.unsqueeze(-1), 0.0, root) + torch.diag_embed(certain.to(root)), certain
+    root, certain = without_certain(root, root.shape[-1], terms)
+    return root + torch.diag_embed(certain.to(root)), certain
 
 
-def _rounding(terms: int, dtype: torch.dtype) -> float:
-    """Relative rounding error of sums of ``terms`` terms."""
-    return 4 * terms * torch.finfo(dtype).eps
+def without_certain(root: Tensor, count: int, terms: int) -> tuple[Tensor, Tensor]:
+    """A lower root ``(..., m, m)`` with 0 in the rows and columns of certain directions among the first ``count`` rows.
+
+    A pivot of rounding errors stands for a direction of any kind, in which the rows below may well be uncertain: their
+    part in it goes to their own pivots.
+
+    Args:
+        root: lower.
+        count: number of rows that count.
+        terms: see ``invertible``.
+
+    Returns:
+        The root, and ``(..., count)`` bool, which directions are certain.
+    """
+    certain = dependent(root[..., :count, :count], terms)
+    if is_traced(root) or bool(certain.any()):
+        root = tria(torch.where(pad(certain, (0, root.shape[-2] - count)).unsqueeze(-1), 0.0, root))
+    return root, certain

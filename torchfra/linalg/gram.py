@@ -49,12 +49,14 @@ def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         ``root (..., n, n)``, symmetric, with ``root^2 = (H H^T)^-1 - I``, and ``weight = root^-1 (H H^T)^-1``.  Both
-        are 0 along eigenvectors of ``H H^T`` whose eigenvalue is 0, or not below 1 by more than the root of the
-        rounding error.  The gradient is exact as long as no eigenvalue crosses that.
+        are 0 along eigenvectors of ``H H^T`` whose eigenvalue is 0 up to rounding errors, or not below 1 by more than
+        the root of the rounding error.  The gradient is exact as long as no eigenvalue crosses that.
     """
     h = _finite(h)
     u, eigenvalues = _left_singular(h.detach())
-    kept = (eigenvalues > 0) & (eigenvalues < 1 - torch.finfo(h.dtype).eps ** 0.5)
+    rounding = torch.finfo(h.dtype).eps
+    least = (max(h.shape[-2:]) * rounding) ** 2 * eigenvalues.amax(-1, keepdim=True)
+    kept = (eigenvalues > least) & (eigenvalues < 1 - rounding**0.5)
     inside = torch.where(kept, eigenvalues, 0.5)
     root, share = (1 / inside - 1).sqrt(), (inside - inside.square()).sqrt()
 

@@ -108,7 +108,7 @@ def _orthogonalise(a: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cat(columns, -1), torch.cat(units, -2)
 
 
-def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def eliminated(a: Tensor, count: int, least: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Eliminates the first ``count`` rows of ``a (..., n, p)``, of any rank, from the others by modified Gram-Schmidt.
 
     ``[[L, 0], [cross, rest]]`` is a root of ``a a^T``, except for rows that depend on those above them: such a row
@@ -117,18 +117,18 @@ def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, 
     Args:
         a: the rows.
         count: number of rows to eliminate.
-        rounding: share of its norm below which the remainder of a row counts as zero.
+        least: share of its norm below which the remainder of a row counts as zero.
 
     Returns:
         ``L (..., count, count)``, ``cross (..., n - count, count)``, ``rest (..., n - count, p)``, and ``(..., count)``
         bool, which rows depend on others.
     """
-    least = rounding * _norms(a[..., :count, :].detach())
+    lengths = least * _norms(a[..., :count, :].detach())
     columns, dependent, rest = [], [], a
     for j in range(count):
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         norm = _norms(row)
-        depends = norm.detach() <= least[..., j : j + 1, :]
+        depends = norm.detach() <= lengths[..., j : j + 1, :]
         norm = torch.where(depends, 1.0, norm)
         unit = torch.where(depends, 0.0, row / norm)
         below = (rest * unit).sum(-1, keepdim=True)
@@ -137,6 +137,20 @@ def eliminated(a: Tensor, count: int, rounding: float) -> tuple[Tensor, Tensor, 
         dependent.append(depends.squeeze(-1))
     lower = torch.cat(columns, -1)
     return lower[..., :count, :], lower[..., count:, :], rest, torch.cat(dependent, -1)
+
+
+def dependent(lower: Tensor, terms: int) -> Tensor:
+    """``(..., n)`` bool, which rows of a lower root ``(..., n, n)`` depend on those above them.
+
+    Their pivots are at the level of the rounding errors of sums of ``terms`` terms.
+    """
+    value = lower.detach()
+    return value.diagonal(dim1=-2, dim2=-1) <= rounding(terms, value.dtype) * value.square().sum(-1).sqrt()
+
+
+def rounding(terms: int, dtype: torch.dtype) -> float:
+    """Relative rounding error of sums of ``terms`` terms."""
+    return 4 * terms * torch.finfo(dtype).eps
 
 
 def _norms(a: Tensor) -> Tensor:
