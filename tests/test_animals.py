@@ -9,7 +9,7 @@ from cleaning.simulated import animal
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.kinds import kind_of
-from torchfra.cleaning.outputs import settings_lines
+from torchfra.cleaning.outputs.summary import settings_lines
 from torchfra.readers import Recording, read
 from torchfra.readers.recording import Source
 

@@ -10,7 +10,7 @@ from oracles import lasting as oracle
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.correlation import CorrelatedErrors, _variance_of_mean, log_likelihood, widened
-from torchfra.cleaning.outputs import notes, overview
+from torchfra.cleaning.outputs.summary import notes, overview
 from torchfra.motion import ConstantVelocity
 from torchfra.motion.bank import Bank
 from torchfra.readers import Recording

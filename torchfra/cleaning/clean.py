@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.cleaning import DEFAULT, Cleaned, clean_tracks
+from torchfra.cleaning.outputs.summary import report
 from torchfra.cleaning.outputs.table import columns
 from torchfra.motion.bank import Bank
 from torchfra.readers import MAX_BYTES, Recording, read
@@ -40,15 +41,20 @@ _OPTION = re.compile(
 @contextmanager
 def _words_for_options() -> Iterator[None]:
     """Writes options of the command in messages of readers, ``--lat breite``, as arguments of Python, lat='breite'."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(_with_arguments(str(error))) from error
+
+
+def _with_arguments(text: str) -> str:
+    """A text with arguments of Python in place of options of the command."""
 
     def argument(option: re.Match[str]) -> str:
         name, value = option.groups(default="")
         return name.replace("-", "_") + "=" + (repr(value.strip(" '")) if value else "")
 
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(_OPTION.sub(argument, str(error))) from error
+    return _OPTION.sub(argument, text)
 
 
 @_words_for_options()
@@ -93,7 +99,8 @@ def clean(
     Returns:
         For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,
         ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others: positions in the units of the input, all else in
-        m and s.  Rows that hold no fix, or one at the time of another, have NaN there.  A ``GeoDataFrame`` stays one
+        m and s.  Rows that hold no fix, or one at the time of another, have NaN there.  Its ``attrs["torchfra"]`` says
+        in lines what was read as what, and what became of it.  A ``GeoDataFrame`` stays one
         and gets ``clean_geometry`` too, points in its own coordinate reference system.  For arrays a ``Cleaned``, and
         for a path or recordings a list of them, one for each target.
 
@@ -114,8 +121,11 @@ def clean(
         table = data if points is None else data.drop(columns=points.name).assign(**_coordinates(points))
         reading = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
         recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **reading)
-        joined = _joined(data, clean_tracks(recordings, **settings))
-        return joined if points is None else _with_points(joined, points)
+        results = clean_tracks(recordings, **settings)
+        joined = _joined(data, results)
+        joined = joined if points is None else _with_points(joined, points)
+        joined.attrs["torchfra"] = _with_arguments("\n".join([*recordings[0].source.notes, *report(results)]))
+        return joined
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
         return clean_tracks(data, **settings)
     (cleaned,) = clean_tracks([_recording_of_arrays(data, max_bytes, words)], **settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -112,7 +112,8 @@ def run(options: argparse.Namespace) -> None:
     results = _cleaned(recordings, options, failures)
     if not results:
         failures.end()
-    _report(list(results.values()), tell)
+    for line in outputs.report(list(results.values())):
+        tell(line)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
     if options.json is not None:
@@ -148,13 +149,6 @@ def _cleaned(
             with failures.of(printable(cleaned.recording.name)):
                 raise ValueError(cleaned.found.failure)
     return done
-
-
-def _report(results: Sequence[Cleaned], tell: Callable[[str], None]) -> None:
-    """Prints the settings, the notes and the summary."""
-    summary = outputs.sentences(results[0]) if len(results) == 1 else outputs.overview(results)
-    for line in (*outputs.settings_lines(results), *outputs.notes(results), *summary):
-        tell(line)
 
 
 def _write(

@@ -2,7 +2,7 @@
 
 from torchfra.cleaning.outputs.formats import FORMATS, MAPS, check_format, write
 from torchfra.cleaning.outputs.metadata import metadata
-from torchfra.cleaning.outputs.summary import notes, overview, sentences, settings_lines, summary
+from torchfra.cleaning.outputs.summary import overview, report, summary
 from torchfra.cleaning.outputs.table import columns
 
 __all__ = [
@@ -11,10 +11,8 @@ __all__ = [
     "check_format",
     "columns",
     "metadata",
-    "notes",
     "overview",
-    "sentences",
-    "settings_lines",
+    "report",
     "summary",
     "write",
 ]

@@ -169,6 +169,12 @@ def overview(results: Sequence[Cleaned]) -> list[str]:
     return said
 
 
+def report(results: Sequence[Cleaned]) -> list[str]:
+    """The settings, the notes and the summary of one track or of several."""
+    return [*settings_lines(results), *notes(results),
+            *(sentences(results[0]) if len(results) == 1 else overview(results))]  # fmt: skip
+
+
 def listed(names: Sequence[str]) -> str:
     """The first of some names, and how many more there are."""
     more = f" and {len(names) - 3:,} more" if len(names) > 3 else ""
