@@ -60,8 +60,7 @@ def csv_sheet(
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
     above = _leave_out_above(rows, options) if options else 0
     sign, units = _begin(rows, options or ReadOptions())
-    said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
-    said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
+    said = [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     said += [f"lines before the header left out: {above}"] if above else []
     try:
         if _numbered(rows, sign, options, headers):
@@ -75,7 +74,9 @@ def csv_sheet(
         units if sign != " " and len(units) == len(names) else []
     )  # a sentence may have as many words as columns
     units = beneath[0] if beneath else in_comment
-    names = _with_units(names, units) if units else names
+    bare, names = names, _with_units(names, units) if units else names
+    if not beneath and names != bare:
+        said.append("units in the comment before the header")
     if {"frame_idx", "instance.score"} <= {*names}:  # of SLEAP, in pixels
         names = [f"{name} (px)" if name.endswith((".x", ".y")) else name for name in names]
     if beneath:
