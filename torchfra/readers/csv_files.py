@@ -175,7 +175,7 @@ def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
     groups = _split(lines[i - 1], sign) if i and sign != " " else []
     if names[0] == "coords" and groups[0:1] == ["bodyparts"] and len(groups) == len(names):
         marked = zip(groups[1:], names[1:], strict=True)
-        return ["frame", *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
+        return [names[0], *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
     if len(groups) != len(names) or not (several := repeated(names).split(", ")) or not all(names):
         return names
     group, whole = "", list[str]()
