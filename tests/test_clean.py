@@ -239,7 +239,7 @@ def test_what_is_no_track_is_refused(data, said):
 
 @pytest.mark.parametrize(("data", "said"), [
     ({"when": [0.0, 1.0], "x": [1, 2], "y": [1, 2]}, "time=, x=, y=, lat=, lon=; .*looks like time='when'"),
-    ({"t": ["03/04/2024 10:00"] * 2, "x": [1, 2], "y": [1, 2]}, r"use time_format='%d/%m/%Y %H:%M' or the other"),
+    ({"t": ["03/04/2024 10:00"] * 2, "x": [1, 2], "y": [1, 2]}, r"use time_format='%d/%m/%Y %H:%M' or '%m/%d/%Y %H:%M'"),
     ({"t": [0, 1], "lat": [100.1234, 100.1235], "lon": [10, 11]}, "swapped, lat= and lon= name them"),
 ])  # fmt: skip
 def test_a_remedy_names_arguments_and_no_options_of_the_command(data, said):
