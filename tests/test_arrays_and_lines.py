@@ -45,6 +45,12 @@ def test_other_arrays_are_refused_with_what_to_do(tmp_path, array):
         read(tmp_path / "a.npy", time="1", x="2", y="3")
 
 
+def test_an_array_without_rows_is_no_track(tmp_path):
+    np.save(tmp_path / "a.npy", TRACK[:0])
+    with pytest.raises(ValueError, match="expected a track, received an array without rows"):
+        read(tmp_path / "a.npy", time="1", x="2", y="3")
+
+
 def test_an_array_that_is_cut_off_or_too_large_is_refused(tmp_path):
     np.save(tmp_path / "a.npy", TRACK)
     (tmp_path / "b.npy").write_bytes((tmp_path / "a.npy").read_bytes()[:-9])

@@ -42,7 +42,7 @@ QUALISYS = [
 
 
 @pytest.mark.parametrize(("lines", "name", "said"), [
-    (DEEPLABCUT, "a.csv", r"--time frame --time-format 25fps --x 'nose x \(px\)' --y 'nose y \(px\)' .* pixels"),
+    (DEEPLABCUT, "a.csv", r"--time coords --time-format 25fps --x 'nose x \(px\)' --y 'nose y \(px\)' .* pixels"),
     (SLEAP, "a.csv", r"--time frame_idx --time-format 25fps --x 'nose.x \(px\)' --y 'nose.y \(px\)' --units mm"),
     (VICON, "a.csv", r"--time Frame --time-format 25fps --x 'Cube:M1 X \(mm\)' --y 'Cube:M1 Y \(mm\)'"),
     (QUALISYS, "a.tsv", "--time Time --x 'hip X' --y 'hip Y'"),
@@ -57,7 +57,7 @@ def test_markers_in_groups_of_columns_are_named_by_the_options_that_read_them(wr
 
 
 @pytest.mark.parametrize(("lines", "time", "x", "y"), [
-    (DEEPLABCUT, "frame", "nose x", "nose y"), (SLEAP, "frame_idx", "nose.x", "nose.y"),
+    (DEEPLABCUT, "coords", "nose x", "nose y"), (SLEAP, "frame_idx", "nose.x", "nose.y"),
 ])  # fmt: skip
 def test_markers_in_pixels_are_no_metres(write, lines, time, x, y):
     with pytest.raises(

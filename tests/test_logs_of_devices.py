@@ -46,6 +46,7 @@ def test_a_local_date_and_time_with_an_offset_beside_them_are_one_moment(write):
 def test_units_above_the_header_count(write):
     (track,) = read(write(g1000()))
     assert track.origin[2] == pytest.approx(304.8)
+    assert "units in the comment before the header" in track.source.notes
 
 
 def test_a_comment_of_other_words_is_no_row_of_units(write):
@@ -137,18 +138,22 @@ def test_fit_as_a_table_has_semicircles_and_seconds_since_1989(write):
     assert track.source.written(track.time[:1]) == [str(FIT[0][0])]
 
 
-def test_fit_as_messages_is_read_as_its_table_is(write):
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_fit_as_messages_is_read_as_its_table_is(write, encoding):
     rows = [
         "Type,Local Number,Message,Field 1,Value 1,Units 1,Field 2,Value 2,Units 2,Field 3,Value 3,Units 3",
         "Definition,0,file_id,serial_number,1,,time_created,1,,,,",
-        'Data,0,file_id,serial_number,"3412345678",,time_created,"1146723133",,,,',
+        'Data,0,file_id,name,"Müller",,time_created,"1146723133",,,,',
         *(f'Data,4,record,timestamp,"{time}",s,position_lat,"{lat}",semicircles,position_long,"{lon}",semicircles'
           for time, lat, lon in FIT),
         'Data,5,lap,timestamp,"1146723999",s,start_position_lat,"1",semicircles,start_position_long,"1",semicircles',
     ]  # fmt: skip
-    (track,) = read(write(rows))
+    path = write(rows)
+    path.write_bytes("\n".join(rows).encode(encoding))
+    (track,) = read(path)
     assert_in_place(track)
     assert "FIT as FitCSVTool writes it: messages called record" in track.source.notes
+    assert ("text is no UTF-8: read as cp1252" in track.source.notes) == (encoding == "cp1252")
 
 
 def test_fit_without_a_record_is_refused(write):
@@ -412,6 +417,13 @@ def test_samples_of_a_watch_that_are_no_radians_are_degrees(write):
     records = [{"EHPE": 5, "UTC": moment.isoformat(), "Latitude": lat, "Longitude": lon}
                for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
     assert_in_place(read(write(json.dumps({"Samples": records}), "a.json"))[0])
+
+
+def test_small_degrees_of_records_that_are_no_samples_of_a_watch_are_no_radians(write):
+    records = [{"EHPE": 5, "UTC": moment.isoformat(), "Latitude": lat - 50, "Longitude": lon - 7}
+               for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
+    (track,) = read(write(json.dumps(records), "a.json"))
+    assert np.ptp(track.position[:, 1]) == pytest.approx(110_574 * np.ptp([lat for lat, _ in PLACES]), rel=1e-3)
 
 
 def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):

@@ -144,6 +144,13 @@ def test_ranges_and_bearings_are_no_x_and_y(tmp_path, names):
         read(path(tmp_path, time=np.arange(ROWS), **{name: straight()["x"] for name in names}))
 
 
+@pytest.mark.parametrize("sigma", [{}, {"sigma": np.full(ROWS, 2.0)}])
+def test_x_and_y_beside_ranges_tell_that_their_noise_may_grow_unless_it_is_told(tmp_path, sigma):
+    angle = np.linspace(10, 60, ROWS)
+    (track,) = read(path(tmp_path, time=np.arange(ROWS), **straight(), range_m=10 + angle, azimuth_deg=angle, **sigma))
+    assert any("noise that grows with range needs a column" in note for note in track.source.notes) == (not sigma)
+
+
 @pytest.mark.parametrize(("east", "north"), [("utm_e", "utm_n"), ("UTM_Easting", "UTM_Northing"), ("x_utm", "y_utm")])
 def test_northings_are_north_wherever_they_stand(tmp_path, east, north):
     (track,) = read(path(tmp_path, time=np.arange(ROWS), **{north: straight()["y"], east: straight()["x"]}))

@@ -12,8 +12,9 @@ A file is one of these, gzipped or not (except for the last):
 - Parquet and Feather (extra), and arrays of numpy (``.npy``), of rows and columns or of named fields.
 
 Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
-altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop).  ``ReadOptions``
-names others, by their numbers from 1 on where there is no header.
+altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop, covariances of
+ROS).  ``ReadOptions`` names others, by their numbers from 1 on where there is no header.  One column may hold points
+(WKB in hexadecimal digits or WKT), or objects of JSON with all.
 This covers the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
 of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
 Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their

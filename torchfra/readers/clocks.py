@@ -81,8 +81,8 @@ _PARTS_OF_SECONDS = {
     "ns": "ns", "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns",
 }  # fmt: skip
 """Last words of names of columns with whole seconds, and with parts of one."""
-FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno"}
-"""Names of numbers of frames, which tell the time by how many a second has."""
+FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords"}
+"""Names of numbers of frames, which tell the time by how many a second has; the last is DeepLabCut's."""
 
 
 @dataclass(frozen=True)

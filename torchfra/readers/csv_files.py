@@ -60,8 +60,7 @@ def csv_sheet(
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
     above = _leave_out_above(rows, options) if options else 0
     sign, units = _begin(rows, options or ReadOptions())
-    said = [] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]
-    said += [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
+    said = [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     said += [f"lines before the header left out: {above}"] if above else []
     try:
         if _numbered(rows, sign, options, headers):
@@ -75,7 +74,9 @@ def csv_sheet(
         units if sign != " " and len(units) == len(names) else []
     )  # a sentence may have as many words as columns
     units = beneath[0] if beneath else in_comment
-    names = _with_units(names, units) if units else names
+    bare, names = names, _with_units(names, units) if units else names
+    if not beneath and names != bare:
+        said.append("units in the comment before the header")
     if {"frame_idx", "instance.score"} <= {*names}:  # of SLEAP, in pixels
         names = [f"{name} (px)" if name.endswith((".x", ".y")) else name for name in names]
     if beneath:
@@ -171,13 +172,13 @@ def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
     such lines it is the one next to the names, and if they still come several times, the shortest that parts them.
     DeepLabCut has numbers of frames under ``coords``, and pixels under ``x`` and ``y``.
     """
-    names = _split(lines[i].lstrip(" 	%#/"), sign)
+    names = _split(lines[i].lstrip(" \t%#/"), sign)
     above = [
         cells for line in reversed(lines[:i]) if len(cells := _split(line, sign)) == len(names) > 1 and sign != " "
     ]
     if names[0] == "coords" and above and above[0][0] == "bodyparts":
         marked = zip(above[0][1:], names[1:], strict=True)
-        return ["frame", *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
+        return [names[0], *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
     if not above or not repeated(names):
         return names
     names = _behind(above[0], names)

@@ -14,6 +14,8 @@ _STATE = {"icao24": 0, "callsign": 1, "time": 3, "longitude": 5, "latitude": 6, 
 _WAY = {"time": 0, "latitude": 1, "longitude": 2, "baroaltitude": 3}
 """The same of a place along a flight."""
 _SUUNTO = {"altitude": "GPSAltitude", "accuracy": "EHPE"}
+_SAMPLES = ("Attributes", "suunto/sml", "Sample")
+"""Where its newer form has what a sample holds, one in another."""
 
 
 def app_sheet(parsed: Any) -> Sheet | None:
@@ -71,6 +73,8 @@ def _suunto(parsed: Any) -> Sheet | None:
     """Samples of a watch, of which those with a place are read."""
     log = parsed.get("DeviceLog", parsed) if isinstance(parsed, dict) else parsed
     samples = log.get("Samples") if isinstance(log, dict) else log
+    if isinstance(log, list) and not any(isinstance(one, dict) and one.keys() & {*_SAMPLES} for one in log):
+        return None  # records of another device, whose degrees may be small near the equator
     fixes = [fix for fix in _samples(samples) if "Latitude" in fix and "Longitude" in fix]
     sizes = [abs(fix["Latitude"]) for fix in fixes if isinstance(fix["Latitude"], int | float)]
     if not any("EHPE" in fix for fix in fixes) or max(sizes, default=0) > math.pi / 2:
@@ -88,7 +92,7 @@ def _samples(samples: Any) -> Iterator[dict[str, Any]]:
     """What each sample holds, with its time, in the newer form or the older one."""
     for sample in samples if isinstance(samples, list) else ():
         inner = sample if isinstance(sample, dict) else {}
-        for key in ("Attributes", "suunto/sml", "Sample"):
+        for key in _SAMPLES:
             inner = value if isinstance(value := inner.get(key), dict) else inner
         if inner:
             yield {"TimeISO8601": sample.get("TimeISO8601")} | inner

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import Clock, clock_of
 from torchfra.readers.columns import BEHIND, Array, Head, Kind, is_missing, joined, number, numbers, word_of
 from torchfra.readers.degrees import advice
-from torchfra.readers.guesses import cartesian, looks_like
+from torchfra.readers.guesses import cartesian, looks_like, polar
 from torchfra.readers.identities import likely_ids, option
 from torchfra.readers.noises import noise_of
 from torchfra.readers.options import METRES, ReadOptions
@@ -68,6 +68,8 @@ _LENGTHS = {
     1.0: "metres", METRES["ft"]: "feet", 1e-3: "millimetres", _FLIGHT_LEVEL: "flight levels (hundreds of feet)",
     1e3: "km", 0.1: "dm", 1e-2: "cm", METRES["mi"]: "miles", METRES["nmi"]: "nautical miles", METRES["yd"]: "yards",
 }  # fmt: skip
+_GROWING = "sigma: none; noise that grows with range needs a column of it (--sigma-column)"
+"""What is said of positions beside the ranges and bearings that they were made of."""
 _WHOLE = re.compile(r"[+-]?([0-9]+)(?:\.0*)?")
 """A whole number; tables write it with decimals, all 0, where the column has gaps."""
 _AUTOPILOT = 1e-7
@@ -143,6 +145,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     lines = (
         *head.said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}",
         *_said(columns, length, options, wanted),
+        *([_GROWING] if polar(head.names) and not noise.columns and "x" in columns else []),
         *([f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []), *noise.said,
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip

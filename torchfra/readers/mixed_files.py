@@ -18,7 +18,7 @@ def is_fit_csv(start: bytes) -> bool:
     return start.startswith(b"Type,Local Number,Message,Field 1,")
 
 
-def fit_sheet(file: Any, max_bytes: int) -> Sheet:
+def fit_sheet(file: Any, max_bytes: int, encoding: str) -> Sheet:
     """The messages ``record`` of FIT, whose cells are a name, a value and a unit for each field.
 
     Columns are called as in the other form that FitCSVTool has, such as ``record.position_lat[semicircles]``.
@@ -30,7 +30,7 @@ def fit_sheet(file: Any, max_bytes: int) -> Sheet:
     """
     records = []
     try:
-        rows = [*csv.reader(io.StringIO(whole_text(file, max_bytes, "FIT"), newline=""))]
+        rows = [*csv.reader(io.StringIO(whole_text(file, max_bytes, "FIT", encoding), newline=""))]
     except csv.Error as error:
         raise ValueError(f"expected FIT as FitCSVTool writes it, received other text ({error})") from error
     for row in rows:

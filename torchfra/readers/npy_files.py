@@ -34,6 +34,8 @@ def npy_sheet(file: Any, options: ReadOptions | None, headers: str, max_bytes: i
         array = np.load(io.BytesIO(file.read()), allow_pickle=False)
     except (ValueError, EOFError, MemoryError, OSError) as error:
         raise ValueError(f"expected a complete array of numbers, received none ({error}): {_OTHERWISE}") from error
+    if array.ndim and not len(array):
+        raise ValueError("expected a track, received an array without rows")
     if array.ndim and len(array) * BYTES_OF_A_ROW > max_bytes:
         raise too_large(max_bytes, f"of an array, of which a row counts for {BYTES_OF_A_ROW} or more")
     if array.dtype.names is not None and array.ndim == 1:

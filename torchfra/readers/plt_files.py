@@ -22,13 +22,13 @@ def is_plt(start: bytes, suffix: str) -> bool:
     return suffix == ".plt" or start.startswith((b"OziExplorer Track", b"Geolife trajectory"))
 
 
-def plt_sheet(file: Any, max_bytes: int) -> Sheet:
+def plt_sheet(file: Any, max_bytes: int, encoding: str) -> Sheet:
     """The fixes of a file: latitude, longitude, whether a piece begins, altitude in feet, days since 1899-12-30.
 
     Raises:
         ValueError: a line is something else.
     """
-    lines = whole_text(file, max_bytes, "PLT").splitlines()
+    lines = whole_text(file, max_bytes, "PLT", encoding).splitlines()
     if not lines:
         raise ValueError("expected a track, received an empty file")
     columns: dict[str, list[Any]] = {"time": [], "latitude": [], "longitude": [], "altitude_ft": []}

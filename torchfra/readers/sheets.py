@@ -41,7 +41,7 @@ def repeated(names: Iterable[str]) -> str:
     return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
 
 
-def whole_text(file: Any, max_bytes: int, what: str) -> str:
+def whole_text(file: Any, max_bytes: int, what: str, encoding: str = "utf-8-sig") -> str:
     """All text of a file of ``"JSON"``, ``"XML"``, ``"VBO"``, ``"IGC"``, ``"PLT"`` or ``"FIT"``.
 
     Raises:
@@ -51,7 +51,7 @@ def whole_text(file: Any, max_bytes: int, what: str) -> str:
     data = file.read(most + 1)
     if len(data) > most:
         raise too_large(max_bytes, f"of text, of which one of {what} counts for {_WEIGHTS[what]}")
-    return str(data.decode("utf-8-sig"))
+    return str(data.decode(encoding))
 
 
 def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:

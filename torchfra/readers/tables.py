@@ -123,11 +123,11 @@ def read_table(
         """The rows of a file by its ending, or else by how it begins."""
         start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
         if is_vbo(start, suffix):
-            return vbo_sheet(file, max_bytes)
+            return vbo_sheet(file, max_bytes, encoding)
         if is_plt(start, suffix):
-            return plt_sheet(file, max_bytes)
+            return plt_sheet(file, max_bytes, encoding)
         if is_igc(start, suffix):
-            return igc_sheet(file, max_bytes)
+            return igc_sheet(file, max_bytes, encoding)
         if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and is_json(start)):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
@@ -139,14 +139,16 @@ def read_table(
         if is_nmea(start, suffix):
             return nmea_sheet(file, max_bytes)
         if is_fit_csv(start):
-            return fit_sheet(file, max_bytes)
+            return fit_sheet(file, max_bytes, encoding)
         if is_gnss_log(start):
             return gnss_sheet(file, max_bytes)
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
-            return table_of(with_joined(sheet_of(file, encoding), options or ReadOptions()), choose, max_bytes)
+            sheet = sheet_of(file, encoding)
+            said = (*([] if encoding == UTF_8 else [f"text is no UTF-8: read as {encoding}"]), *sheet.said)
+            return table_of(with_joined(sheet._replace(said=said), options or ReadOptions()), choose, max_bytes)
 
     try:
         table = read(UTF_8)
@@ -159,6 +161,8 @@ def read_table(
         encoding = _encoding(path, max_bytes)
         try:
             table = read(encoding)
+        except UnicodeDecodeError:
+            raise ValueError(refused) from error
         except ValueError as other:
             raise ValueError(f"{other} (the text is no UTF-8, and was read as {encoding})") from other
     if repairs is None and not table.rows:

@@ -17,7 +17,7 @@ def is_vbo(start: bytes, suffix: str) -> bool:
     return suffix == ".vbo" or b"[column names]" in start.lower()
 
 
-def vbo_sheet(file: Any, max_bytes: int) -> Sheet:
+def vbo_sheet(file: Any, max_bytes: int, encoding: str) -> Sheet:
     """The rows of a file: times of the day, UTC, degrees, and heights in metres.
 
     Source: Racelogic, VBOX file format (support.vboxautomotive.co.uk).
@@ -26,7 +26,7 @@ def vbo_sheet(file: Any, max_bytes: int) -> Sheet:
         ValueError: it has no names of columns, or a row that does not fit them.
     """
     sections, section = dict[str, list[str]](), ""
-    for line in map(str.strip, whole_text(file, max_bytes, "VBO").splitlines()):
+    for line in map(str.strip, whole_text(file, max_bytes, "VBO", encoding).splitlines()):
         if line.startswith("[") and line.endswith("]"):
             section = line.strip("[]").lower()
         elif line:
