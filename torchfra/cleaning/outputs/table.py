@@ -53,13 +53,8 @@ def columns(cleaned: Cleaned) -> Table:
         table |= _geodetic(cleaned, prefix)
         table |= {prefix + axis: position[:, i] / unit for i, axis in enumerate(axes)}
     table |= {f"v{axis}": cleaned.velocity[:, i] for i, axis in enumerate(axes)} | _course(cleaned)
-    table |= {
-        "nis": cleaned.nis,
-        "outlier": cleaned.outlier,
-        "outlier_duration": cleaned.outlier_duration,
-        "residual": cleaned.residual,
-    }
-    table |= {"manoeuvre": cleaned.manoeuvre, "flag": cleaned.flag}
+    own = ("nis", "outlier", "outlier_duration", "residual", "manoeuvre", "flag")
+    table |= {name: getattr(cleaned, name) for name in own}
     table |= {regime_column(name): cleaned.regime[:, i] for i, name in enumerate(cleaned.regimes)}
     return table | _covariance(cleaned, axes)
 
