@@ -57,7 +57,7 @@ EVERY = {"at every step": 1, "at every 50th": 50, "never": sys.maxsize}
 FILTERS = {"srckf": {}, "rsrckf": {}, "fra": {}, "fra, soft": {"temperature": 1.0}, "gpb": {}}
 """Options of each; the name of the preset is what stands before a comma."""
 VALUES = ("q", "std")
-"""What is learned."""
+"""Names of the learned values."""
 BEFORE = 500
 """Steps of the system before the first one."""
 CUTS = (1, 10, 100)
@@ -252,7 +252,7 @@ def halves(gradient: Tensor) -> float:
 
 
 def cosine(a: Tensor, b: Tensor) -> float:
-    """Of the angle between two vectors."""
+    """Cosine of the angle between two vectors."""
     return float(torch.nn.functional.cosine_similarity(a, b, dim=0, eps=0.0))
 
 

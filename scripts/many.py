@@ -70,7 +70,7 @@ def measure(options: argparse.Namespace) -> None:
 
 
 def measured(folder: Path, tracks: int, options: argparse.Namespace) -> dict[str, float]:
-    """What it takes to clean so many flights, which go through a folder."""
+    """Time and memory to clean ``tracks`` flights, by way of a folder."""
     (folder / "flights").mkdir()
     rng = np.random.default_rng(options.seed)
     for first in range(0, tracks, TOGETHER):

@@ -203,7 +203,7 @@ def fitted(f: Any, task: Task, tracks: Tracks, options: argparse.Namespace, arou
 
 
 def same_lidar(tracks: Tracks, options: argparse.Namespace) -> Estimates:
-    """The same filter."""
+    """The Kalman filter of positions, with noise by ``torchfra.fit``."""
     process, measurement = sampled(tracks, lidar.MODEL)
     f = presets.srckf(AnyNoise(process), lidar.AnyPosition(measurement))
     return fitted(f, Task(lambda x: x.z, partial(prior, model=lidar.MODEL)), tracks, options)

@@ -38,11 +38,11 @@ from torchfra.tree import map_tensors
 from torchfra.types import Gaussian, Whitened
 
 POSITION_STD = 50.0
-"""Of the fixes of the second cell, m."""
+"""Standard deviation of the fixes of the second cell, m."""
 
 
 class Particles(NamedTuple):
-    """Histories, and what each knows."""
+    """Histories of regimes and outliers, with the Gaussian of each."""
 
     belief: Gaussian
     """``mean (N, n)`` and root."""
@@ -51,7 +51,7 @@ class Particles(NamedTuple):
     outlier: Tensor
     """``(N,)`` bool: the last measurement was an outlier."""
     log_weight: Tensor
-    """``(N,)``, whose exponentials sum to one."""
+    """``(N,)`` logs of weights that sum to one."""
 
 
 def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count: int, seed: int, dt: float) -> Tensor:
@@ -72,7 +72,7 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
 
 
 def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particles:
-    """Two for each regime: the prior as given, and widened."""
+    """Two particles for each regime: with the prior, and with the inflated prior."""
     mean, root = prior
     log_regimes, outlying = f.regimes.initial_distribution(mean[:1]).log(), f.prior_outlier(mean)
     regimes = len(log_regimes)
@@ -107,7 +107,7 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
 
 
 def log_ahead(f: GPB, before: Particles, dt: Tensor, measured: Tensor) -> Tensor:
-    """Logs ``(R, N)`` of the odds of each regime after those of the particles."""
+    """Logs ``(R, N)`` of the transition probabilities from the regimes of the particles."""
     like = before.belief.mean[:1, :1].expand(len(f.regimes.motion_of), 1)
     return f.regimes.transition(like, dt, measured)[:, 0, before.regime]
 
@@ -128,7 +128,7 @@ def posterior_mean(predicted: Gaussian, whitened: Whitened, root: Tensor, normal
 
 
 def keep(log_weight: Tensor, count: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Which continuations go on, at most ``count``, and logs of their weights."""
+    """The continuations that are kept, at most ``count``, and logs of their weights."""
     weight = log_weight.exp()
     if int((weight > 0).sum()) <= count:
         chosen = (weight > 0).nonzero().squeeze(-1)

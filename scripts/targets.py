@@ -47,7 +47,7 @@ AT_ONCE, PART = 20, 10
 DETECTION, FALSE = 0.9, 300
 """Probability that a target is measured, and expected false measurements per scan."""
 STD = 50.0
-"""Of the positions, m."""
+"""Standard deviation of the positions, m."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def compare(options: argparse.Namespace) -> None:
-    """Runs what was asked for, prints and writes."""
+    """Runs the chosen parts, prints and writes."""
     check_files({"json": options.json, "picture": options.picture})
     what, found = options.what.split(","), {}
     with torch.no_grad():
@@ -167,7 +167,7 @@ class World(NamedTuple):
     truth: Tensor
     """``(M, T, 2 or 4)`` positions, NaN where a target is not there."""
     scans: list[Tensor]
-    """``(J, 2)`` each."""
+    """Scans ``(J, 2)``."""
     dt: float
     targets: Targets
     cutoff: float

@@ -271,7 +271,7 @@ def test_a_target_too_fast_for_its_bank_fails_alone(tmp_path, capsys):
 
 
 def test_of_many_targets_that_fail_some_are_named(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(many_command, "_MOST_SAID", 1)
+    monkeypatch.setattr(many_command, "_MOST_NAMED", 1)
     parquet.write_table(table_of([flight(i) | {"lat": np.full(FIXES, 95.0)} for i in (0, 1)]), tmp_path / "two.parquet")
     assert clean(tmp_path / "two.parquet", tmp_path / "out", rows="999") == 1
     first, second = capsys.readouterr().err.splitlines()

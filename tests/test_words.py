@@ -55,6 +55,8 @@ REPLACED = {
     "divides? the measurement noise": "divide the noise covariance",
     "mean durations?|mean seconds": "mean sojourn time",
     "no measurement shows": "unobservable",
+    r"info\.regimes|stay=|spectral=": "info.probabilities, self_transition=, continuous=",
+    "runs? lost|no run is lost": "diverged",
 }
 """Regular expressions of words in lower case, and the terms that stand for them."""
 

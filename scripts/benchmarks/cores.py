@@ -41,7 +41,7 @@ def long_pass(call: Callable[[], Any]) -> float:
 
 
 def counts(most: int | None = None) -> list[int]:
-    """1, 2, 4, ... and as many as there are."""
+    """Numbers of threads: 1, 2, 4, ... and all cores."""
     most = torch.get_num_threads() if most is None else most
     return [count for count in (1 << k for k in range(16)) if count < most] + [most]
 

@@ -34,16 +34,16 @@ LINEAR = {
     "kalman-py": "kalman-py", "kalman-py-vmap": "kalman-py, inside, vmap", "simdkalman": "simdkalman",
     "torch-kf": "torch-kf", "filterpy": "FilterPy", "pykalman": "pykalman", "stonesoup": "Stone Soup",
 }  # fmt: skip
-"""Those of linear sensors: Kalman filters."""
+"""Peers for linear sensors: Kalman filters."""
 IN_TURN = ("kalman-py", "filterpy", "pykalman", "stonesoup")
-"""Those that filter one track after the other: the time of a track stays the same."""
+"""Peers that filter one track after the other, with a constant time per track."""
 AT_ONCE = ("dynamax-one", "kalman-py-vmap")
-"""Those that differ from the others of their package where tracks are several."""
+"""Peers for several tracks, other than those of their package for one."""
 LEARNERS = ("jax", "dynamax")
-"""Those that learn."""
+"""Peers that learn."""
 SIMD = "hand-written SIMD C++ SRCKF"
 LANES = 8
-"""Tracks side by side in ``limit.cpp``."""
+"""Number of tracks of one vector in ``limit.cpp``."""
 SETTLE = 0.1
 """Seconds between processes: the threads of the last one wait actively for some milliseconds before they sleep."""
 
@@ -148,7 +148,7 @@ def start(
 
 
 def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:
-    """What a peer needs to know of the job."""
+    """The job as a peer reads it."""
     dt, sensor = torch.tensor(scenario.dt, dtype=torch.float64), scenario.sensor
     arrays = {
         "matrix": scenario.motion.transition(dt), "noise": scenario.motion.process_noise(dt),

@@ -1,4 +1,4 @@
-"""A step of learning of a small network in front of a filter, beside what one would use instead."""
+"""A step of learning of a small network in front of a filter, beside alternatives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from torchfra.catalogue import make_scenario
 from torchfra.scenarios import Scenario, Tracks
 
 FEATURES, UNITS, RATE = 8, 32, 1e-6
-"""Of the network: what it sees of each measurement, its hidden units, and the rate of the descent."""
+"""Features of a measurement, hidden units of the network, and the learning rate."""
 
 
 class Network(nn.Module):
@@ -73,7 +73,7 @@ def layer(options: argparse.Namespace) -> list[Row]:
 
 
 def descent(network: nn.Module, means: Callable[[], Tensor], truth: Tensor, rate: float = RATE) -> Callable[[], float]:
-    """A call of one step of gradient descent, which says the error before it."""
+    """A call of one step of gradient descent, which returns the error before it."""
     optimiser = torch.optim.SGD(network.parameters(), rate)
     first = [p.detach().clone() for p in network.parameters()]
 
@@ -124,7 +124,7 @@ def ekf(scenario: Scenario, data: Tracks, std: Tensor) -> Tensor:
 
 
 def kalmannet(tracks: int) -> Callable[[], float]:
-    """A step of learning of the network that says the gain, on tracks of its own."""
+    """A step of learning of a network whose output is the gain, on tracks of its own."""
     setting = SETTINGS["as stated"]
     batch, network = simulate(setting, 1.0, tracks, 0), KalmanNet(*models(setting, 1.0))
     return descent(network, lambda: network.estimated(batch), batch.truth.float())

@@ -23,7 +23,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 STEPS = 10_000
-"""Of a long track."""
+"""Steps of a long track."""
 
 
 def linear(options: argparse.Namespace) -> list[Row]:

@@ -40,18 +40,18 @@ FILTERS = "ukf,srckf,fra_srckf,fra"
 
 
 class Machine(NamedTuple):
-    """What was measured of a machine, all threads together."""
+    """The measured performance of a machine, all threads together."""
 
     operations: float
-    """Per second, of numbers: two for each fused multiply-add."""
+    """Operations per second on numbers; a fused multiply-add counts as two."""
     costs: dict[str, float]
-    """Of an operation in seconds, for one number."""
+    """Seconds of an operation for one number."""
     bandwidth: dict[int, float]
     """Bytes per second to memory of so many bytes, by the better of two ways to write."""
 
     @classmethod
     def measured(cls, dtype: torch.dtype, sizes: set[int]) -> Machine:
-        """Measures it."""
+        """Measures this machine."""
         size = 64 if "AVX512" in torch.backends.cpu.get_cpu_capability() else 32
         function, width = native(SCALARS[dtype], size), size // dtype.itemsize
         threads, source = torch.get_num_threads(), torch.full((1024 * width,), 0.5, dtype=dtype)
@@ -108,7 +108,7 @@ def _port(number: int) -> Port:
 
 
 class Work(NamedTuple):
-    """What a step of one track comes to."""
+    """Operations and bytes of a step of one track."""
 
     operations: Counter[str]
     read: int
@@ -172,7 +172,7 @@ def _against(row: Row, work: Work, machine: Machine, size: int) -> Row:
 
 
 def report(machine: Machine) -> None:
-    """Prints what was measured of the machine."""
+    """Prints the performance of the machine."""
     print(f"{machine.operations / 1e9:.0f} billion operations a second (two for each fused multiply-add)")
     rates = [f"{rate / 1e9:.1f} GB/s to {size / 1e6:.0f} MB" for size, rate in sorted(machine.bandwidth.items())]
     print(f"memory: {', '.join(rates)}")

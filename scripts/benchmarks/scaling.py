@@ -26,17 +26,17 @@ from torchfra.types import Gaussian
 TRACKS = (1, 10, 100, 1000, 10_000, 100_000)
 STEPS = (100, 1000, 10_000, 100_000)
 DIMENSIONS = (1, 2, 3, 4, 6, 8)
-"""Of space, with two states and one measured position in each."""
+"""Dimensions of space, each with two states and one measured position."""
 MEASURED = (1, 2, 3, 4)
-"""Positions, out of eight states."""
+"""Numbers of measured positions of eight states."""
 MODELS = (1, 2, 3, 5, 7)
 TARGETS = (1, 2, 3, 4)
-"""In scans of eight measurements."""
+"""Numbers of targets, in scans of eight measurements."""
 
 SIZES = ("tracks", "steps", "states", "measurements", "models", "targets")
-"""What grows."""
+"""The size that grows."""
 Series = tuple[str, str, Iterator[tuple[int, int, Callable[[], Any]]]]
-"""What grows, the filter, and of each size its number, the track steps of a call, and the call."""
+"""The size that grows, the filter, and for each size its number, the track steps of a call, and the call."""
 
 
 def scaling(options: argparse.Namespace) -> list[Row]:
@@ -52,7 +52,7 @@ def scaling(options: argparse.Namespace) -> list[Row]:
 
 
 def every_series(options: argparse.Namespace) -> list[Series]:
-    """All that is timed."""
+    """All series."""
     return [
         ("tracks", "srckf", over_tracks(options)),
         ("steps", "srckf", over_steps()),

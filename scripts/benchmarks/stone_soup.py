@@ -39,7 +39,7 @@ class Job(NamedTuple):
     q: np.ndarray
     """``()`` density of the acceleration noise, m^2/s^3."""
     std: np.ndarray
-    """``(S,)`` of a position, m, of each sensor."""
+    """``(S,)`` standard deviation of a position, m, of each sensor."""
     speed: np.ndarray
     """``()`` standard deviation of a target's velocity in each direction, m/s."""
     detection: np.ndarray
@@ -53,7 +53,7 @@ class Job(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What both trackers are made of."""
+    """The common parts of both trackers."""
 
     predictor: Any
     updater: Any

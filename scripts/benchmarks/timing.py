@@ -23,7 +23,7 @@ _MEASURED: dict[str, tuple[str, Callable[[float], str]]] = {
 
 
 class System(Protocol):
-    """What can be timed."""
+    """A system that can be timed."""
 
     def first_call(self) -> float:
         """Seconds of the first call, which compiles what the system compiles."""
@@ -52,7 +52,7 @@ class Here:
         self.call, self.device, self.warming, self.seconds = call, device, warming, seconds
 
     def __call__(self) -> None:
-        """The call, finished."""
+        """Makes the call and waits for its end."""
         self.call()
         if self.device == "cuda":
             torch.cuda.synchronize()

@@ -1,4 +1,4 @@
-"""Filters, eager and compiled: on batches of tracks beside what one would use instead, step by step, and in space."""
+"""Filters, eager and compiled: on batches of tracks beside other libraries, step by step, and in space."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def positions(options: argparse.Namespace) -> list[Row]:
 
 
 def bank_calls(z: torch.Tensor, options: argparse.Namespace) -> dict[str, Callable[[], Any]]:
-    """By number of gains and mode."""
+    """Systems by number of gains and mode."""
     systems: dict[str, Callable[[], Any]] = {}
     for label, motion in (("two gains", ConstantVelocity(1.0, 3)), ("three gains", ConstantAcceleration(4.0, 3))):
         prior = Gaussian(torch.zeros(motion.size).to(z), torch.eye(motion.size).to(z))
@@ -99,7 +99,7 @@ def beside_peers(scenario: Scenario, data: Tracks, options: argparse.Namespace, 
 
 
 def filter_calls(scenario: Scenario, data: Tracks, options: argparse.Namespace) -> dict[str, Callable[[], Any]]:
-    """By name of the filter and mode."""
+    """Systems by name of the filter and mode."""
     systems: dict[str, Callable[[], Any]] = {}
     for name in options.filters.split(","):
         f = copy.deepcopy(scenario_filter(name, scenario)).to(options.device)

@@ -1,4 +1,4 @@
-"""What must be reached, in how many cases it is, and the figures of all cases as text."""
+"""Bounds on the figures, the cases within them, and the figures of all cases as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchfra.tables import text_table
 
 Figures = dict[str, Any]
 RATIO = {1.0: 0.6, 5.0: 0.8, 10.0: 1.0}
-"""Most that is left of the error of the raw fixes, by period."""
+"""Largest ratio of the error to that of the raw fixes, by period."""
 OUTLIERS = {1.0: 0.99, 10.0: 0.95}
 """Least precision and recall of outliers beyond 6 sigma."""
 TURNS, TURNS_UP_TO = 0.9, 5.0
@@ -20,14 +20,14 @@ TURNS, TURNS_UP_TO = 0.9, 5.0
 
 
 class Bound(NamedTuple):
-    """What is asked of a figure."""
+    """A bound on a figure."""
 
     name: str
     figure: str
     low: float
     high: float
     of: str = "each"
-    """Of what it is asked: of ``"each"`` case, of the ``"median"`` case, or of ``"all"`` cases as one."""
+    """Cases of the bound: ``"each"``, the ``"median"``, or ``"all"`` as one."""
 
     def holds(self, value: float) -> bool:
         """Whether this value is within."""
@@ -35,7 +35,7 @@ class Bound(NamedTuple):
 
 
 def bounds(period: float) -> list[Bound]:
-    """All that is asked at a period; between those that are named, as at the one below."""
+    """The bounds at a period; between the stated periods, those of the next shorter one."""
     outliers = _at(OUTLIERS, period)
     turns = [Bound(f"{what} of turns", f"turn_{what}", TURNS, 1.0, "all") for what in ("precision", "recall")]
     return [
@@ -85,13 +85,13 @@ def _together(cases: Sequence[Figures], figure: str) -> float:
 
 
 def _sums(cases: Sequence[Figures], figure: str) -> tuple[float, float]:
-    """What a share is of, over all cases: the part and the whole."""
+    """Numerator and denominator of a share, over all cases."""
     part, whole = (sum(case["counts"][name] for case in cases) for name in SHARES[figure])
     return part, whole
 
 
 def _off(value: float, bound: Bound) -> float:
-    """How far a value is beyond what is asked, or below 0 how far within."""
+    """Distance of a value beyond its bound; negative within it."""
     return math.inf if math.isnan(value) else max(bound.low - value, value - bound.high)
 
 
@@ -157,6 +157,6 @@ def _middle_and_worst(here: Sequence[Figures], figure: str) -> tuple[str, str]:
 
 
 def _share(here: Sequence[Figures], figure: str) -> str:
-    """Percent of all cases as one; nothing where there is nothing."""
+    """Percentage over all cases as one; empty without cases."""
     part, whole = _sums(here, figure)
     return f"{100 * part / whole:.1f}" if whole else ""

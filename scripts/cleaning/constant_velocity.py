@@ -1,4 +1,4 @@
-"""What to beat: a Kalman smoother of constant velocity that is told sigma and outliers, and whose q is the best one."""
+"""A reference: a Kalman smoother of constant velocity with the true sigma and outliers, and the best q."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torchfra.readers.columns import Array
 
 DENSITIES = np.logspace(-5, 3, 25)
-"""Of the process noise, m^2/s^3, that are tried."""
+"""Densities of the process noise that are tried, m^2/s^3."""
 
 
 def smoothed(z: Array, good: NDArray[np.bool_], dt: float, sigma: float, q: Array) -> Array:
@@ -58,14 +58,14 @@ def _first(z: Array, good: NDArray[np.bool_]) -> Array:
 
 
 class Best(NamedTuple):
-    """What the best density gives."""
+    """Errors with the best density."""
 
     rmse: float
-    """Over all fixes of all runs, m."""
+    """RMSE over all fixes of all runs, m."""
     there: float
-    """Over those that are no outliers."""
+    """RMSE over the fixes that are no outliers, m."""
     q: float
-    """M^2/s^3."""
+    """The best density, m^2/s^3."""
 
 
 def best(z: Array, good: NDArray[np.bool_], dt: float, sigma: float, truth: Array) -> Best:

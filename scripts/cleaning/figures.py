@@ -1,4 +1,4 @@
-"""What a cleaned run is worth: counts that add up over runs, and the figures that come of them."""
+"""Figures of cleaned runs, from counts that are summed over runs."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ SLOWEST = 1.0
 
 @dataclass
 class Counts:
-    """Sums over steps, which add up over runs."""
+    """Sums over the steps of all runs."""
 
     steps: int = 0
     squared: float = 0.0
     """Squared errors across the ground, m^2."""
     fixes: int = 0
-    """Of them those that are no outliers, ..."""
+    """Fixes that are no outliers."""
     squared_there: float = 0.0
-    """their squared errors, ..."""
+    """Squared errors of these after cleaning, m^2."""
     raw: float = 0.0
-    """and what these were before."""
+    """Squared errors of these before cleaning, m^2."""
     squared_all: float = 0.0
     raw_all: float = 0.0
-    """The same in all dimensions."""
+    """Squared errors in all dimensions, m^2."""
     squared_up: float = 0.0
     raw_up: float = 0.0
-    """The same of heights that are not missing."""
+    """Squared errors of the heights that are not missing, m^2."""
     far: int = 0
-    """Outliers beyond 6 sigma, ..."""
+    """Outliers beyond 6 sigma."""
     found: int = 0
-    """and of them those that are flagged."""
+    """Outliers beyond 6 sigma that are flagged."""
     flagged: int = 0
     right: int = 0
     """Flagged fixes, and of them those that are outliers."""
@@ -66,7 +66,7 @@ class Counts:
     within_95: int = 0
     """Coordinates, and how many of the true ones lie within each band."""
     sigma: list[float] = field(default_factory=list)
-    """Found over true, of each run."""
+    """Ratio of the estimated to the true sigma, of each run."""
     failed: int = 0
     """Runs without an estimate."""
 
@@ -164,6 +164,6 @@ def figures(case: Case, counts: Counts, runs: Sequence[Measured]) -> dict[str, o
 
 
 def shares(counts: Counts) -> dict[str, float | None]:
-    """The shares of a case; None of nothing."""
+    """The shares of a case; None where the denominator is 0."""
     of = vars(counts)
     return {name: of[part] / of[whole] if of[whole] else None for name, (part, whole) in SHARES.items()}

@@ -1,4 +1,4 @@
-"""What is measured of a truth: noise on every fix, and outliers, some of them in bursts."""
+"""Simulated fixes of a truth, with noise and outliers, some of them in bursts."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ GHOSTS = 0.5
 
 
 class Case(NamedTuple):
-    """A truth, how often it is measured, and with what noise."""
+    """A truth with a period and a noise."""
 
     truth: Truth
     period: float
-    """Seconds, before the truth's pace."""
+    """Period, s, before the factor of the truth."""
     noise: float
-    """Standard deviation per axis, m, before the truth's scale."""
+    """Standard deviation of a fix per axis, m, before the factor of the truth."""
 
     @property
     def name(self) -> str:
@@ -75,7 +75,7 @@ class Measured:
         return np.asarray(np.linalg.norm(self.offset, axis=1) > 6 * self.case.sigma)
 
     def recording(self) -> Recording:
-        """As it comes to be cleaned."""
+        """The recording that is cleaned."""
         position, source = self.truth + self.noise + self.offset, Source(word=self.case.truth.word)
         return Recording(self.case.name, self.time, position, None, {}, source=source, filled=self.no_height)
 

@@ -27,7 +27,7 @@ class Leg(NamedTuple):
 
 
 class Handling(NamedTuple):
-    """How a target follows what it is meant to do."""
+    """The response of a target to its legs."""
 
     lag: float
     """Seconds that turns and climbs take to set in."""
@@ -84,7 +84,7 @@ MANNERS = {
     "bike": Manner((3.0, 7.0), (3.0, 8.0), 90.0, (4.0, 25.0), (20.0, 110.0), 0.7),
     "car": Manner((6.0, 16.0), (5.0, 20.0), 60.0, (3.0, 20.0), (10.0, 95.0), 1.8),
 }
-"""Of those who go along streets."""
+"""Parameters of those who go along streets, by kind."""
 
 
 def along_streets(rng: np.random.Generator, seconds: int, manner: Manner) -> Array:
@@ -123,7 +123,7 @@ OUTINGS = {
     "aircraft": Outing((2500.0, 28_800.0), (4, 15), (120.0, 2400.0), (120.0, 240.0), 1.0),
     "animal": Outing((720.0, 28_800.0), (5, 60), (60.0, 900.0), (0.05, 0.6), 3.0, 5000.0),
 }
-"""Of those who rest between their ways."""
+"""Parameters of those who rest between outings, by kind."""
 
 
 def resting(rng: np.random.Generator, steps: int, dt: float, outing: Outing) -> Array:

@@ -1,4 +1,4 @@
-"""Tracks that are known: recorded flights made smooth, simulated ships and drones, and paths that were walked."""
+"""True tracks: smoothed recorded flights, simulated ships and drones, and walked paths."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ HARDER = ("late", "lasting", "heights", "animals", "slow", "rare", "bursts")
 heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; who walks, cycles,
 drives, flies a drone or sails, with errors some of which are slow; and those whose fixes are rare or come in bursts."""
 SLOW = ((0.0, 0.0), *((seconds, size) for size in (0.5, 1.0) for seconds in (10.0, 20.0, 40.0)))
-"""Seconds that slow errors last, and their standard deviation over that of the white noise beside them."""
+"""Correlation times of slow errors, s, and their standard deviations in units of the white noise beside them."""
 PER_FILE, FIXES = 3, 4000
 """Most flights of one file, and fixes of each that are looked at."""
 JERK, OWN = (0.3, 0.003), 5.0
 """Density of the jerk that a smooth flight has, across the ground and in height, m^2/s^5, and its own noise, m."""
 STRIDE, WAVERING = 1.0, 0.02
-"""The same of a path that was walked."""
+"""Density of the jerk of a walked path, m^2/s^5, and its own noise, m."""
 SLOWEST = 3.0
 """Speed below which nothing flies, m/s."""
 FASTEST = 1.8
@@ -45,7 +45,7 @@ SHORTEST, LONGEST = 60, 6000
 SCALE, PACE = 0.02, 0.125
 """Noise and outliers of a path that was walked, and its periods, as shares of those of the others."""
 HERD, HOURS = 100 / 3, 1440.0
-"""The same of animals: 15 m are 500 m, and 5 s are 2 h."""
+"""Factors on noise and periods of animals: 15 m become 500 m, and 5 s become 2 h."""
 RARE = 360.0
 """Factor on periods of those who rest between their ways: 5 s are 30 min."""
 BURST, OFTEN, PAUSE = 3, 4.0, 3600.0
@@ -54,7 +54,7 @@ BURST, OFTEN, PAUSE = 3, 4.0, 3600.0
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A track that is known."""
+    """A true track."""
 
     kind: str
     name: str
@@ -69,17 +69,17 @@ class Truth:
     pace: float = 1.0
     """Factor on periods."""
     word: str = "target"
-    """What the file says it is."""
+    """The kind of target in the file."""
     late: float = 0.0
     """Standard deviation of one time stamp in five, s; the others have a tenth of it."""
     lasting: float = 0.0
-    """Seconds that errors last."""
+    """Correlation time of the errors, s."""
     size: float = 1.0
-    """Standard deviation of these over the noise that is asked for."""
+    """Standard deviation of the correlated errors, in units of the noise of the case."""
     white: float = 0.1
-    """The same of the white noise beside them."""
+    """Standard deviation of the white noise beside them, in units of the noise of the case."""
     coarse: float = 0.0
-    """Metres between the heights that it can tell, of which one in ten is missing."""
+    """Resolution of the heights, m, of which one in ten is missing."""
     bursts: bool = False
     """Whether fixes come in bursts."""
 

@@ -39,7 +39,7 @@ PENALTY = 40.0
 
 
 class Heard(NamedTuple):
-    """Of a day what its filters say."""
+    """Estimates of two filters for a day."""
 
     signals: Tensor
     """``(..., T, k)``"""

@@ -39,7 +39,7 @@ class Study:
 
     @property
     def title(self) -> str:
-        """Of figures and printed tables."""
+        """Title of figures and printed tables."""
         return f"{self.scenario.name}, {self.runs} runs"
 
 

@@ -70,12 +70,12 @@ boats too."""
 
 
 class Scan(NamedTuple):
-    """What one sensor measured at an instant."""
+    """The measurements of one sensor at an instant."""
 
     time: float
     sensor: int
     ferry: Tensor
-    """``(2,)`` where it was, m."""
+    """``(2,)`` position of the sensor, m."""
     z: Tensor
     """``(J, 2)`` positions, m."""
     truth: Tensor
@@ -87,7 +87,7 @@ class Scene(NamedTuple):
 
     name: str
     z: list[Scan]
-    """In order of their times."""
+    """Scans in the order of their times."""
     published: Figures
 
     @property
@@ -97,7 +97,7 @@ class Scene(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a manager made of a recording."""
+    """The tracks of a manager for a recording."""
 
     figures: Figures
     mean: Tensor

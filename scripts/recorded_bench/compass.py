@@ -17,11 +17,11 @@ from torchfra.angles import wrap
 GOOD, DISTURBED = 0.1, 0.8
 """Standard deviations of a reading, rad."""
 BEGINS, STAYS = 0.01, 0.9
-"""Probabilities that a disturbance begins in a step, and that it stays."""
+"""Probability that a disturbance begins in a step, and its self-transition probability."""
 TURN, STILL = 0.09, 0.01
-"""Standard deviations of what the wheels say of a turn in a step, while they turn and while they do not, rad."""
+"""Standard deviations of the turn in a step by the wheels, while they turn and while they do not, rad."""
 LARGEST = 14.0
-"""Log odds of either hypothesis at most."""
+"""Largest log odds of either hypothesis."""
 FIRST = 0.3
 """Standard deviation of the heading before the first reading, rad."""
 

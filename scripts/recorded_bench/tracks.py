@@ -1,4 +1,4 @@
-"""A recorded track with its truth, how good estimates of it are, and a picture of both."""
+"""A recorded track with its truth, errors of estimates, and a picture of both."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ Figures = dict[str, Any]
 
 
 class Track(NamedTuple):
-    """What sensors recorded of one target, and where it was."""
+    """Measurements of one target, and its true path."""
 
     name: str
     z: Tensor
     """``(T, m)`` measurements, NaN where there is none."""
     u: Tensor | None
-    """``(T, k)`` what motion or sensor need to know."""
+    """``(T, k)`` inputs of motion and sensor."""
     dt: Tensor
     """``(T,)`` seconds that lead to each step."""
     truth: Tensor
     """``(T, dims)`` positions, m; NaN where unknown."""
     prior: Gaussian
-    """Before the first step."""
+    """The prior, one step before the first."""
     fixes: Tensor | None
     """``(T, 2)`` positions that were measured, to be drawn; None where none were."""
     published: Figures
-    """Errors of others on this track, m, by the method's name."""
+    """Published errors on this track, m, by the name of the method."""
     per_axis: bool
     """Whether errors are per axis, as the published ones are: those of the distance by the root of the dimensions."""
     groups: tuple[int, ...] = ()
@@ -48,14 +48,14 @@ class Followed(NamedTuple):
     """What a filter, or what weighs several, says of a track; positions are the leading states."""
 
     estimate: Estimate
-    """On line."""
+    """The estimate on line."""
     smoothed: Estimate
     level: Tensor
     """``(T,)`` protection levels of the estimate on line, m."""
 
 
 class Found(NamedTuple):
-    """What came of it."""
+    """The result of a filter, or of a network that weighs several."""
 
     figures: Figures
     mean: Tensor

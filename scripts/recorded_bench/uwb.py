@@ -76,7 +76,7 @@ taken for white errors whose variance is so many times as large."""
 BIAS = 0.3
 """Standard deviation of what each anchor's ranges are off by for a whole run, m: chosen on LOS A 1 for its NEES."""
 UNNOTICED = (0.05, 4 * ERROR)
-"""Of protection levels, as of a robot on a campus."""
+"""Fault of protection levels, as for a robot on a campus."""
 OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none"}}
 """Arguments of presets that differ from the defaults: a person who walks does not manoeuvre beyond the motion."""
 OWN_PRESETS = IN_STATE = ()

@@ -26,7 +26,7 @@ class Cell(NamedTuple):
     make: Callable[[], Scenario]
     """Reads its files only when it is called."""
     runs: int | None = None
-    """How many there are; None for as many as one likes."""
+    """Number of runs; None if it is not limited."""
 
 
 def all_cells(flights: Sequence[Path] | None = None, ranges: Iterable[Path] = ()) -> dict[str, Cell]:

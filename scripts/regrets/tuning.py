@@ -16,11 +16,11 @@ from torchfra.hyper import Hyper, hypers
 from torchfra.scenarios import Scenario, Tracks
 
 RUNS = 64
-"""To search on."""
+"""Number of runs for the search."""
 STEPS = (4.0, 2.0, 1.3)
-"""By which factors a value goes up or down, one after the other, as long as that pays."""
+"""Factors by which a value is changed, one after the other, as long as the error falls."""
 PAYS = 0.999
-"""What an error must be multiplied by at most."""
+"""Largest ratio of a new error to the old one that counts as a gain."""
 
 
 def tune(f: Filter, scenario: Scenario, runs: int, seed: int) -> dict[str, float]:
@@ -64,7 +64,7 @@ def groups_of(f: Filter) -> dict[str, list[Hyper]]:
 
 
 def scale(values: Sequence[Hyper], factor: float) -> None:
-    """Multiplies them."""
+    """Multiplies the values."""
     for value in values:
         value.set(factor * value())
 

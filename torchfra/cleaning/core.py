@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import torch
 
+from torchfra.cleaning import time_stamps
 from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_heights, steps_of
 from torchfra.cleaning.catalogue_filters import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.cleaned import Cleaned, Found
@@ -18,13 +19,6 @@ from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
-from torchfra.cleaning.time_stamps import (
-    as_recorded,
-    at_truncated_times,
-    moved_along,
-    stamps_are_truncated,
-    stamps_are_wrong,
-)
 from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
@@ -131,9 +125,9 @@ def _clean_group(
             for i, one in enumerate(placed)
         ]
     for i, (_, variance) in moved.items():
-        done[i] = as_recorded(done[i], measured[i], variance)
+        done[i] = time_stamps.as_recorded(done[i], measured[i], variance)
     for i in truncated:
-        done[i] = at_truncated_times(done[i])
+        done[i] = time_stamps.at_truncated_times(done[i])
     return done
 
 
@@ -146,10 +140,10 @@ def _stamps(
         if np.isinf(recording.position).any():
             continue  # it fails later, with its reason
         kind, _ = _kind(recording, bank)
-        if stamps_are_truncated(recording):
+        if time_stamps.stamps_are_truncated(recording):
             truncated.append(i)
-        if stamps_are_wrong(recording, kind):
-            moved[i] = moved_along(recording, kind)
+        if time_stamps.stamps_are_wrong(recording, kind):
+            moved[i] = time_stamps.moved_along(recording, kind)
     return moved, truncated
 
 
@@ -279,12 +273,10 @@ def _found(
     notes = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
     if not math.isnan(answer.height):
         notes = (*notes, f"Sigma of the height: {metres(answer.height)}")
-    open_ = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
+    unsure = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
     estimated = frozenset(key for key, value in given.items() if value is None)
-    return Found(
-        name, settings.smooth, bank, answer.sigma, answer.q, math.nan, estimated, notes,
-        sigma_unsure=_unsure(steps) if open_ else "",
-    )  # fmt: skip
+    why = _unsure(steps) if unsure else ""
+    return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, estimated, notes, sigma_unsure=why)
 
 
 def _by_filter(

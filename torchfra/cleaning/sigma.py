@@ -58,10 +58,8 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood near those of the part."""
     factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)
     tried = part.sigma * factors.unsqueeze(1)
-    alone, usual = (
-        likeliest_sigma(part.fixes, part.levels, owner, tried, of)
-        for of in (part.model.independent_offsets, part.model)
-    )
+    models = part.model.independent_offsets, part.model
+    alone, usual = (likeliest_sigma(part.fixes, part.levels, owner, tried, model) for model in models)
     return alone.maximum(usual).minimum(_most_by_circles(part.fixes, owner))
 
 

@@ -175,9 +175,8 @@ def chart(cleaned: Cleaned) -> Chart:
         for middle, row, kind in placed(track, _LETTERS)
     ]
     if sentence:
-        layout["annotations"] += [
-            _words(0.0, 1.0, sentence, RED) | {"xref": "paper", "yref": "paper", "xanchor": "left"}
-        ]
+        corner = {"xref": "paper", "yref": "paper", "xanchor": "left"}
+        layout["annotations"].append(_words(0.0, 1.0, sentence, RED) | corner)
     layout["shapes"] = [
         {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}

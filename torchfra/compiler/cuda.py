@@ -48,7 +48,7 @@ def load(source: str, device: torch.device) -> Callable[[int, int, int, int, int
         # The table of the outputs lies behind that of the inputs: together they are the last argument.
         arguments = (ctypes.c_void_p * 3)(*map(ctypes.addressof, numbers), inputs)
         stream = ctypes.c_void_p(torch.cuda.current_stream(device).cuda_stream)
-        shape = (*_grid(tracks), THREADS, 1, 1)
+        shape = (-(-tracks // THREADS), 1, 1, THREADS, 1, 1)  # of the grid, and of a block
         if tracks == 0:
             return
         with _Current(context):
@@ -95,10 +95,6 @@ def _compile(nvrtc: ctypes.CDLL, source: str, architecture: str) -> bytes:
         return image.raw
     finally:
         nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
-
-
-def _grid(tracks: int) -> tuple[int, int, int]:
-    return -(-tracks // THREADS), 1, 1
 
 
 class _Current:

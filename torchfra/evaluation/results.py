@@ -136,9 +136,8 @@ def headline(results: dict[str, Result], runs: int) -> str:
     """A sentence with the error of the first filter, of the best of the others and of the plain one."""
     first, *others = results
     diverged = results[first]["diverged"]
-    words = f"{first}: {_metres(results[first])}, " + (
-        f"{diverged} of {runs} runs diverged" if diverged else "no run diverged"
-    )
+    count = f"{diverged} of {runs} runs" if diverged else "no run"
+    words = f"{first}: {_metres(results[first])}, {count} diverged"
     best = min(others, key=lambda name: infinite(results[name]["mean_rmse_position"]), default=None)
     if best is not None:
         words += f"; best of the others: {best}, {_metres(results[best])}"

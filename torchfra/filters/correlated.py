@@ -220,17 +220,13 @@ def with_errors(preset: P, takes: bool = True) -> P:
             expected = f"one without time-correlated errors, as {preset.__name__} has none in its state"
             raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
         # Each element with an error gets the next component behind those of the target.
-        errors, behind = errors_of(sensor), count(_one(motion).size)
+        first_motion = motion if isinstance(motion, Motion) else motion[0]
+        errors, behind = errors_of(sensor), count(first_motion.size)
         biased = Biased(without_errors(sensor), [next(behind) if has else None for has in have_errors(sensor)])
         options = {name: x for name, x in options.items() if name not in (first, second)}
         return WithCorrelatedErrors(preset(_augmented(motion, errors), biased, *arguments[2:], **options), sensor)
 
     return made  # type: ignore[return-value]  # it takes all that the preset takes
-
-
-def _one(motion: Motion | Sequence[Motion]) -> Motion:
-    """A motion, or the first of several."""
-    return motion if isinstance(motion, Motion) else motion[0]
 
 
 def _augmented(motion: Motion | Sequence[Motion], errors: list[GaussMarkov]) -> Motion | list[Augmented]:

@@ -86,15 +86,8 @@ def imm_srckf(
         initial: ``(K,)`` probabilities of the models before the first step; uniform if None.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
-    return imm(
-        models,
-        sensor,
-        self_transition=self_transition,
-        transition=transition,
-        durations=durations,
-        initial=initial,
-        learn=learn,
-    )
+    return imm(models, sensor, self_transition=self_transition, transition=transition, durations=durations,
+               initial=initial, learn=learn)  # fmt: skip
 
 
 imm_ckf = register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)(imm_srckf)

@@ -133,9 +133,9 @@ def _law(
     """Paths that are known except for their start, and for what ``truth_noise`` adds; so are the outliers."""
     std = STD * {"covariance": size.sqrt(), "std": size}.get(outliers, torch.ones_like(size))
     root = ConstantAcceleration(truth_noise).process_noise(torch.tensor(DT, dtype=torch.float64))
-    tells = burst_information(STEPS) if outliers == "bursts" else 1.0
+    information = burst_information(STEPS) if outliers == "bursts" else 1.0
     known = ["manoeuvres", *(["outliers"] if outliers != "none" else []), *(["start"] if initial == "paper" else [])]
-    return Law(_ROOT, moves, sensor, std, root if truth_noise else None, tells, tuple(known))
+    return Law(_ROOT, moves, sensor, std, root if truth_noise else None, information, tuple(known))
 
 
 def _bank() -> Bank:

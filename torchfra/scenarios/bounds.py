@@ -1,4 +1,4 @@
-"""The error that no filter is below, of a scenario whose law is known."""
+"""Cramer-Rao bounds on the errors of filters, of a scenario whose law is known."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.scenarios.law import Law, Measured
 
 RUNS = 200
-"""Truths that expectations are over."""
+"""Number of truths that approximate an expectation."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Bound:
     """The Cramer-Rao bound of a scenario."""
 
     kind: str
-    """``"posterior"``: of all estimators, of truths that are drawn with process noise.  ``"parametric"``: of estimators
-    without bias, of paths that are fixed, or taken as known except for their start."""
+    """``"posterior"``: for all estimators, with random truths by process noise.  ``"parametric"``: for unbiased
+    estimators, with paths that are fixed, or taken as known except for their start."""
     known: tuple[str, ...]
     """Quantities taken as known although no filter knows them: the bound may be far below every filter."""
     covariance: Tensor
@@ -68,8 +68,8 @@ def _slopes(law: Law, scenario: Scenario, tracks: Tracks, truth: Tensor) -> Tens
     u = None if tracks.u is None else tracks.u.expand(*truth.shape[:-1], -1)
     slope = _each(law.sensor, truth, u)
     std = torch.as_tensor(law.std, dtype=truth.dtype).expand(truth.shape[1], slope.shape[-2])
-    tells = torch.as_tensor(law.information, dtype=truth.dtype).expand(truth.shape[1]) * scenario.detection
-    slope = slope * (tells.sqrt().unsqueeze(-1) / std).unsqueeze(-1)
+    information = torch.as_tensor(law.information, dtype=truth.dtype).expand(truth.shape[1]) * scenario.detection
+    slope = slope * (information.sqrt().unsqueeze(-1) / std).unsqueeze(-1)
     return slope if tracks.z.dim() == 4 else torch.where(tracks.z.isnan().unsqueeze(-1), 0.0, slope)
 
 

@@ -35,7 +35,7 @@ STARTS = torch.tensor(
 ROOT = torch.tensor([30.0, 30.0, 30.0, 5.0, 5.0, 5.0], dtype=torch.float64).diag()
 """Root of the covariance of the initial beliefs, m and m/s."""
 REGION = 200.0
-"""Half the edge of the cube around each target that its false measurements fall in evenly, m."""
+"""Half the edge of the cube around each target in which its false measurements are uniform, m."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def cartesian(estimate: Estimate) -> Estimate:
 def _scans(
     name: str, motion: Motion, dt: float, conditions: Conditions, counts: str, more: dict[str, object]
 ) -> Scenario:
-    """A scenario of both aircraft in scans with missed and false measurements; ``more`` are settings of it alone."""
+    """A scenario of both aircraft in scans with missed and false measurements; ``more`` are further settings."""
     one_of(counts=(counts, ("diffuse", "poisson")))
     if counts == "poisson" and conditions.clutter == 0:
         raise ValueError("counts: expected 'diffuse' where there are no false measurements, received 'poisson'")
@@ -197,7 +197,7 @@ def _scans(
 
 
 def _law_of(motion: Motion, dt: float, conditions: Conditions, *known: str) -> Law:
-    """The law of one aircraft's motion in Cartesian coordinates; ``known`` is what is taken as known besides."""
+    """The law of one aircraft's motion in Cartesian coordinates; ``known`` names further known quantities."""
     sensor, noise = conditions.sensor(), motion.process_noise(torch.tensor(dt, dtype=torch.float64))
     scale = torch.where(_changed(conditions), conditions.noise_scale, 1.0).unsqueeze(-1)
     root = noise * math.sqrt(conditions.truth_noise / Q) if conditions.truth_noise else None

@@ -93,11 +93,9 @@ def recorded(
                       Gaussian(start.squeeze(1) * _KNOWN + draw[:, :6] @ _ROOT, _ROOT))  # fmt: skip
 
     bursts = outliers == "bursts"
-    information = (
-        burst_information(steps, share, size) if bursts else mixed_information(outliers, size, share, model.size)
-    )
+    fisher = burst_information(steps, share, size) if bursts else mixed_information(outliers, size, share, model.size)
     known = ("accelerations", "outliers") if bursts else ("accelerations",)
-    law = Law(_ROOT, ConstantVelocity(0.0, orders=3), model, spread, None, information, known)
+    law = Law(_ROOT, ConstantVelocity(0.0, orders=3), model, spread, None, fisher, known)
     prior = Gaussian(windows[0, 0] * _KNOWN, _ROOT)
     return Scenario("recorded", ConstantAcceleration(q), model, prior, dt, steps, block, settings, aircraft(q),
                     limit=LIMIT, law=law)  # fmt: skip

@@ -212,13 +212,8 @@ def sigma_in_words(sigma: float, stated: bool) -> str:
 
 
 def _how(found: Found, name: str) -> str:
-    return (
-        "given"
-        if name not in found.estimated
-        else "found, unsure"
-        if name == "sigma" and found.sigma_unsure
-        else "found"
-    )
+    unsure = ", unsure" if name == "sigma" and found.sigma_unsure else ""
+    return f"found{unsure}" if name in found.estimated else "given"
 
 
 def manoeuvres(cleaned: Cleaned) -> str:

@@ -53,14 +53,10 @@ def columns(cleaned: Cleaned) -> Table:
         table |= _geodetic(cleaned, prefix)
         table |= {prefix + axis: position[:, i] / unit for i, axis in enumerate(axes)}
     table |= {f"v{axis}": cleaned.velocity[:, i] for i, axis in enumerate(axes)} | _course(cleaned)
-    table |= {
-        "nis": cleaned.nis,
-        "outlier": cleaned.outlier,
-        "outlier_duration": cleaned.outlier_duration,
-        "residual": cleaned.residual,
-    }
-    table |= {"manoeuvre": cleaned.manoeuvre, "flag": cleaned.flag}
-    table |= {regime_column(name): cleaned.regime[:, i] for i, name in enumerate(cleaned.regimes)}
+    own = ("nis", "outlier", "outlier_duration", "residual", "manoeuvre", "flag")
+    table |= {name: getattr(cleaned, name) for name in own}
+    plain = [re.sub(r"[^\w+-]+", "_", name) for name in cleaned.regimes]
+    table |= {f"regime_{name}": cleaned.regime[:, i] for i, name in enumerate(plain)}
     return table | _covariance(cleaned, axes)
 
 
@@ -83,11 +79,6 @@ def _column(table: Table, name: str, tables: Sequence[Table]) -> NDArray[Any]:
         return table[name]
     other = next(of[name] for of in tables if name in of)
     return np.full(len(table["row"]), np.nan if other.dtype.kind == "f" else "")
-
-
-def regime_column(name: str) -> str:
-    """The name of the column with the probability of a regime."""
-    return "regime_" + re.sub(r"[^\w+-]+", "_", name)
 
 
 def about(names: list[str]) -> dict[str, str]:
