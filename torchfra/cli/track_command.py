@@ -112,7 +112,8 @@ def run(options: argparse.Namespace) -> None:
     results = _cleaned(recordings, options, failures)
     if not results:
         failures.end()
-    _say(list(results.values()), tell)
+    if not options.quiet:
+        _say(list(results.values()), tell)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
     if options.json is not None:
