@@ -22,6 +22,8 @@ class Part(NamedTuple):
     """``(B,)`` m."""
     least: Tensor
     """``(B,)`` m that sigma has at least."""
+    most: Tensor
+    """``(B,)`` m that sigma has at most if it is found, infinite but for tracks that circle; NaN if it is given."""
     lowest: Tensor
     """``(B,)`` m, the lowest sigma that a track does not rule out whose estimates are hardly surer than its fixes: the
     path goes as near to these as it says.  NaN of other tracks."""
@@ -34,7 +36,7 @@ class Part(NamedTuple):
         """Some of the rows."""
         return Part(
             Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
-            self.sigma[rows], self.least[rows], self.lowest[rows], self.stops[rows],
+            self.sigma[rows], self.least[rows], self.most[rows], self.lowest[rows], self.stops[rows],
             self.model.of_rows(lambda x: x[rows]),
         )  # fmt: skip
 

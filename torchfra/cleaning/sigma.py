@@ -47,11 +47,10 @@ _OVER_CIRCLES, _STRETCHES = 1.3, 20
 """How many times as large sigma may be as what circles leave, and stretches of fixes that tell of these."""
 
 
-def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
+def first_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
-    tried = _largest_sigma(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    likely = likeliest_sigma(fixes, levels, owner, tried, model.of_any_offset)
-    return likely.minimum(_most_by_circles(fixes, owner))
+    tried = _largest_sigma(part.fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
+    return likeliest_sigma(part.fixes, part.levels, owner, tried, part.model.of_any_offset).minimum(part.most)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -61,7 +60,7 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     alone, usual = (
         likeliest_sigma(part.fixes, part.levels, owner, tried, of) for of in (part.model.of_any_offset, part.model)
     )
-    return alone.maximum(usual).minimum(_most_by_circles(part.fixes, owner))
+    return alone.maximum(usual).minimum(part.most)
 
 
 def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel) -> Tensor:
@@ -183,7 +182,7 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
     return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
-def _most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
+def most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
     """The largest sigma ``(B,)`` of tracks that circle; infinite where too few fixes come evenly, or rarely.
 
     A target that circles with a few fixes a turn looks like noise about a straight way to levels of process noise,
