@@ -113,7 +113,7 @@ def test_how_likely_outliers_are_after_clean_fixes_and_after_outliers_is_found(b
     gap = torch.ones(steps, batch, dtype=torch.float64)
     fixes = Fixes(torch.from_numpy(z), gap, gap, torch.zeros_like(gap))
     sigma = torch.full_like(gap[0], SIGMA)
-    part = Part(fixes, one_level(batch, 1e-4), sigma, torch.zeros_like(sigma), sigma, sigma < 0)
+    part = Part(fixes, one_level(batch, 1e-4), sigma, torch.zeros_like(sigma), sigma, sigma, sigma < 0)
     owner = torch.zeros(batch, dtype=torch.long)  # one track in eight rows
     (found,) = fitted([part], owner, find_sigma=False, find_q=False)
     clean, after = (~wrong[:-1]).sum(), wrong[:-1].sum()
@@ -133,7 +133,7 @@ def test_a_fix_is_an_outlier_where_its_position_or_its_height_is_one():
         fixes = Fixes(torch.from_numpy(z), gap, gap, torch.zeros_like(gap))
         model = OutlierModel(beside_inlier=alone, beside_outlier=beside)
         sigma = torch.full((1,), SIGMA, dtype=torch.float64)
-        parts.append(Part(fixes, one_level(1), sigma, torch.zeros_like(sigma), sigma, sigma < 0, model))
+        parts.append(Part(fixes, one_level(1), sigma, torch.zeros_like(sigma), sigma, sigma, sigma < 0, model))
     parts[1].fixes.z[::7] = torch.nan
     (position, height), found = estimated(parts, smooth=True)
     for k in range(steps):

@@ -310,8 +310,8 @@ def _weighed(predicted: State, z: Tensor, log_odds: Tensor, inlier: Belief, join
     log_weights = torch.logaddexp(joint[:, 0], joint[:, 1])
     log_weights[1] += log_odds
     weights, log_likelihood = _normalised(log_weights.flatten(0, 1), 0)
-    pairs = [_merged_pair(of, *_entries(x)) for of, x in zip(share, (inlier, predicted.belief), strict=True)]
-    belief = Belief(*(torch.stack(pair, -3) for pair in zip(*pairs, strict=True)))
+    every = (torch.stack(pair, -3) for pair in zip(inlier, predicted.belief, strict=True))  # (2, 2, J, B): before, now
+    belief = _merged_pair(share, *_entries(Belief(*every), -4))
     outlier = weights[log_weights.shape[1] :].sum(0)
     return State(belief, log_weights - log_likelihood, outlier, z), log_likelihood
 
@@ -489,16 +489,16 @@ def _with_spread(inside: list[Tensor], weight: Tensor, dp: Tensor, dv: Tensor) -
         dv: ``(d, ...)`` of the velocity.
     """
     share = weight / len(dp)
-    for p, v, p_share, v_share in zip(dp, dv, share * dp, share * dv, strict=True):
+    for p, v, p_share, v_share in zip(*(x.unbind() for x in (dp, dv, share * dp, share * dv)), strict=True):
         inside[0].addcmul_(p_share, p)
         inside[1].addcmul_(p_share, v)
         inside[2].addcmul_(v_share, v)
     return inside
 
 
-def _entries(x: Belief) -> list[Belief]:
-    """Each of the first of three dimensions behind the axes."""
-    return [Belief(*of) for of in zip(*(part.unbind(-3) for part in x), strict=True)]
+def _entries(x: Belief, dim: int = -3) -> list[Belief]:
+    """Each along a dimension, counted from the last; by default the first of three behind the axes."""
+    return [Belief(*of) for of in zip(*(part.unbind(dim) for part in x), strict=True)]
 
 
 def _product(x: Tensor, matrix: Tensor) -> Tensor:

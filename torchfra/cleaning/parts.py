@@ -22,6 +22,8 @@ class Part(NamedTuple):
     """``(B,)`` m."""
     least: Tensor
     """``(B,)`` least sigma, m."""
+    most: Tensor
+    """``(B,)`` largest estimated sigma, m: infinite but for tracks that circle, NaN where sigma is given."""
     lowest: Tensor
     """``(B,)`` m, the lowest sigma that a track does not rule out, by which its path is computed, if its estimates are
     hardly more certain than its fixes; NaN for other tracks."""
@@ -34,7 +36,7 @@ class Part(NamedTuple):
         """The part of some rows."""
         return Part(
             Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
-            self.sigma[rows], self.least[rows], self.lowest[rows], self.stops[rows],
+            self.sigma[rows], self.least[rows], self.most[rows], self.lowest[rows], self.stops[rows],
             self.model.of_rows(lambda x: x[rows]),
         )  # fmt: skip
 

@@ -19,7 +19,7 @@ from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
 from torchfra.cleaning.process_noise import levels_up_to, may_stop
-from torchfra.cleaning.sigma import first_sigma
+from torchfra.cleaning.sigma import first_sigma, most_by_circles
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 
@@ -117,7 +117,7 @@ def _parts(
         levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
         model = _outliers(most, fastest, period, steady)
         unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)
-        parts.append(Part(fixes, levels, unknown, torch.zeros_like(unknown), unknown, stops, model))
+        parts.append(Part(fixes, levels, unknown, torch.zeros_like(unknown), unknown, unknown, stops, model))
     return rows, _with_first_sigma(parts, _owners(rows, tracks), settings.sigma, [coarse[row.track] for row in rows])
 
 
@@ -127,7 +127,8 @@ def _with_first_sigma(
     """Parts with sigma as given, or an initial one, and its least value by what is ``coarse`` of each row."""
     least, step = torch.tensor(coarse, dtype=torch.float64).T
     if given is None:
-        several = [first_sigma(part.fixes, part.levels, owner, part.model) for part in parts]
+        parts = [part._replace(most=most_by_circles(part.fixes, owner)) for part in parts]
+        several = [first_sigma(part, owner) for part in parts]
     else:
         several, least = [torch.full_like(least, given)] * len(parts), torch.zeros_like(least)
     found = list[Part]()
@@ -167,8 +168,10 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
             fixes.log_odds[: len(row.chosen), b] = torch.from_numpy(log_odds[row.track][row.chosen])
         levels = Levels(*(x[:, first] for x in part.levels))
         model = part.model.of_rows(lambda x: x[first])
-        sigma, least, lowest, stops = (x[first] for x in (part.sigma, part.least, part.lowest, part.stops))
-        more.append(Part(fixes, levels, sigma, least, lowest, stops, model))
+        sigma, least, most, lowest, stops = (
+            x[first] for x in (part.sigma, part.least, part.most, part.lowest, part.stops)
+        )
+        more.append(Part(fixes, levels, sigma, least, most, lowest, stops, model))
     return every, more
 
 

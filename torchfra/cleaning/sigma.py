@@ -47,11 +47,11 @@ _OVER_CIRCLES, _STRETCHES = 1.3, 20
 """Largest ratio of sigma to the residuals of circles, and the fewest stretches of fixes for these."""
 
 
-def first_sigma(fixes: Fixes, levels: Levels, owner: Tensor, model: OutlierModel) -> Tensor:
+def first_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
-    tried = _largest_sigma(fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    likely = likeliest_sigma(fixes, levels, owner, tried, model.independent_offsets)
-    return likely.minimum(_most_by_circles(fixes, owner))
+    tried = _largest_sigma(part.fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
+    model = part.model.independent_offsets
+    return likeliest_sigma(part.fixes, part.levels, owner, tried, model).minimum(part.most)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     tried = part.sigma * factors.unsqueeze(1)
     models = part.model.independent_offsets, part.model
     alone, usual = (likeliest_sigma(part.fixes, part.levels, owner, tried, model) for model in models)
-    return alone.maximum(usual).minimum(_most_by_circles(part.fixes, owner))
+    return alone.maximum(usual).minimum(part.most)
 
 
 def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel) -> Tensor:
@@ -182,7 +182,7 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
     return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
-def _most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
+def most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
     """The largest sigma ``(B,)`` of tracks that circle; infinite where fixes are rare or mostly unevenly spaced.
 
     A target that circles with a few fixes per turn looks like noise about a straight line to levels of process noise,

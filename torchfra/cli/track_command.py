@@ -112,8 +112,9 @@ def run(options: argparse.Namespace) -> None:
     results = _cleaned(recordings, options, failures)
     if not results:
         failures.end()
-    for line in outputs.report(list(results.values())):
-        tell(line)
+    if not options.quiet:
+        for line in outputs.report(list(results.values())):
+            tell(line)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
     if options.json is not None:

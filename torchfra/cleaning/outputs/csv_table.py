@@ -25,7 +25,7 @@ def encode(results: Sequence[Cleaned]) -> bytes:
     header = ",".join(map(_quoted, table))
     formats, cells = zip(*(_cells(name, values) for name, values in table.items()), strict=True)
     row = ",".join(formats) + "\n"  # a whole row at once is faster than cell by cell
-    text = "".join([header, "\n", *(row % values for values in zip(*cells, strict=True))])
+    text = "".join([header, "\n", *(row % values for values in zip(*filter(None, cells), strict=True))])
     return text.encode(errors="backslashreplace")
 
 
@@ -35,7 +35,7 @@ def _quoted(text: str) -> str:
 
 
 def _cells(name: str, values: NDArray[Any]) -> tuple[str, list[Any]]:
-    """The format of a column's cells, and their values."""
+    """The format of a column's cells, and their values; none where all are 0, as covariances of independent axes."""
     if values.dtype.kind in "iu":
         return "%s", ["" if name == "row" and v < 0 else v for v in values.tolist()]
     if values.dtype.kind != "f":
@@ -47,6 +47,8 @@ def _cells(name: str, values: NDArray[Any]) -> tuple[str, list[Any]]:
     else:
         digits = max((_DIGITS.get(word, 3) for word in name.split("_")), default=3)
         form, values = f"%.{digits}f", np.where(np.abs(values) < 0.5 / 10**digits, 0.0, values)
+    if not values.any():
+        return form % 0.0, []
     if np.isfinite(values).all():
         return form, values.tolist()
     return "%s", [form % v if math.isfinite(v) else "" for v in values.tolist()]
