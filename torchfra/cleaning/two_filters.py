@@ -79,9 +79,14 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     count = fixes.z.shape[-1]
     forward, backward = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
     # The levels before and after a step change in the shorter of its two gaps: over a long one all become one Gaussian.
-    gap, chain = torch.minimum(fixes.elapsed, fixes.backwards().elapsed.flip(0)), levels.chain
+    reverse, chain = fixes.backwards(), levels.chain
+    gap = torch.minimum(fixes.elapsed, reverse.elapsed.flip(0))
+    pauses = fixes.after_pause & _begun(reverse).flip(0), reverse.after_pause.flip(0) & _begun(fixes)
     pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
-    met = [_met(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
+    met = [
+        _met(_steps(forward, some), _steps(backward, some), gap[some], [of[some] for of in pauses], levels, chain)
+        for some in pieces
+    ]
     apart = _joined_beliefs([of.apart for of in met], -2)
     agree = torch.cat([of.both.log_weights.logsumexp(1) for of in met])
     lost, lost_later = _lost(apart, agree, forward, backward, fixes, model)
@@ -93,13 +98,57 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     return _in_a_row(done)
 
 
-def _met(predictions: Predictions, later: Predictions, gap: Tensor, levels: Levels, chain: Chain) -> _Met:
-    """What two filters say of some steps, where the one that runs backward has just passed the step after."""
-    later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
-    belief, log_fit = _product(predictions.belief, later.belief)
-    log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
-    apart = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
-    return _Met(predictions, later, Predictions(belief, log_weights, *predictions[2:]), apart)
+def _met(
+    predictions: Predictions, later: Predictions, gap: Tensor, pauses: Sequence[Tensor], levels: Levels, chain: Chain
+) -> _Met:
+    """What two filters say of some steps, where the one that runs backward has just passed the step after.
+
+    Args:
+        predictions: from the fixes before each step.
+        later: from those after it, with the level of the way there.
+        gap: ``(T, B)`` seconds in which levels change at a step.
+        pauses: ``(T, B)`` whether a fix comes after a pause, and whether one comes before a pause; not in short bursts.
+        levels: of the process noise.
+        chain: of these.
+    """
+    switched_later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
+    belief, log_fit = _product(predictions.belief, switched_later.belief)
+    log_weights = predictions.log_weights + switched_later.log_weights - levels.log_share + log_fit
+    both = Predictions(belief, log_weights, *predictions[2:])
+    for pause, over, beside in zip(pauses, (predictions, later), (later, predictions), strict=True):
+        if pause.any():
+            both = _where(pause, _beside_pause(over, beside), both)
+    apart = _apart(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, switched_later)))
+    return _Met(predictions, switched_later, both, apart)
+
+
+def _beside_pause(over: Predictions, beside: Predictions) -> Predictions:
+    """What two filters say of a fix next to a pause, with the levels of its other side, whatever the pause had.
+
+    A level that explains how far a target went in a pause is one for the whole of it, mostly a low one.  It says
+    nothing of the level next to it: a target that rests for an hour may turn just before and after.
+
+    Args:
+        over: what is known from the fixes beyond the pause.
+        beside: the same from those on the other side.
+    """
+    whole, _ = merged(beside.log_weights, beside.belief, 1)
+    _, log_fit = _product(over.belief, _of_any_level(whole))
+    common, agree = merged(over.log_weights + log_fit, over.belief, 1)
+    belief, log_fit = _product(_of_any_level(common), beside.belief)
+    log_weights = (beside.log_weights + log_fit).log_softmax(1) + agree.unsqueeze(1)
+    return Predictions(belief, log_weights, *beside[2:])
+
+
+def _begun(fixes: Fixes) -> Tensor:
+    """Whether a filter is sure of a velocity ``(T, B)``, by the fixes since it began or since a pause."""
+    before = (~fixes.missing).long().cumsum(0) - 1
+    return before - torch.where(fixes.after_pause, before, 0).cummax(0).values >= _BEGUN
+
+
+def _of_any_level(belief: Belief) -> Belief:
+    """A belief that is the same for all levels."""
+    return Belief(*(x.unsqueeze(-2) for x in belief))
 
 
 def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
