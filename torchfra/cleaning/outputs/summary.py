@@ -67,6 +67,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(of["doubt"])
     if _is_unlikely(of):
         said.append(UNLIKELY)
+    elif 10 * of["flags"]["outlier"] >= of["fixes"]:
+        said.append(MANY)
     if _is_mixed(cleaned):
         options = cleaned.recording.source.id_options
         said.append(f"{MIXED}: {options[0] if options else '--id'} distinguishes them")
@@ -92,6 +94,13 @@ UNLIKELY = (
     "taken, or the target may move as none of its kind does (--bank, --sigma)"
 )
 """What is said of a track that its fixes contradict."""
+
+
+MANY = (
+    "A tenth of the fixes or more were rejected. If noise varies along the track, as with the range of a radar, give "
+    "each fix its standard deviation in a column sigma"
+)
+"""What is said of a track of which many, but not most, fixes were rejected."""
 
 
 def _is_unlikely(of: Mapping[str, Any]) -> bool:
