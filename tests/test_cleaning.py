@@ -676,6 +676,16 @@ def test_an_aircraft_that_turns_in_the_three_fixes_between_two_pauses_is_where_i
     assert error_over_raw_in_bursts(path, gaps, "aircraft") < 1.05
 
 
+@pytest.mark.parametrize("speed", [0.0, 5.0])
+def test_a_van_that_brakes_just_before_each_pause_and_starts_just_after_is_where_it_was_measured(speed):
+    rng, gaps, number = np.random.default_rng(2), np.tile((3600.0, *[10.0] * 39), 4), np.arange(160) % 40
+    way = gaps * np.where((number == 1) | (number == 39), speed, 15.0) * (number > 0)
+    course = np.repeat(rng.uniform(-3.0, 3.0, 16), 10)
+    places = np.repeat(rng.uniform(-20_000.0, 20_000.0, (4, 2)), 40, 0)
+    path = places + np.cumsum(way[:, None] * np.stack([np.cos(course), np.sin(course)], 1), 0)
+    assert error_over_raw_in_bursts(path, gaps, "target") < 1.05
+
+
 def test_a_car_that_drives_in_few_of_the_pauses_between_bursts_is_a_vehicle():
     rng, gaps = np.random.default_rng(6), np.tile((1800.0, *[5.0] * 29), 20)
     drives = (gaps > 60.0) & (rng.random(len(gaps)) < 0.4)

@@ -16,6 +16,7 @@ from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import Cleaned
 from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.positions import Answer, period_of
+from torchfra.cleaning.process_noise import LONGEST
 from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
 from torchfra.tables import duration, metres
@@ -134,6 +135,8 @@ def _fits(
     variance = (std[..., 0] * torch.tensor([answers[i].sigma for i, _ in rows], dtype=z.dtype).unsqueeze(1)).square()
     usual = torch.tensor([_usual(tracks[i], at, answers[i]) for i, at in rows], dtype=z.dtype)
     density = torch.where(straight.unsqueeze(-1), tried.calm, 1.0) * (q / usual.square().unsqueeze(1)).unsqueeze(-1)
+    # Where a target went in a pause says nothing of errors.
+    density = torch.where((gap > LONGEST).unsqueeze(-1), (_ANY_SPEED / gap).unsqueeze(-1), density)
     return log_likelihood(
         (z[..., :2].permute(1, 2, 0) / usual).unsqueeze(-1), gap.T.unsqueeze(-1),
         (variance.T / usual.square()).unsqueeze(-1) * tried.white.square(), density.movedim(1, 0),

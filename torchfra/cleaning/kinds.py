@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from numpy.lib.stride_tricks import sliding_window_view
 
+from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.motion.bank import aircraft, people, ships, vehicles
 from torchfra.readers.recording import Recording
@@ -54,6 +57,11 @@ _MANY = 25
 """Fixes from which on this ratio is checked."""
 _MOST = 0.98
 """Share of the moves between rare fixes that are no outliers of the same offset."""
+_OFF, _STRETCHES = 0.1, 20
+"""How far off a circle fixes are at most, as a share of the way between two, so that these ways tell the speed; and
+stretches of fixes of which that is asked."""
+_CLEAR = 10.0
+"""How many times as far as that second differences are at least, so that they tell the acceleration."""
 _RARE_MOVES = 8
 """Fewest long gaps whose moves determine the kind of a target."""
 
@@ -87,8 +95,10 @@ def kind_of(recording: Recording) -> tuple[str, str]:
     """The name of the kind of a target, and why: as the file says, or by its speed."""
     if recording.source.word in KINDS:
         return recording.source.word, "as the file says"
-    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording))
-    name = next((name for name in _BY_SPEED if speed <= KINDS[name].fastest), "aircraft")
+    around, turn = _speed_and_turn(recording)
+    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording), around)
+    may = (name for name in _BY_SPEED if speed <= KINDS[name].fastest and turn <= KINDS[name].acceleration)
+    name = next(may, "aircraft")
     return name, f"by its speed of {speed:,.1f} m/s"
 
 
@@ -107,3 +117,23 @@ def _speed_of_rare_moves(recording: Recording) -> float:
     one, two = (np.linalg.norm(position[k:] - position[:-k], axis=1) for k in (1, 2))
     move = np.minimum(one[1:-1], np.minimum(two[:-1], two[1:]))
     return float(np.quantile((move / gap)[rare], _MOST))
+
+
+def _speed_and_turn(recording: Recording) -> tuple[float, float]:
+    """The median speed from fix to fix, m/s, and acceleration, m/s^2, where hardly any of them is noise; 0 elsewhere.
+
+    Who circles in less than half a minute is much faster than over half a minute.
+    """
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, position = recording.time[there], recording.position[there, :2]
+    if len(time) < IN_A_ROW + _STRETCHES:
+        return 0.0, 0.0
+    gap, ways = np.diff(time), np.diff(position, axis=0)
+    gaps = torch.from_numpy(np.concatenate([gap[:1], gap])[:, None])
+    off = off_circles(torch.from_numpy(position[..., None]), gaps)[:, 0].numpy()
+    way, turn = np.linalg.norm(ways, axis=1), np.linalg.norm(np.diff(ways, axis=0), axis=1)
+    usual = sliding_window_view(way, IN_A_ROW - 1).mean(1)
+    if (off < _OFF * usual).sum() < max(_STRETCHES, len(off) / 2):
+        return 0.0, 0.0
+    clear = np.median(turn) > _CLEAR * np.nanmedian(off)
+    return float(np.median(way / gap)), float(np.median(turn / (gap[1:] * gap[:-1]))) if clear else 0.0

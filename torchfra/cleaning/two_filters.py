@@ -80,9 +80,14 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     count = fixes.z.shape[-1]
     forward, backward = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
     # The levels before and after a step change in the shorter of its two gaps: over a long one all become one Gaussian.
-    gap, chain = torch.minimum(fixes.elapsed, fixes.backwards().elapsed.flip(0)), levels.chain
+    reverse, chain = fixes.backwards(), levels.chain
+    gap = torch.minimum(fixes.elapsed, reverse.elapsed.flip(0))
+    pauses = fixes.after_pause & _begun(reverse).flip(0), reverse.after_pause.flip(0) & _begun(fixes)
     pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
-    combined = [_combined(_steps(forward, some), _steps(backward, some), gap[some], levels, chain) for some in pieces]
+    combined = [
+        _combined(_steps(forward, some), _steps(backward, some), gap[some], [of[some] for of in pauses], levels, chain)
+        for some in pieces
+    ]
     difference = _joined_beliefs([of.difference for of in combined], -2)
     agree = torch.cat([of.both.log_weights.logsumexp(1) for of in combined])
     lost, lost_later = _lost(difference, agree, forward, backward, fixes, model)
@@ -94,13 +99,57 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     return _in_a_row(done)
 
 
-def _combined(predictions: Predictions, later: Predictions, gap: Tensor, levels: Levels, chain: Chain) -> _Combined:
-    """Predictions of two filters for some steps; those of the backward one are for the step after, ``gap`` s later."""
-    later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
-    belief, log_fit = _product(predictions.belief, later.belief)
-    log_weights = predictions.log_weights + later.log_weights - levels.log_share + log_fit
-    difference = _difference(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, later)))
-    return _Combined(predictions, later, Predictions(belief, log_weights, *predictions[2:]), difference)
+def _combined(
+    predictions: Predictions, later: Predictions, gap: Tensor, pauses: Sequence[Tensor], levels: Levels, chain: Chain
+) -> _Combined:
+    """The predictions of both filters for some steps, and their product.
+
+    Args:
+        predictions: from the fixes before each step.
+        later: from the fixes after it, with the levels of the step after.
+        gap: ``(T, B)`` seconds in which levels change at a step.
+        pauses: ``(T, B)`` whether a fix comes after a pause, and whether one comes before a pause; not in short bursts.
+        levels: of the process noise.
+        chain: of these.
+    """
+    switched_later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
+    belief, log_fit = _product(predictions.belief, switched_later.belief)
+    log_weights = predictions.log_weights + switched_later.log_weights - levels.log_share + log_fit
+    both = Predictions(belief, log_weights, *predictions[2:])
+    for pause, over, beside in zip(pauses, (predictions, later), (later, predictions), strict=True):
+        if pause.any():
+            both = _where(pause, _beside_pause(over, beside), both)
+    difference = _difference(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, switched_later)))
+    return _Combined(predictions, switched_later, both, difference)
+
+
+def _beside_pause(over: Predictions, beside: Predictions) -> Predictions:
+    """The product of both filters for a fix next to a pause, with the levels of the fix's own side.
+
+    The level of a pause explains how far the target went in all of it, and is mostly a low one.  It has no information
+    on the level next to the pause: a target that rests for an hour may turn just before and after.
+
+    Args:
+        over: predictions from the fixes beyond the pause.
+        beside: predictions from the fixes on the other side.
+    """
+    whole, _ = merged(beside.log_weights, beside.belief, 1)
+    _, log_fit = _product(over.belief, _of_any_level(whole))
+    common, agree = merged(over.log_weights + log_fit, over.belief, 1)
+    belief, log_fit = _product(_of_any_level(common), beside.belief)
+    log_weights = (beside.log_weights + log_fit).log_softmax(1) + agree.unsqueeze(1)
+    return Predictions(belief, log_weights, *beside[2:])
+
+
+def _begun(fixes: Fixes) -> Tensor:
+    """Whether ``(T, B)`` a filter has had enough fixes for a velocity since it began or since a pause."""
+    before = (~fixes.missing).long().cumsum(0) - 1
+    return before - torch.where(fixes.after_pause, before, 0).cummax(0).values >= _BEGUN
+
+
+def _of_any_level(belief: Belief) -> Belief:
+    """A belief that is the same for all levels."""
+    return Belief(*(x.unsqueeze(-2) for x in belief))
 
 
 def filtered(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:

@@ -79,6 +79,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(of["sigma_unsure"])
     if _is_unlikely(of):
         said.append(UNLIKELY)
+    elif 10 * of["flags"]["outlier"] >= of["fixes"]:
+        said.append(MANY)
     if _is_mixed(cleaned):
         options = cleaned.recording.source.id_options
         said.append(f"{MIXED}: {options[0] if options else '--id'} distinguishes them")
@@ -104,6 +106,13 @@ UNLIKELY = (
     "taken, or the target may move as none of its kind does (--bank, --sigma)"
 )
 """The warning for a track that its fixes contradict."""
+
+
+MANY = (
+    "A tenth of the fixes or more were rejected. If noise varies along the track, as with the range of a radar, give "
+    "each fix its standard deviation in a column sigma"
+)
+"""What is said of a track of which many, but not most, fixes were rejected."""
 
 
 def _is_unlikely(of: Mapping[str, Any]) -> bool:
