@@ -160,7 +160,7 @@ def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatc
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "dtype"), [
     ("fra", {"learn": "all", "temperature": 1.0}, torch.float64),
-    ("gpb", SMALL_GPB | {"learn": ("noise_levels",)}, torch.float64), ("imm_srckf", {}, torch.float64),
+    ("gpb", SMALL_GPB | {"learn": ("noise_levels",)}, torch.float64),
 ])  # fmt: skip
 def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
     compare(name, dtype, monkeypatch, **options)
@@ -168,7 +168,7 @@ def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
 
 @needs_gcc
 @pytest.mark.slow
-def test_a_step_that_calls_routines_too(monkeypatch):
+def test_a_step_of_interacting_models_that_calls_routines_too(monkeypatch):
     monkeypatch.setattr(step, "_MOST", 10)
     compare("imm_srckf", torch.float64, monkeypatch)
     assert any("orthogonalise_r1(a, v" in source for source in source_of("imm_srckf", monkeypatch))

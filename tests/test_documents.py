@@ -51,7 +51,6 @@ SMALL = {
     "torchfra compare": ({"--runs": "2"}, {"--filters": "srckf,fra"}),
     "scripts/reproduce.py clutter": ({"--runs": "2"}, {"--filters": "ukf_jpda_safe"}),
     "torchfra many": ({"--jobs": "1"}, {}),
-    "scripts/many.py": ({"--tracks": "4", "--jobs": "1", "--share": "1"}, {}),
     "scripts/peers_targets.py": (
         {"--runs": "1", "--scans": "10", "--targets": "2", "--clutter": "2"},
         {"--trackers": "srckf"},
@@ -76,10 +75,9 @@ HELP_ONLY = {
     "scripts/benchmark.py --what roof": "compiles every filter: run by test_scripts.py",
     "scripts/benchmark.py --what linear": "filters of others: run by test_peers.py",
     "scripts/benchmark.py --peers": "its parts are run by test_scripts.py and test_peers.py",
-    "scripts/many.py --tracks 1000,": "cleans flights: one line does so for all",
     **{
         f"scripts/{name}.py": f"run by test_{name}.py"
-        for name in ("certainty", "clean_check", "gradients", "layer", "lorenz", "okf", "particles", "regret")
+        for name in ("certainty", "clean_check", "gradients", "layer", "lorenz", "many", "okf", "particles", "regret")
     },
     **{
         f"scripts/reproduce.py {name}": "run by test_scripts.py"

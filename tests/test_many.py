@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import many as script
 import numpy as np
 import pytest
 from two_processes import forked
@@ -204,6 +205,23 @@ def test_a_progress_bar_begins_with_what_was_done_before(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(progress_bar(iter([1]), "part", True, total=4, done=3)) == [1]
     assert "3/4" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_script_cleans_flights_that_it_simulates_and_says_how_fast(tmp_path, monkeypatch, capsys):
+    def run(command, env, **_):
+        monkeypatch.setenv("RANK", env["RANK"])
+        monkeypatch.setenv("WORLD_SIZE", env["WORLD_SIZE"])
+        assert cli.main(command[3:]) == 0
+
+    monkeypatch.setattr(subprocess, "run", run)  # in this process
+    monkeypatch.setattr(script, "processors", iter([0.0, 2.0]).__next__)
+    assert script.main(["--tracks", "4", "--jobs", "1", "--json", str(tmp_path / "many.json")]) == 0
+    (found,) = json.loads((tmp_path / "many.json").read_text())["runs"]
+    assert (found["tracks"], found["rows"], found["parts"]) == (4, 400, 1)
+    assert found["rows a processor's second"] == 200
+    assert found["error"] < 0.8
+    assert "rows a second" in capsys.readouterr().out
 
 
 # ---------------------------------------------------------------- several processes

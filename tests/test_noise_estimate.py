@@ -112,7 +112,7 @@ def test_errors_are_known_with_five_times_the_measurement_noise_and_no_larger_wi
     errors = {}
     for scale in (5.0, 1.0):
         s = scenarios.noise_change(noise_scale=scale)
-        t = s.simulate(500, 0)
+        t = s.simulate(150, 0)
         truth = s.sensor(torch.from_numpy(np.array([[oracles.msc_from_cartesian(x) for x in t.truth[0].numpy()]])))
         for name, f in (
             ("ukf", presets.ukf(s.motion, s.sensor, alpha=1.0, beta=2.0, kappa=0.0)),
