@@ -135,8 +135,8 @@ def _fits(
     variance = (std[..., 0] * torch.tensor([answers[i].sigma for i, _ in rows], dtype=z.dtype).unsqueeze(1)).square()
     usual = torch.tensor([_usual(tracks[i], at, answers[i]) for i, at in rows], dtype=z.dtype)
     density = torch.where(straight.unsqueeze(-1), tried.calm, 1.0) * (q / usual.square().unsqueeze(1)).unsqueeze(-1)
-    # Where a target went in a pause says nothing of errors.
-    density = torch.where((gap > LONGEST).unsqueeze(-1), (_ANY_SPEED / gap).unsqueeze(-1), density)
+    # The way of a target over a pause is no evidence of errors.
+    density = torch.where((gap > LONGEST).unsqueeze(-1), (_VELOCITY_VARIANCE / gap).unsqueeze(-1), density)
     return log_likelihood(
         (z[..., :2].permute(1, 2, 0) / usual).unsqueeze(-1), gap.T.unsqueeze(-1),
         (variance.T / usual.square()).unsqueeze(-1) * tried.white.square(), density.movedim(1, 0),
