@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -169,6 +170,13 @@ def test_columns_of_parquet_and_feather_are_read_too(tmp_path, name, zone):
 def test_tracks_of_gpx_and_what_is_left_out_are_counted_in_words(write, points, said):
     (track,) = read(write("a.gpx", gpx().replace("<trk>", f"{points}<trk>")))
     assert any(line.endswith(said) for line in track.source.notes)
+
+
+def test_names_of_gpx_may_have_a_prefix(write):
+    text = re.sub(r"<(/?)(?=[a-z])", r"<\1g:", gpx()).replace("xmlns=", "xmlns:g=")
+    plain, prefixed = read(write("a.gpx", gpx())), read(write("b.gpx", text))
+    np.testing.assert_array_equal(prefixed[0].position, plain[0].position)
+    np.testing.assert_array_equal(prefixed[0].time, plain[0].time)
 
 
 def test_a_file_without_its_reader_says_what_to_install(write, monkeypatch):

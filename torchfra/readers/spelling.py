@@ -49,7 +49,7 @@ NAMES = {
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
                  "heightaboveellipsoid", "enhancedaltitude", "zaltitude", "wysokosc", "altitudine", "высота"),
-    "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "trackno", "tracknum", "targetno", "targetid",
+    "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tn", "tracknumber", "trackno", "tracknum", "targetno", "targetid",
            "objectid",
            "vesselid", "shipid", "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier",
            "tagid", "uavid", "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip",

@@ -18,6 +18,8 @@ from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
 """Those of a GPX file, which gpxpy reads as Python does."""
+_PREFIX = re.compile(r"<([\w.-]+):gpx\b")
+"""Of the names of GPX where it has no default namespace."""
 _COLUMNS = ("time", "latitude", "longitude", "altitude", "id", "hdop")
 Point = tuple[Any, ...]
 """The cells of a fix, in the order of ``_COLUMNS``."""
@@ -95,6 +97,8 @@ def _checked_root(text: str) -> str:
 
 def _gpx_sheet(text: str) -> Sheet:
     gpxpy = optional("gpxpy", "GPX", "formats")
+    if prefix := _PREFIX.search(text):  # gpxpy knows names without one
+        text = re.sub(rf"(</?){re.escape(prefix[1])}:", r"\1", text)
     for found in _NUMBERS.finditer(text):
         value = found[2] if found[1] else found[4]
         if (bare := value.strip()) and not DECIMAL.fullmatch(bare):
