@@ -52,15 +52,17 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
     parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     # With the prior levels: the estimated ones fit the motion that the estimated sigma left.
     asked = [part._replace(levels=levels) for part, levels in zip(parts, before, strict=True)]
-    lowest = [_lowest_of(part, rows, owner) for part, rows in zip(asked, unsure, strict=True)]
+    lowest = [_lowest_of(part, rows, owner, of.outlier) for part, rows, of in zip(asked, unsure, smoothed, strict=True)]
     return [part._replace(lowest=sigma) for part, sigma in zip(parts, lowest, strict=True)]
 
 
-def _lowest_of(part: Part, chosen: Tensor, owner: Tensor) -> Tensor:
+def _lowest_of(part: Part, chosen: Tensor, owner: Tensor, outlier: Tensor) -> Tensor:
     """The lowest sigma ``(B,)`` of the ``chosen (B,)`` rows, bool, that is not ruled out; NaN of the others."""
     rows = chosen.nonzero()[:, 0]
     lowest = torch.full_like(part.sigma, math.nan)
-    return lowest.index_copy(0, rows, lowest_sigma(part.at(rows), owner[rows])) if len(rows) else lowest
+    return (
+        lowest.index_copy(0, rows, lowest_sigma(part.at(rows), owner[rows], outlier[:, rows])) if len(rows) else lowest
+    )
 
 
 def _with_shares(part: Part, smoothed: Smoothed, owner: Tensor) -> Part:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
+from torchfra.cleaning.homes import homes
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
 from torchfra.cleaning.two_filters import Smoothed
@@ -99,7 +100,7 @@ def little_gained(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
     return (several > 0.5 * every) | (pauses > _PAUSES * every) | (part.fixes.period > LONGEST)
 
 
-def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
+def lowest_sigma(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
     """The lowest standard deviations ``(B,)`` that tracks do not rule out.
 
     Where noise and motion can hardly be distinguished, too large a sigma costs far more than too small a one: with the
@@ -109,6 +110,7 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
     Args:
         part: with the prior levels.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
+        outlier: ``(T, B)`` probabilities of outliers.
     """
     tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
     several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
@@ -123,8 +125,24 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
     open_ = (fit >= fit.amax((0, 1)) + torch.stack(least)).any(0)
+    open_[-1] |= _returns_home(part, owner, outlier)
     last = (open_ * torch.arange(len(tried)).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
+
+
+def _returns_home(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
+    """Whether what looks like white noise ``(B,)`` is rather the motion of a target that returns between rare fixes."""
+    rows = _rows_for_sigma(part.fixes, owner)
+    rows = rows[(part.fixes.period > LONGEST)[rows]]
+    returns = torch.zeros_like(part.sigma, dtype=torch.bool)
+    if len(rows):
+        fixes = Fixes(*(x[:_STEPS, ..., rows] for x in part.fixes))
+        z = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
+        of = homes(z, fixes.gap, fixes.variance, owner[rows])
+        likely = (of.returns > of.white + _OPEN) & (of.sigma > part.sigma[rows] / 4)
+        for i in owner[rows][likely].unique():
+            returns[owner == i] = True
+    return returns
 
 
 def _misfit(levels: Levels, part: Part) -> Tensor:
