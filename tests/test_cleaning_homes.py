@@ -40,21 +40,26 @@ def test_white_noise_about_a_drifting_home_is_still_smoothed():
     assert np.sqrt((error**2).mean() / (raw**2).mean()) < 0.8
 
 
-def test_the_likelihood_is_that_of_the_joint_normal_distribution():
+@pytest.mark.parametrize("velocity", [False, True])
+def test_the_likelihood_is_that_of_the_joint_normal_distribution(velocity):
     rng = np.random.default_rng(2)
     gap, z = rng.uniform(1.0, 3.0, 12), 5.0 * rng.standard_normal((12, 2))
-    variance, noise, drift, deviation, seconds = rng.uniform(0.5, 2.0, 12), 1.5, 0.7, 4.0, 2.5
-    time = np.cumsum(gap) - gap[0]
-    of_home = drift * np.minimum.outer(time, time)
-    covariance = of_home + deviation * np.exp(-np.abs(np.subtract.outer(time, time)) / seconds)
-    covariance += np.diag(noise * variance)
-    difference = np.eye(12)[1:] - np.eye(12)[0]  # without the home at the start
+    variance, noise, drift, size, seconds = rng.uniform(0.5, 2.0, 12), 1.5, 0.7, 4.0, 2.5
+    time = (np.cumsum(gap) - gap[0]) / seconds
+    early, late = np.minimum.outer(time, time), np.maximum.outer(time, time)
+    kept = np.exp(early - late)
+    if velocity:  # the integral of a Gauss-Markov process
+        of_motion = size * seconds**2 * (2 * early + np.exp(-early) + np.exp(-late) - 1 - kept)
+    else:
+        of_motion = size * kept
+    covariance = drift * seconds * early + of_motion + np.diag(noise * variance)
+    difference = np.eye(12)[1:] - np.eye(12)[0]  # without the place at the start
     covariance, ahead = difference @ covariance @ difference.T, difference @ z
     fit = np.einsum("ia,ij,ja->", ahead, np.linalg.inv(covariance), ahead)
     joint = -0.5 * (fit + 2 * np.linalg.slogdet(covariance)[1])
     of = innovations(
         torch.tensor(z).unsqueeze(-1), torch.tensor(gap).unsqueeze(-1), torch.tensor(variance).unsqueeze(-1),
-        *(torch.tensor([value]) for value in (noise, drift, deviation, seconds)),
+        *(torch.tensor([value]) for value in (noise, drift, size, seconds)), velocity=velocity,
     )  # fmt: skip
     assert float(-0.5 * (of.squares + of.log_variance)) == pytest.approx(joint, rel=1e-6)
     assert float(of.number) == 22
@@ -72,3 +77,15 @@ def test_a_missing_fix_has_no_part_in_the_likelihood(gone):
         return [float(value) for value in of]
 
     assert fit(np.arange(30)) == pytest.approx(fit(np.delete(np.arange(30), gone)), rel=1e-9)
+
+
+def test_an_animal_that_wanders_on_is_still_smoothed():
+    rng = np.random.default_rng(4)
+    velocity = np.zeros((400, 2))
+    for k in range(1, 400):  # forgotten in some hours
+        velocity[k] = 0.7 * velocity[k - 1] + 0.2 * rng.standard_normal(2)
+    time, place = 2 * HOUR * np.arange(400), 2 * HOUR * np.cumsum(velocity, 0)
+    fixes = place + 500.0 * rng.standard_normal(place.shape)
+    cleaned = torchfra.clean((time, fixes), bank="animal")
+    error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
+    assert np.sqrt((error**2).mean() / (raw**2).mean()) < 0.95

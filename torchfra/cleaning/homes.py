@@ -1,29 +1,23 @@
-"""Targets that return to a home between rare fixes: their motion is not white noise about a random walk."""
+"""Targets that return to a home between rare fixes: their motion is not white noise about a slower one."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchfra.cleaning.closed_form import Fixes
+
 _RATIOS = 2.0 ** torch.arange(-12.0, 5.0, dtype=torch.float64)
 """Variances that are tried of the home's drift between two fixes, and of slow returns, in units of the other one."""
 _SOON, _LATER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0), (8.0, 16.0, 32.0)
 """Correlation times of a deviation without white noise, and beside it, in units of the usual time between fixes."""
+_COURSE = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Correlation times of a velocity beside white noise, in the same unit."""
 _ANYWHERE = 1e12
 """Variance of the home before the first fix, in units of the noise or the deviation."""
-
-
-class Homes(NamedTuple):
-    """Log-likelihoods ``(B,)`` of fixes about a home that drifts, and the noise that explains them."""
-
-    white: Tensor
-    """With white noise."""
-    sigma: Tensor
-    """The standard deviation of that noise, in units of the fixes' own."""
-    returns: Tensor
-    """With a deviation from a drifting home that is forgotten in a few fixes, and no noise."""
 
 
 class Fit(NamedTuple):
@@ -37,51 +31,51 @@ class Fit(NamedTuple):
     """``(B,)`` number of these."""
 
 
-def homes(z: Tensor, gap: Tensor, variance: Tensor, owner: Tensor) -> Homes:
-    """The largest log-likelihoods of fixes with white noise, and of a target that returns within a few fixes.
+def log_odds_of_a_home(fixes: Fixes, owner: Tensor) -> Tensor:
+    """Log of how much likelier fixes ``(B,)`` are with a home to which a target returns than with white noise.
 
-    Beside white noise its home drifts, or it returns to it within many fixes.
+    Without noise the target returns within a few fixes to a home that drifts.  Beside white noise it drifts, returns
+    within many fixes, or keeps its velocity for some.  The largest likelihoods are compared.
 
-    Source: Dunn & Gipson (1977), Biometrics 33, 85, for the Ornstein-Uhlenbeck process about a home.
+    Source: Dunn & Gipson (1977), Biometrics 33, 85, for the Ornstein-Uhlenbeck process about a home; Johnson et al.
+    (2008), Ecology 89, 1208, for that of a velocity.
 
     Args:
-        z: ``(T, d, B)`` m; NaN where there is none, or an outlier.
-        gap: ``(T, B)`` seconds since the step before.
-        variance: ``(T, B)`` of the fixes in units of sigma squared.
+        fixes: NaN where there is none, or an outlier.
         owner: ``(B,)`` numbers; rows of the same one have common values.
     """
-    period = gap[1:].median(0).values
+    z, gap, period = fixes.z, fixes.gap, fixes.period.nan_to_num(1.0)
     ratio = _RATIOS.to(z).unsqueeze(1)
     one, none = torch.ones_like(ratio * period), torch.zeros_like(ratio * period)
-    soon, later = (torch.tensor(of).to(z)[:, None, None] * period for of in (_SOON, _LATER))
-    returns = _likelihoods(innovations(z, gap, variance, none, ratio / period, one, soon), owner)[0]
-    white, noise = (
-        torch.cat(of) for of in zip(
-            _likelihoods(innovations(z, gap, variance, one, ratio / period, none, one), owner),
-            _likelihoods(innovations(z, gap, variance, one, none, ratio * variance.median(0).values, later), owner),
-            strict=True,
-        )
-    )  # fmt: skip
-    best = white.argmax(0, keepdim=True)
-    return Homes(white.amax(0), noise.gather(0, best)[0].sqrt(), returns.amax(0))
+    soon, later, course = (torch.tensor(of).to(z)[:, None, None] * period for of in (_SOON, _LATER, _COURSE))
+    scaled = fixes.variance / torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.nan_to_num(1.0)
+    returns = _likelihood(innovations(z, gap, scaled, none, ratio / period, one, soon), owner)
+    several = [
+        innovations(z, gap, scaled, one, ratio / period, none, one),
+        innovations(z, gap, scaled, one, none, ratio, later),
+        innovations(z, gap, scaled, one, none, 2.0**12 * ratio / period.square(), course, velocity=True),
+    ]
+    return returns - torch.stack([_likelihood(fit, owner) for fit in several]).amax(0)
 
 
-def _likelihoods(fit: Fit, owner: Tensor) -> tuple[Tensor, Tensor]:
-    """The largest log-likelihoods ``(H, B)`` over a common factor on all variances, and that factor."""
+def _likelihood(fit: Fit, owner: Tensor) -> Tensor:
+    """The largest log-likelihood ``(B,)`` of hypotheses, each with the likeliest common factor on its variances."""
     squares, log_variance = fit.squares.flatten(0, -2), fit.log_variance.flatten(0, -2)
     sums = torch.cat([squares, log_variance, fit.number.unsqueeze(0)])
     sums = sums.new_zeros(len(sums), int(owner.max()) + 1).index_add(1, owner, sums)[:, owner]
     squares, log_variance, (count,) = sums.split([len(squares), len(squares), 1])
-    factor = squares / count
-    return -0.5 * (count * factor.log() + count + log_variance), factor
+    likelihoods: Tensor = -0.5 * (count * (squares / count).log() + count + log_variance)
+    return likelihoods.amax(0)
 
 
 def innovations(
-    z: Tensor, gap: Tensor, variance: Tensor, noise: Tensor, drift: Tensor, deviation: Tensor, seconds: Tensor
-) -> Fit:
-    """The innovations of a Kalman filter for fixes about a home.
+    z: Tensor, gap: Tensor, variance: Tensor, noise: Tensor, drift: Tensor, deviation: Tensor, seconds: Tensor,
+    *, velocity: bool = False,
+) -> Fit:  # fmt: skip
+    """The innovations of a Kalman filter for fixes about a home, or of a target whose velocity changes.
 
-    Its states are the home, a random walk, and the deviation from it, a Gauss-Markov process.
+    Its states are the home, a random walk, and the deviation from it, a Gauss-Markov process; or the position and its
+    velocity, which is this process.
 
     Args:
         z: ``(T, d, B)`` m; NaN where there is none.
@@ -89,9 +83,11 @@ def innovations(
         variance: ``(T, B)`` of the fixes in units of ``noise``.
         noise: ``(..., B)`` m^2.
         drift: ``(..., B)`` density of the home's random walk, m^2/s.
-        deviation: ``(..., B)`` variance of the deviation, m^2.
+        deviation: ``(..., B)`` variance of the deviation, m^2, or of the velocity, m^2/s^2.
         seconds: ``(..., B)`` its correlation time, s.
+        velocity: whether it is of the velocity.
     """
+    seen = 0.0 if velocity else 1.0
     measured, axes = (~z.isnan().any(1)).to(z), z.shape[1]
     before, z = measured.cumsum(0) > 1, z.nan_to_num().movedim(1, 0)
     shape = torch.broadcast_shapes(noise.shape, drift.shape, deviation.shape, seconds.shape)
@@ -102,10 +98,15 @@ def innovations(
     for k in range(z.shape[1]):
         if k:
             kept = torch.exp(-gap[k] / seconds)
-            hh, he, ee, e = hh + drift * gap[k], kept * he, deviation + kept**2 * (ee - deviation), kept * e
-        to_home, to_deviation = hh + he, he + ee
-        spread = to_home + to_deviation + noise * variance[k]
-        residual = z[:, k].reshape(axes, *[1] * (len(shape) - 1), -1) - h - e
+            way = (1 - seen) * seconds * (1 - kept)
+            walked = (1 - seen) * seconds**2 * (2 * gap[k] / seconds - (1 - kept) * (3 - kept))
+            h, e = h + way * e, kept * e
+            hh = hh + way * (2 * he + way * ee) + drift * gap[k] + deviation * walked
+            he = kept * (he + way * ee) + deviation * way * (1 - kept)
+            ee = deviation + kept**2 * (ee - deviation)
+        to_home, to_deviation = hh + seen * he, he + seen * ee
+        spread = to_home + seen * to_deviation + noise * variance[k]
+        residual = z[:, k].reshape(axes, *[1] * (len(shape) - 1), -1) - h - seen * e
         counts = measured[k] * before[k]
         squares = squares + counts * residual.square().sum(0) / spread
         log_variance = log_variance + counts * axes * spread.log()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
-from torchfra.cleaning.homes import homes
+from torchfra.cleaning.homes import log_odds_of_a_home
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
 from torchfra.cleaning.two_filters import Smoothed
@@ -137,9 +137,8 @@ def _returns_home(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
     returns = torch.zeros_like(part.sigma, dtype=torch.bool)
     if len(rows):
         fixes = Fixes(*(x[:_STEPS, ..., rows] for x in part.fixes))
-        z = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
-        of = homes(z, fixes.gap, fixes.variance, owner[rows])
-        likely = (of.returns > of.white + _OPEN) & (of.sigma > part.sigma[rows] / 4)
+        inliers = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
+        likely = log_odds_of_a_home(fixes._replace(z=inliers), owner[rows]) > _OPEN
         for i in owner[rows][likely].unique():
             returns[owner == i] = True
     return returns
