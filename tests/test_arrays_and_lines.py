@@ -114,7 +114,7 @@ def test_a_z_that_is_the_same_everywhere_is_left_out_and_said(write):
     (track,) = read(path)
     assert track.position.shape == (ROWS, 2)
     assert "left out: z, which is 1.5 everywhere (--z z takes it)" in track.source.notes
-    assert "position: x, y, in metres" in track.source.notes
+    assert "position: x, y, in metres; --units takes others" in track.source.notes
     assert read(path, z="z")[0].position.shape == (ROWS, 3)
 
 

@@ -31,6 +31,7 @@ from torchfra.readers.spelling import (
     FLIGHT_LEVELS,
     MARKS,
     NAMES,
+    NGSIM,
     OTHER_UNIT,
     SHIPS,
     WORDS_OF_MARKS,
@@ -302,6 +303,8 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
     if plain(columns.get("altitude", "")) in FLIGHT_LEVELS or {*map(plain, head.names)} >= AEROAPI:
         return _FLIGHT_LEVEL
     autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
+    if {*map(plain, head.names)} >= NGSIM:
+        return METRES["ft"]
     latitude = columns.get("latitude", "")
     in_metres = _in_semicircles(latitude) or plain(latitude) == _OF_A_PHONE
     return 1e-3 if autopilot and not in_metres else METRES["ft" if feet else "m"]
@@ -377,7 +380,8 @@ def _said(columns: Mapping[str, str], length: float, options: ReadOptions, wante
     """Lines on positions and targets."""
     unit_said = _LENGTHS[length]
     places = [columns[role] for role in ("latitude", "longitude", "x", "y", "z") if role in columns]
-    how = "" if "latitude" in columns else f", in {unit_said}"
+    others = "" if options.units or any(unit(place, asked=True) for place in places) else "; --units takes others"
+    how = "" if "latitude" in columns else f", in {unit_said}{others}"
     if any(kind is not None and kind.unit == _AUTOPILOT for kind in wanted.values()):
         how = ", in 1e-7 degrees"
     elif any(kind is not None and kind.unit == _SEMICIRCLE for kind in wanted.values()):

@@ -55,12 +55,15 @@ NAMES = {
            "tagid", "uavid", "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip",
            "tripid", "imo", "trajid", "trajectoryid", "trajectory", "playerid", "player", "animalid", "animal",
            "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid", "user", "entityid",
-           "entity", "agentid", "agent", "riderid", "rider", "runnerid", "runner", "bib", "uuid", "pojazd", "объект",
+           "entity", "agentid", "agent", "riderid", "rider",
+           "vehiclevehicleid",
+           "runnerid", "runner", "bib", "uuid", "pojazd", "объект",
            "id", "sid", "stormid", "veref", "name"),
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
-              "zhorizontalaccuracy", "hacc", "eph", "precision", "genauigkeit", "horizontalegenauigkeit", "dokladnosc",
+              "zhorizontalaccuracy", "hacc", "eph", "3derror",
+              "precision", "genauigkeit", "horizontalegenauigkeit", "dokladnosc",
               "точность", "hdop", "horizontaldilutionofprecision"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup", "sdu"),
@@ -114,6 +117,8 @@ SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epo
 AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
 DEPTHS = {"down", "posd", "pd", "depth"}
 """Names of columns that grow downwards, as a drone's third of north, east and down does."""
+NGSIM = {"vehicleid", "frameid", "globaltime", "localx", "localy"}
+"""Names beside which positions are in feet: vehicles of the Next Generation Simulation program, from video."""
 AEROAPI = {"altitudechange", "updatetype"}
 """Names beside which FlightAware has altitudes in hundreds of feet."""
 FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
