@@ -57,6 +57,12 @@ def test_points_of_a_map_of_the_web_are_refused_with_how_to_convert_them(write):
         read(write(table("geom", [wkb(1e6 + i, 6e6, srid=3857) for i in range(ROWS)])))
 
 
+def test_points_beside_columns_that_are_named_are_not_read(write):
+    cells = [f"{10 * i},{5 * i},SRID=3857;POINT({1e6 + i} 6e6)" for i in range(ROWS)]
+    (track,) = read(write(table("a,b,geom", cells)), x="a", y="b")
+    assert track.position[-1].tolist() == [390, 195]
+
+
 def test_objects_of_json_in_the_cells_of_a_table_are_columns(write):
     def quoted(i):
         value = {"device": {"lat": round(LAT[i], 7), "lon": round(LON[i], 7)}, "ts": "other", "battery": [1, 2]}
