@@ -48,8 +48,15 @@ def test_points_of_another_grid_are_metres(write):
 
 
 def test_points_without_a_grid_in_a_room_are_metres(write):
-    (track,) = read(write(table("geom", [f"POINT({i / 4:g} {i % 4:g})" for i in range(ROWS)])))
-    assert track.position[-1].tolist() == [9.75, 3]
+    (track,) = read(write(table("geom", [f"POINT({i / 64:g} {i % 4 / 4:g})" for i in range(ROWS)])))
+    assert track.position[-1] == pytest.approx([39 / 64, 0.75], abs=1e-6)
+
+
+def test_points_without_a_grid_that_may_be_degrees_or_metres_are_refused(write):
+    with pytest.raises(
+        ValueError, match=r"SRID=4326;POINT\(9.75 3\) or .* received none: they may be degrees or metres"
+    ):
+        read(write(table("geom", [f"POINT({i / 4:g} {i % 4:g})" for i in range(ROWS)])))
 
 
 def test_points_of_a_map_of_the_web_are_refused_with_how_to_convert_them(write):
