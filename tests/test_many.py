@@ -112,6 +112,16 @@ def test_a_target_is_cleaned_as_it_is_alone(data, tmp_path):
             np.testing.assert_allclose(of.column(name), columns(alone)[name], rtol=1e-6, atol=1e-6)
 
 
+def test_a_date_and_a_time_of_the_day_are_one_time(tmp_path):
+    track = flight(0)
+    stamps = np.datetime_as_string(track.pop("time").astype("datetime64[s]"))
+    day, clock = (np.array([stamp.split("T")[k] for stamp in stamps]) for k in (0, 1))
+    parquet.write_table(pyarrow.table(track | {"flown": day, "clock": clock}), tmp_path / "one.parquet")
+    data = open_data(tmp_path / "one.parquet", time="flown,clock")
+    ((_, (recording,), _),) = data.recordings(0, 1, 1000)
+    assert recording.time == pytest.approx(1.7e9 + 5.0 * np.arange(FIXES))
+
+
 @pytest.mark.slow
 def test_all_parts_have_the_same_columns_although_a_target_has_no_altitude(tmp_path):
     low = flight(1) | {"geoaltitude": np.full(FIXES, np.nan)}

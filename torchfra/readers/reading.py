@@ -82,6 +82,8 @@ class SheetReader:
 
     def __init__(self, first: Sheet, name: str, **words: Words) -> None:
         self._chosen = _Choice(read_options(words), name)
+        self._names = {*first.names}
+        first = self._joined(first)
         _, cells = next(iter(first.parts))
         self._wanted = self._chosen(head_of(first, cells)[0])
 
@@ -99,8 +101,9 @@ class SheetReader:
     @property
     def columns(self) -> list[str]:
         """Those that it reads."""
-        kinds = self._wanted.items()
-        return list(dict.fromkeys(name for one, kind in kinds for name in ((kind and kind.joined) or (one,))))
+        every = (name for one, kind in self._wanted.items() for name in ((kind and kind.joined) or (one,)))
+        parts = ([name] if name in self._names else name.split(",") for name in every)
+        return list(dict.fromkeys(part for several in parts for part in several))
 
     def read(self, sheet: Sheet) -> list[Recording]:
         """As ``read_sheet``, but each recording is about its own first fix, however far apart targets are.
@@ -108,8 +111,12 @@ class SheetReader:
         Raises:
             ValueError: see ``read``.
         """
-        table = table_of(sheet, lambda head: self._wanted, sys.maxsize)
+        table = table_of(self._joined(sheet), lambda head: self._wanted, sys.maxsize)
         return _recordings(table, self._chosen, None, self._chosen.name, apart=True)
+
+    def _joined(self, sheet: Sheet) -> Sheet:
+        """The sheet with the time of several columns; an id of several would be in none of the files."""
+        return with_joined(sheet, replace(self.options, id=None))
 
 
 class _Choice:
