@@ -11,9 +11,9 @@ from torchfra.cleaning.batches import Steps
 from torchfra.cleaning.positions import Answer, Settings, answers
 from torchfra.readers.columns import Array
 
-_WINDOW, _FEWEST = 60, 3
+_WINDOW, _FEWEST = 60, 4
 """Fixes by which one standard deviation is estimated, and the fewest such windows of a track."""
-_VARIES = 0.1
+_VARIES = 0.15
 """Least gain in log-likelihood per fix, by the variances of the windows, from which on a track is cleaned again."""
 _CLEAR = 10.0
 """Log-likelihood by which a track must be likelier with a standard deviation that varies."""
