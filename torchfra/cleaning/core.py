@@ -204,7 +204,9 @@ def _clean_batch(
     closed_form = settings if default else settings._replace(smooth=False)
     with one_thread():
         found = answers(tracks, [kind for kind, _ in kinds], closed_form, coarse)
-        tracks, found = with_varying_sigma(tracks, [kind for kind, _ in kinds], closed_form, coarse, found)
+        # Aircraft that report themselves are located by satellites, whose errors do not grow with the range.
+        asked = [recording.source.word != "aircraft" for recording in recordings]
+        tracks, found = with_varying_sigma(tracks, [kind for kind, _ in kinds], closed_form, coarse, found, asked)
     every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]

@@ -25,7 +25,7 @@ _MEDIAN = 2 * math.log(2)
 
 def with_varying_sigma(
     tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]],
-    found: Sequence[Answer],
+    found: Sequence[Answer], asked: Sequence[bool],
 ) -> tuple[list[Steps], list[Answer]]:  # fmt: skip
     """Steps and answers of tracks, cleaned again where their sigma clearly varies: then ``std`` is relative to sigma.
 
@@ -35,9 +35,10 @@ def with_varying_sigma(
         settings: of cleaning; a given sigma is taken.
         coarse: see ``answers``.
         found: the answers with one sigma for all of a track.
+        asked: whether the sigma of a track may vary.
     """
     tracks, found = list(tracks), list(found)
-    open_ = [i for i, steps in enumerate(tracks) if settings.sigma is None and (steps.std == 1).all()]
+    open_ = [i for i, steps in enumerate(tracks) if asked[i] and settings.sigma is None and (steps.std == 1).all()]
     for least in (_VARIES, *[0.0] * (_ROUNDS - 1)):
         varying = {i: std for i in open_ if (std := _std(tracks[i], found[i], least)) is not None}
         open_, tried = [], [tracks[i]._replace(std=std) for i, std in varying.items()]
