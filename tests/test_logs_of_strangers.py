@@ -242,6 +242,14 @@ def test_an_accuracy_that_is_0_everywhere_is_none(write, nothing):
     assert not any("sigma" in note for note in track.source.notes)
 
 
+@pytest.mark.parametrize("nothing", ["0", ""])
+def test_an_accuracy_that_is_written_later_on_is_used(write, nothing):
+    rows = [f"{i},{47 + i / 1e5:.5f},8,{nothing if i < 1500 else 5 + i % 2}" for i in range(2000)]
+    (track,) = read(write(["time,lat,lon,accuracy", *rows], "phone.csv"))
+    assert track.sigma is not None
+    assert track.repairs["sigmas filled with their median"] == 1500
+
+
 @pytest.mark.parametrize("name", ["valid", "gps_valid", "isValid"])
 @pytest.mark.parametrize(("yes", "no"), [("true", "false"), ("1", "0")])
 def test_fixes_that_a_tracker_marks_as_invalid_are_dropped(write, name, yes, no):

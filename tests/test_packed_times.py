@@ -110,6 +110,12 @@ def test_plots_of_a_radar_go_on_after_midnight_though_late_and_with_gaps(write, 
     np.testing.assert_allclose(np.sort(since) - since.min(), track.time - track.time[0], atol=0.02)
 
 
+def test_a_pause_of_nearly_a_day_in_a_count_is_no_midnight_though_rows_change_places(write):
+    seconds = [*range(20), 21, 20, *range(22, 60), *range(85_060, 85_120)]
+    (track,) = read(write("t", seconds))
+    assert track.time.tolist() == sorted(seconds)
+
+
 def test_days_of_other_targets_are_none_after_midnight(tmp_path):
     path = tmp_path / "a.csv"
     rows = [f"{name},{600 * i},{50 + i / 1e4},7" for name in "ab" for i in range(144)]

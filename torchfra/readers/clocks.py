@@ -187,7 +187,7 @@ class Clock:
     def going_on(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Times ``(rows,)`` of a target; counts go on after midnight, after a week, and past 32 bits.
 
-        Rows near midnight may be out of order, or lack for a while.
+        Rows near midnight may be out of order, or lack for a while.  If all leaps go on in time, they are pauses.
         """
         steps = np.diff(time, prepend=time[:1])
         if self.since_1970 or not per_second(self.form) or not ((steps < 0).any() and (steps > 0).any()):
@@ -198,7 +198,9 @@ class Clock:
                 begun = (np.abs(steps) > whole / 2) & (
                     np.abs(np.abs(steps) - whole + usual) <= max(late, _LATE * usual)
                 )
-                ahead[begun] = -np.sign(steps[begun]) * whole
+                leaps = np.sign(steps[begun])
+                if (leaps * np.median(steps[steps != 0]) < 0).any():
+                    ahead[begun] = -leaps * whole
         return np.asarray(time + np.cumsum(ahead))
 
     def _check_halves(self, time: NDArray[np.float64], steps: NDArray[np.float64]) -> None:

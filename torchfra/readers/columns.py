@@ -44,6 +44,10 @@ short = _SHORT.repr
 """What came, for an error message, cut off where it is long or deep."""
 
 
+HEAD = 1000
+"""Rows that are looked at before all are read."""
+
+
 class Head(NamedTuple):
     """How a table begins, which shows what its columns hold."""
 

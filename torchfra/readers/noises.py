@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchfra.readers.columns import Array, Head, Kind, word_of
+from torchfra.readers.columns import HEAD, Array, Head, Kind, word_of
 from torchfra.readers.options import METRES
 from torchfra.readers.spelling import found, name_words, plain
 from torchfra.readers.spelling import unit as unit_of
@@ -100,8 +100,9 @@ def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> 
     if classes:
         return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
     for column in found(names, "sigma"):
-        if not any(word.strip("0.,") for word in map(word_of, head.cells(column))):
-            continue  # 0 everywhere says that nothing is known
+        cells = head.cells(column)
+        if len(cells) < HEAD and not any(word_of(cell).strip("0.,") for cell in cells):
+            continue  # 0 everywhere says that nothing is known; a longer column may say it further on
         name = plain(column)
         if name in ("hdop", "horizontaldilutionofprecision"):
             factor = RANGE_ERROR * _PER_AXIS

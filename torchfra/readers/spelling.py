@@ -135,7 +135,7 @@ MARKS = ("visible", "by_hand", "by_import", "by_rule")
 """Columns of Movebank that say whether a fix is right, and whether it is an outlier."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0}
 """What they say, in small letters."""
-COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid"}
+COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid", "tn"}
 """Names that may number the rows instead of the targets."""
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from torchfra.readers.arrow_files import arrow_sheet, is_arrow
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
-from torchfra.readers.columns import Array, Cells, Head, Kind, is_missing, joined, numbers, text
+from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, is_missing, joined, numbers, text
 from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.geometries import axes_of, point_of
 from torchfra.readers.igc_files import igc_sheet, is_igc
@@ -67,8 +67,6 @@ _NO_TEXTS = (
 """How other files begin, after so many bytes, and what to do with them."""
 _BEGINNING = 4096
 """Bytes of a file by which the encoding of its text is told."""
-_HEAD = 1000
-"""Rows that are looked at before all are read."""
 _PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location", "координаты"}
 """Names of columns that may hold a latitude and a longitude."""
 _PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*(?:\([0-9]+\)\s*)?")
@@ -246,7 +244,7 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
 
 def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, _Together | None]:
     """How a sheet begins, by the cells of its first rows, and which column holds positions as a whole."""
-    begin = cache(lambda name: cells(name)[:_HEAD])
+    begin = cache(lambda name: cells(name)[:HEAD])
     head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
     if (together := _together_in(head)) is not None:
         names = [*(name for name in sheet.names if name != together.column), *together.axes]
