@@ -48,13 +48,26 @@ def test_points_of_another_grid_are_metres(write):
 
 
 def test_points_without_a_grid_in_a_room_are_metres(write):
-    (track,) = read(write(table("geom", [f"POINT({i / 4:g} {i % 4:g})" for i in range(ROWS)])))
-    assert track.position[-1].tolist() == [9.75, 3]
+    (track,) = read(write(table("geom", [f"POINT({i / 64:g} {i % 4 / 4:g})" for i in range(ROWS)])))
+    assert track.position[-1] == pytest.approx([39 / 64, 0.75], abs=1e-6)
+
+
+def test_points_without_a_grid_that_may_be_degrees_or_metres_are_refused(write):
+    with pytest.raises(
+        ValueError, match=r"SRID=4326;POINT\(9.75 3\) or .* received none: they may be degrees or metres"
+    ):
+        read(write(table("geom", [f"POINT({i / 4:g} {i % 4:g})" for i in range(ROWS)])))
 
 
 def test_points_of_a_map_of_the_web_are_refused_with_how_to_convert_them(write):
     with pytest.raises(ValueError, match=r"points of SRID 3857, whose metres grow .* ST_Transform\(geom, 4326\)"):
         read(write(table("geom", [wkb(1e6 + i, 6e6, srid=3857) for i in range(ROWS)])))
+
+
+def test_points_beside_columns_that_are_named_are_not_read(write):
+    cells = [f"{10 * i},{5 * i},SRID=3857;POINT({1e6 + i} 6e6)" for i in range(ROWS)]
+    (track,) = read(write(table("a,b,geom", cells)), x="a", y="b")
+    assert track.position[-1].tolist() == [390, 195]
 
 
 def test_objects_of_json_in_the_cells_of_a_table_are_columns(write):

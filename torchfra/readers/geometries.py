@@ -61,7 +61,7 @@ def axes_of(points: Sequence[Point]) -> tuple[str, ...]:
     """What the numbers of points are called; () where their grids differ, or some have heights and others not.
 
     Raises:
-        ValueError: their grid has no metres.
+        ValueError: their grid has no metres, or they have none and may be degrees as well as metres.
     """
     if points and points[0].srid in _STRETCHED:
         raise ValueError(
@@ -76,9 +76,19 @@ def axes_of(points: Sequence[Point]) -> tuple[str, ...]:
 
 
 def _look_like_degrees(points: Sequence[Point]) -> bool:
-    """Whether all are within the earth's, most have more digits than metres need, and they are not about 0, 0."""
+    """Whether all are within the earth's, most have more digits than metres need, and they are not about 0, 0.
+
+    Raises:
+        ValueError: all but their digits are those of degrees.
+    """
     places = [point.numbers[:2] for point in points]
     if any(abs(x) > 180 or abs(y) > 90 for x, y in places) or max(max(map(abs, place)) for place in places) < 1:
         return False
     fine = sum(any(abs(value / _FINEST - round(value / _FINEST)) > 1e-6 for value in place) for place in places)
-    return 2 * fine > len(places)
+    if 2 * fine <= len(places):
+        x, y = places[-1]
+        raise ValueError(
+            f"expected points with a grid, as in SRID=4326;POINT({x:g} {y:g}) or by ST_SetSRID(geom, 4326), received "
+            "none: they may be degrees or metres"
+        )
+    return True

@@ -24,6 +24,8 @@ class Sheet(NamedTuple):
     said: tuple[str, ...] = ()
     commas: bool = False
     json: bool = False
+    placed: bool = False
+    """Whether a caller has named columns of positions among its own."""
 
 
 def listed(names: Iterable[str]) -> str:

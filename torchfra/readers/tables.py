@@ -195,6 +195,8 @@ def _known_otherwise(path: Path, max_bytes: int) -> str:
 
 def with_joined(sheet: Sheet, options: ReadOptions) -> Sheet:
     """A sheet with one more column for each option that names several, of the target or of the time, together."""
+    places = {name for role, name in options.columns().items() if role in ("x", *_AXES)}
+    sheet = sheet._replace(placed=bool(places & {*sheet.names}))
     asked = {name: name.split(",") for name in (options.id, options.time) if name and name not in sheet.names}
     several = {name: parts for name, parts in asked.items() if len(parts) > 1 and {*parts} <= {*sheet.names}}
     if not several:
@@ -246,7 +248,8 @@ def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, _Together | None]:
     """How a sheet begins, by the cells of its first rows, and which column holds positions as a whole."""
     begin = cache(lambda name: cells(name)[:HEAD])
     head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
-    if (together := _together_in(head)) is not None:
+    together = None if sheet.placed else _together_in(head)
+    if together is not None:
         names = [*(name for name in sheet.names if name != together.column), *together.axes]
         said = (
             *sheet.said,

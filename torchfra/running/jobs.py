@@ -8,6 +8,7 @@ import io
 import multiprocessing
 import os
 import pickle
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -58,10 +59,15 @@ def prepare(module: str) -> None:
     It takes seconds, in which this process can read a file.
     """
     if _CONTEXT.get_start_method() == "forkserver":
-        from multiprocessing import forkserver  # which not all systems have
+        from multiprocessing import forkserver, resource_tracker  # which not all systems have
 
         _CONTEXT.set_forkserver_preload([module])
-        forkserver.ensure_running()
+        resource_tracker.ensure_running()  # which the server would begin with, and which unblocks the signal
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # it ends this process, and so its server
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def finished(work: Callable[..., T], parts: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, T]]:
@@ -109,6 +115,8 @@ def _as_worker() -> None:
     """Gives a worker process one thread, and lets it end with the process that started it, even if that is killed."""
     import torch
 
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # as the server has passed it on
     threading.Thread(target=_end_with_parent, daemon=True).start()
     gc.freeze()  # what has been imported stays
     torch.set_num_threads(1)
