@@ -22,13 +22,13 @@ A case is a truth at a period and noise.  Its figures, over all runs:
 
 Errors and sigma are asked of every case, shares of all cases of a period as one.
 
-Seven kinds are harder, and asked for by name: late, ships of 5 to 19 m/s with time stamps off by 0.2 s, one in five by
+Eight kinds are harder, and asked for by name: late, ships of 5 to 19 m/s with time stamps off by 0.2 s, one in five by
 2 s; lasting, ships whose errors last 20 s; heights, drones with heights in steps of 25 ft, one in ten missing; animals,
 fixes of 24 min, 2 h and 4 h for 1, 5 and 10 s and noise of 100, 500 and 1000 m for 3, 15 and 30 m; slow, a walk, a
 bike, a car, a drone and a boat with white noise, alone and with errors correlated over 10, 20 or 40 s, half as large
 and as large; rare, fixes of 6 min, 30 min and 1 h for 1, 5 and 10 s of a walk, a car, a ship, an aircraft and an animal
 that rest for minutes to hours; bursts, the same targets with three fixes an hour, 4, 20 or 40 s apart for 1, 5 and
-10 s.
+10 s; gaps, those of slow with white noise and forty fixes an hour, 3, 15 or 30 s apart for 1, 5 and 10 s.
 """
 
 from __future__ import annotations

@@ -204,6 +204,9 @@ def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
         assert 0.3 < speed.max() <= 0.6
     if kind == "bursts":
         np.testing.assert_allclose(np.diff(run.time)[:6], [4.0, 4.0, 3592.0] * 2)
+    if kind == "gaps":
+        assert len(run.time) == 200
+        np.testing.assert_allclose(np.diff(run.time)[:40], [*[3.0] * 39, 3483.0])
 
 
 def test_who_goes_along_streets_moves_as_such():

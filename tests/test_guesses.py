@@ -170,3 +170,20 @@ def test_ignored_columns_are_listed_whole_and_counted_where_they_are_too_many(wr
     names = [f"a_long_name_of_a_column_{i}" for i in range(20)]
     (track,) = read(write(table(",".join(["t,x,y", *names]), [(*row[:3], *range(20)) for row in ROWS])))
     assert track.source.notes[-1] == f"ignored: {', '.join(names[:7])}, and 13 more"
+
+
+def test_a_table_with_a_row_for_each_coordinate_is_to_be_pivoted(tmp_path):
+    rows = [f"{i},{value},{name}" for name, value in (("lat", 47.1234), ("lon", 8.1234)) for i in range(5)]
+    path = tmp_path / "points.csv"
+    path.write_text("\n".join(["_time,_value,_field", *rows]))
+    with pytest.raises(ValueError, match="lat is in rows of _field: pivot the table, so that each coordinate has a c"):
+        read(path)
+    with pytest.raises(ValueError, match="expected a column for each coordinate, received _value, _value"):
+        read(path, time="_time", lat="_value", lon="_value")
+
+
+def test_a_third_coordinate_is_proposed_with_the_others(tmp_path):
+    path = tmp_path / "body.csv"
+    path.write_text("Time (s),Body Position X,Body Position Y,Body Position Z\n0,1,2,3\n1,2,3,5\n2,3,5,6\n")
+    with pytest.raises(ValueError, match="--x 'Body Position X' --y 'Body Position Y' --z 'Body Position Z'"):
+        read(path)

@@ -8,7 +8,8 @@ import json
 import numpy as np
 import pytest
 
-from torchfra.readers import read
+from torchfra.cleaning.second_differences import second_differences
+from torchfra.readers import read, samples
 
 START = 1_600_000_000.5
 TRACE = {
@@ -78,3 +79,32 @@ def test_records_may_be_an_object_a_line(write):
 def test_a_damaged_trace_is_refused(write, content, said):
     with pytest.raises(ValueError, match=said):
         read(write(content))
+
+
+def test_recorded_flights_are_smoother_by_the_times_of_their_updates():
+    along = {}
+    for name in ("noisy_landing", "noisy_takeoff"):
+        (file,) = [file for file in samples("noisy") if file.name.startswith(name)]
+        for time in (None, "timestamp"):
+            track = max(read(file, time=time), key=lambda track: len(track.time))
+            path = track.position[:, :2]
+            ahead = path[2:] - path[:-2]
+            course = ahead / np.linalg.norm(ahead, axis=1, keepdims=True).clip(1e-9)
+            error = second_differences(track.time, path)
+            along[name, time] = np.median(np.abs((error * course).sum(1)))
+        assert along[name, None] < 0.6 * along[name, "timestamp"]
+
+
+@pytest.mark.parametrize("unit", [1, 1000])
+def test_positions_of_state_vectors_are_of_the_time_of_their_update(tmp_path, unit):
+    start, ages = 1_672_574_400, [0.2, 0.9, 0.4, 1.4, 0.1, 0.6]
+    rows = [f"{start + 2 * k},4b1805,{47 + 0.002 * (2 * k - age)},8.5,{(start + 2 * k - age) * unit},10000"
+            for k, age in enumerate(ages)]  # fmt: skip
+    rows.append(f"{start + 12},4b1805,{47 + 0.002 * 9.4},8.5,{(start + 9.4) * unit},10000")
+    path = tmp_path / "states.csv"
+    path.write_text("\n".join(["time,icao24,lat,lon,lastposupdate,baroaltitude", *rows]))
+    (track,) = read(path)
+    assert track.time - start == pytest.approx([2 * k - age for k, age in enumerate(ages)], abs=1e-5)
+    assert np.diff(track.position[:, 1]) / np.diff(track.time) == pytest.approx(np.full(5, 222.3), rel=1e-2)
+    (stated,) = read(path, time="time")
+    assert (stated.time - start).tolist() == [2.0 * k for k in range(6)]

@@ -24,10 +24,13 @@ GROUPS = {
 }
 """Kinds of flights, and the folders of the sample package that hold them."""
 KINDS = (*GROUPS, "ships", "drones", "ranges")
-HARDER = ("late", "lasting", "heights", "animals", "slow", "rare", "bursts")
+HARDER = ("late", "lasting", "heights", "animals", "slow", "rare", "bursts", "gaps")
 """Kinds whose errors are not white: ships with wrong time stamps and with time-correlated errors, drones with the
 heights of a transponder; animals, with hours and hundreds of metres in place of seconds and metres; who walks, cycles,
-drives, flies a drone or sails, with errors some of which are slow; and those whose fixes are rare or come in bursts."""
+drives, flies a drone or sails, with errors some of which are slow; those whose fixes are rare or come in bursts; and
+the former with white errors and an hour without a fix now and then."""
+MOVING = *MANNERS, "drone", "boat"
+"""Those who are always on their way."""
 SLOW = ((0.0, 0.0), *((seconds, size) for size in (0.5, 1.0) for seconds in (10.0, 20.0, 40.0)))
 """Correlation times of slow errors, s, and their standard deviations in units of the white noise beside them."""
 PER_FILE, FIXES = 3, 4000
@@ -50,6 +53,10 @@ RARE = 360.0
 """Factor on periods of those who rest between their ways: 5 s are 30 min."""
 BURST, OFTEN, PAUSE = 3, 4.0, 3600.0
 """Fixes of a burst, the factor on the periods between them, and seconds from one burst to the next."""
+PIECE, PIECES, SELDOM = 40, 5, 3.0
+"""Fixes between two gaps, the number of such pieces, and the factor on periods: 5 s are 15 s."""
+PACES = 0.0, 0.2, 0.8
+"""Shares of its mean speed at which a target goes elsewhere in a gap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +87,8 @@ class Truth:
     """Standard deviation of the white noise beside them, in units of the noise of the case."""
     coarse: float = 0.0
     """Resolution of the heights, m, of which one in ten is missing."""
-    bursts: bool = False
-    """Whether fixes come in bursts."""
+    in_a_row: int = 0
+    """Fixes from one pause to the next; 0 where there are no pauses."""
 
     @property
     def plain(self) -> bool:
@@ -89,11 +96,11 @@ class Truth:
         return not (self.late or self.lasting or self.coarse)
 
     def window(self, period: float, steps: int) -> NDArray[np.intp] | None:
-        """Which positions are fixes: ``steps`` in the middle, one each period or burst by burst; None if too few."""
+        """Which positions are fixes: ``steps`` in the middle, one each period or between pauses; None if too few."""
         step = max(1, round(self.pace * period / self.dt))
-        if self.bursts:
-            begins = np.arange(0, len(self.position) - BURST * step, round(PAUSE / self.dt))
-            every = (begins[:, None] + step * np.arange(BURST)).ravel()
+        if self.in_a_row:
+            begins = np.arange(0, len(self.position) - self.in_a_row * step, round(PAUSE / self.dt))
+            every = (begins[:, None] + step * np.arange(self.in_a_row)).ravel()
         else:
             every = np.arange(0, len(self.position), step)
         first = max(0, (len(every) - steps) // 2)
@@ -115,6 +122,8 @@ def truths(kinds: Sequence[str], most: int, folder: Path | None = None) -> list[
             found += _flights(kind, most)
         elif kind == "slow":
             found += [truth for i in range(most) for truth in _slow(i)]
+        elif kind == "gaps":
+            found += [_with_gaps(who, i) for who in MOVING for i in range(most)]
         elif kind in ("rare", "bursts"):
             found += [_at_times(kind, who, i) for who in OUTINGS for i in range(most)]
         elif kind == "ranges":
@@ -140,14 +149,35 @@ def _simulated(kind: str, name: str, rng: np.random.Generator) -> Truth:
 def _slow(number: int) -> list[Truth]:
     """One target of each kind, with time-correlated errors of each of the times and sizes."""
     found = []
-    for who in (*MANNERS, "drone", "boat"):
-        rng = np.random.default_rng(number)
-        path = ship(rng, LONGEST) if who == "boat" else drone(rng, LONGEST)[:, :2] if who == "drone" else None
-        path = along_streets(rng, LONGEST, MANNERS[who]) if path is None else path
+    for who in MOVING:
+        path = _path_of(who, np.random.default_rng(number))
         for seconds, size in SLOW:
             kind = f"{seconds:g} s, {size:g}" if seconds else "white"
             found.append(Truth(kind, f"{who}-{number}", 1.0, path, lasting=seconds, size=size, white=1.0))
     return found
+
+
+def _path_of(who: str, rng: np.random.Generator) -> Array:
+    """Positions every second of one of those that are always on their way."""
+    if who == "boat":
+        return ship(rng, LONGEST)
+    return drone(rng, LONGEST)[:, :2] if who == "drone" else along_streets(rng, LONGEST, MANNERS[who])
+
+
+def _with_gaps(who: str, number: int) -> Truth:
+    """A path in pieces of which only the first fixes are received; between two pieces it rests or goes elsewhere."""
+    rng = np.random.default_rng(number)
+    pieces = _path_of(who, rng)[:LONGEST].reshape(PIECES, -1, 2)
+    length = pieces.shape[1]
+    speed = np.linalg.norm(np.diff(pieces, axis=1), axis=2).mean()
+    course = rng.uniform(-np.pi, np.pi, PIECES)
+    way = speed * (PAUSE - length) * rng.choice(PACES, PIECES)
+    moved = np.cumsum(way[:, None] * np.stack([np.cos(course), np.sin(course)], 1), 0)
+    places = (pieces + moved[:, None]).reshape(-1, 2)
+    times = (PAUSE * np.arange(PIECES)[:, None] + np.arange(length)).ravel()
+    grid = np.arange(PIECES * PAUSE)
+    path = np.stack([np.interp(grid, times, along) for along in places.T], 1)
+    return Truth(f"gaps {who}", f"{who}-{number}", 1.0, path, pace=SELDOM, in_a_row=PIECE)
 
 
 def _at_times(kind: str, who: str, number: int) -> Truth:
@@ -155,7 +185,7 @@ def _at_times(kind: str, who: str, number: int) -> Truth:
     bursts, word = kind == "bursts", who if who in ("ship", "animal") else "target"
     pace, dt, seconds = (OFTEN, OFTEN, 200 * PAUSE) if bursts else (RARE, RARE / 4, RARE * LONGEST)
     path = resting(np.random.default_rng(number), round(seconds / dt), dt, OUTINGS[who])
-    return Truth(f"{kind} {who}", f"{who}-{number}", dt, path, pace=pace, word=word, bursts=bursts)
+    return Truth(f"{kind} {who}", f"{who}-{number}", dt, path, pace=pace, word=word, in_a_row=BURST * bursts)
 
 
 def _flights(kind: str, most: int) -> list[Truth]:

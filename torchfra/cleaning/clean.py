@@ -33,7 +33,7 @@ _TIMES = ("datetime64", "timedelta64")
 _LEFT_OUT = ("row", "id", "time", "seconds")
 """Columns of an output that the table of the caller has already."""
 _OPTION = re.compile(
-    r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)(?![\w.])( '[^']*'| (?!(?:and|if|name|or|takes|that|with)\b)[^\s,;)]+)?"
+    r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)(?![\w.])( '[^']*'| (?!(?:and|gives|if|name|or|takes|that|with)\b)[^\s,;)]+)?"
 )
 """An option of the command in a message, and its value if it has one; the words after ``?!`` are none."""
 

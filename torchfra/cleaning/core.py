@@ -19,6 +19,7 @@ from torchfra.cleaning.flags import flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
+from torchfra.cleaning.varying_sigma import with_varying_sigma
 from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
 from torchfra.motion.bank import Bank
@@ -203,6 +204,9 @@ def _clean_batch(
     closed_form = settings if default else settings._replace(smooth=False)
     with one_thread():
         found = answers(tracks, [kind for kind, _ in kinds], closed_form, coarse)
+        # Aircraft that report themselves are located by satellites, whose errors do not grow with the range.
+        asked = [recording.source.word != "aircraft" for recording in recordings]
+        tracks, found = with_varying_sigma(tracks, [kind for kind, _ in kinds], closed_form, coarse, found, asked)
     every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
@@ -234,6 +238,9 @@ def _result(
     good = fix & ~np.isnan(steps.raw).any(1) & (flag != "outlier")
     mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     found = replace(found, nis=mean_nis, stated=recording.sigma is not None)
+    if recording.sigma is None and np.ptp(own := found.sigma * steps.std[steps.measured, 0]) > 0:
+        note = f"Sigma varies along the track: {metres(own.min())} to {metres(own.max())}"
+        found = replace(found, notes=(*found.notes, note))
     if "sigma" in found.estimated:
         found = replace(found, sigma_unsure=found.sigma_unsure or _why_unsure(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag

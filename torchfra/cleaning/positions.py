@@ -76,6 +76,8 @@ class Answer(NamedTuple):
     """``(T,)`` mean density of the process noise up to each step, m^2/s^3."""
     parameters: tuple[FilterParameters, ...]
     """Those of the filter for each part."""
+    log_likelihood: float
+    """Of the fixes across the ground."""
 
 
 @torch.inference_mode()  # a tenth less of the time of each small operation
@@ -237,7 +239,8 @@ def _joined(
         a, b, c, d, e, f = (_of_track(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
         parameters = tuple(_parameters(part, first) for part in parts)
         sigma, lowest = float(parts[0].sigma[first]), float(parts[0].lowest[first])
-        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), f, parameters))
+        fit = float(_of_track(known[0].predictions.log_likelihood, rows, i).sum())
+        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), f, parameters, fit))
     return found
 
 

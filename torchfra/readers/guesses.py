@@ -74,10 +74,20 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
         return when if time else "; rows need a time, such as seconds since the first of them"
     if said := cartesian(values):
         return said
+    for name in names:  # a row for each coordinate, as databases of time series write them
+        words = {*map(str, cells[name])} if name not in values else set()
+        if rows := [*found(words, "latitude"), *found(words, "longitude")]:
+            return f"; {rows[0]} is in rows of {name}: pivot the table, so that each coordinate has a column"
     if squares := [name for name in names if cells[name] and all(_SQUARE.fullmatch(str(cell)) for cell in cells[name])]:
         return f"; {squares[0]} holds references such as {cells[squares[0]][0]}: convert them to degrees, or metres"
     rest = {name: column for name, column in values.items() if name != time}
     places = places or _by_degrees(rest, cells)
+    if (
+        {*places} == {"x", "y"}
+        and (pair := alike([name for name in rest if not _is_other(name)], "x", "z"))
+        and pair[0] == places["x"]
+    ):
+        places["z"] = pair[1]
     if not time or not places:
         return _ranges(asked, rest)
     target = _target(head, time, places)

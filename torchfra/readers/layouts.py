@@ -98,6 +98,8 @@ class Layout:
     source: Source
     other_times: tuple[str, ...] = ()
     """Columns of times that are not taken."""
+    time_stated: bool = False
+    """Whether the caller names the column of times."""
 
     @property
     def degrees(self) -> bool:
@@ -156,7 +158,9 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         public["sigma"] = next(iter(noise.columns))
     ids = _parting(head, clock, columns, wanted, [*ignored, *unused])
     source = Source(name, public, clock.form, length, word, lines, ids)
-    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, tuple(unused))
+    return Layout(
+        wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, tuple(unused), options.time is not None
+    )
 
 
 def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
@@ -170,6 +174,9 @@ def _places(head: Head, asked: Mapping[str, str]) -> dict[str, str]:
         return {role: columns[0] for role, columns in best.items() if columns}
 
     degrees, metres = chosen("latitude", "longitude", "altitude"), chosen("x", "y", "z")
+    places = [asked[role] for role in ("latitude", "longitude", "altitude", "x", "y", "z") if role in asked]
+    if len({*places}) < len(places):
+        raise ValueError(f"expected a column for each coordinate, received {listed(places)}")
     if "x" in asked or not {"latitude", "longitude"} <= degrees.keys():
         if {"x", "y"} <= metres.keys():
             return metres

@@ -30,8 +30,9 @@ def read(
     """Reads every target of a file.
 
     These are repaired and counted: rows without time or position, rows out of time order, all but the first of the rows
-    with the same time, held positions of aircraft (the same as in the row before, without a newer position update where
-    the file records updates), and missing altitudes.
+    with the same time, held positions of aircraft (the same as in the row before, without a newer position update
+    where the file records updates), and missing altitudes.  Where more than half of the rows say when their position
+    was sent, as state vectors of OpenSky do, that is its time, unless ``time`` names a column.
 
     Args:
         path: the file.

@@ -37,8 +37,16 @@ _YEAR, _HOUR = 366 * 86_400.0, 3600.0
 """s."""
 _PUT_BACK = 1.0
 """How often a year clocks are put back by an hour."""
+_SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
+"""Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
+_MILLISECONDS = 1e11
 _CLOSE = 0.5
 """How far the step to the first row after that may be from the usual one, as a share of it, an hour added."""
+
+
+def _in_seconds(time: Array) -> Array:
+    """Seconds since 1970, of which milliseconds are more than there will be."""
+    return np.where(time > _MILLISECONDS, time / 1e3, time)
 
 
 def plural(word: str) -> str:
@@ -129,6 +137,7 @@ class _Columns:
         def column(*roles: str) -> Array:
             return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
+        self.clock = layout.clock
         self.time = layout.clock.whole(table.column(layout.clock.column))
         layout.clock.check_order(self.time)
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
@@ -138,7 +147,9 @@ class _Columns:
         is_none = no_altitudes if layout.degrees else stand_for_none
         self.no_height = is_none(self.height / layout.source.unit)
         self.height = np.where(self.no_height, np.nan, self.height)
-        self.update = column("update")
+        self.update, self.time_stated = column("update"), layout.time_stated
+        self.sent = self._times_of_positions()
+        self.time = np.where(self.sent, _in_seconds(self.update), self.time)
         noise = [table.column(name) for name in layout.noise]
         self.noise = layout.per_axis(noise)
         self.marked = column("visible") == 0
@@ -148,16 +159,27 @@ class _Columns:
         self.may_be_held = layout.source.word == "aircraft"
         self.dated, self.ids = layout.clock.since_1970, layout.source.id_options
         self.other_times = layout.other_times
-        self.clock = layout.clock
+
+    def _times_of_positions(self) -> NDArray[np.bool_]:
+        """Rows ``(rows,)`` whose position is of the moment of its update, as state vectors of OpenSky have it.
+
+        Their own time is that of the state, up to a minute later.
+        """
+        if not self.clock.since_1970 or self.time_stated:
+            return np.zeros(len(self.time), dtype=bool)
+        age = self.time - _in_seconds(self.update)
+        sent = (age > -_SOONER) & (age < _OLDEST)
+        return sent if sent.sum() > _OFTEN * len(sent) else np.zeros_like(sent)
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
         """Which of the rows of a target to keep, in order of time, and the count of the repairs."""
         repairs: Counter[str] = Counter()
 
         def keep(index: NDArray[np.intp], mask: NDArray[np.bool_], what: str) -> NDArray[np.intp]:
-            repairs[what] = len(index) - int(mask.sum())
+            repairs[what] += len(index) - int(mask.sum())
             return index if mask.all() else index[mask]
 
+        repairs["times taken from the update of the position"] = int(self.sent[rows].sum())
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
         time = self.clock.going_on(self.time[index])
         repairs["times carried on where the count begins anew"] = int((time != self.time[index]).sum())
@@ -176,6 +198,8 @@ class _Columns:
         self._check_same_times(index[order])
         self._check_restart(time, index, order)
         index = index[order]
+        again = np.diff(self.time[index], prepend=-math.inf) == 0
+        index = keep(index, ~(again & self.sent[index]), "held positions dropped")
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
         moved = np.zeros(len(index), dtype=bool)
         for column in (self.first, self.second, self.update) if self.may_be_held else (self.first, self.second):

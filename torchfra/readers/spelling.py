@@ -62,7 +62,7 @@ NAMES = {
     "call": ("callsign", "vesselname", "shipname", "name"),
     "update": ("lastposition", "lastposupdate"),
     "sigma": ("sigma", "std", "stddev", "sd", "sigmaxy", "accuracy", "horizontalaccuracy", "accuracyhorizontal",
-              "zhorizontalaccuracy", "hacc", "eph", "3derror",
+              "zhorizontalaccuracy", "hacc", "eobshorizontalaccuracyestimate", "eph", "3derror",
               "precision", "genauigkeit", "horizontalegenauigkeit", "dokladnosc",
               "точность", "hdop", "horizontaldilutionofprecision"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
@@ -128,7 +128,7 @@ SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", 
 ANIMALS = {
     "bird": {"birdid", "bird"},
     "animal": {"individuallocalidentifier", "individualtaxoncanonicalname", "taglocalidentifier", "argoslc", "animalid",
-               "animal", "collarid"},
+               "animal", "collarid", "argossemimajor", "errorsemimajoraxis"},
 }  # fmt: skip
 """Names of columns that only files of animals have, by what the files call the animals."""
 MARKS = ("visible", "by_hand", "by_import", "by_rule")

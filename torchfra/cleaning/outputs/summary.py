@@ -177,7 +177,7 @@ def overview(results: Sequence[Cleaned]) -> list[str]:
     said = [text_table([word, *COLUMNS], rows), *LEGEND]
     said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
     if unsure := [of["name"] for of in every if of["sigma_unsure"]]:
-        said.append(f"Sigma is unsure of {listed(unsure)}: --sigma states it where it is known")
+        said.append(f"Sigma is unsure of {listed(unsure)}: --sigma gives it if it is known")
     if mixed := [cleaned.recording.name for cleaned in results if _is_mixed(cleaned)]:
         said.append(f"There may be several targets in one (--id): {listed(mixed)}")
     if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
