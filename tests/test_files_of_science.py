@@ -53,7 +53,7 @@ def test_markers_in_groups_of_columns_are_named_by_the_options_that_read_them(wr
         read(path)
     (track,) = read(path, **options_of(error))
     metres = 1e-3 if "units" in options_of(error) else 1
-    np.testing.assert_allclose(np.ptp(track.position, 0), [metres * np.ptp(X), metres * np.ptp(Y)], rtol=1e-3)
+    np.testing.assert_allclose(np.ptp(track.position, 0)[:2], [metres * np.ptp(X), metres * np.ptp(Y)], rtol=1e-3)
 
 
 @pytest.mark.parametrize(("lines", "time", "x", "y"), [

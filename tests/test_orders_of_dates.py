@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -33,12 +33,25 @@ def test_the_order_is_found_from_rows_a_day_apart_where_the_years_tell_it(write)
 
 
 def test_dates_of_one_day_that_may_have_several_orders_are_refused_with_the_form_of_each(write):
-    path = write(lines("%y/%m/%d", 1 / 60))
-    with pytest.raises(ValueError, match=r"may have the day or the year first: use --time-format '%d/%m/%y %H:%M:%S' "
-                       r"or '%y/%m/%d %H:%M:%S'"):  # fmt: skip
+    path = write(lines("%y-%m-%d", 1 / 60))
+    with pytest.raises(ValueError, match=r"may have the day or the year first: use --time-format '%d-%m-%y %H:%M:%S' "
+                       r"or '%y-%m-%d %H:%M:%S'"):  # fmt: skip
         read(path)
-    (track,) = read(path, time_format="%y/%m/%d %H:%M:%S")
-    assert track.source.written(track.time[:1]) == ["21/04/09 22:00:00"]
+    (track,) = read(path, time_format="%y-%m-%d %H:%M:%S")
+    assert track.source.written(track.time[:1]) == ["21-04-09 22:00:00"]
+
+
+def test_dates_of_one_day_with_slashes_have_the_day_first(write):
+    (track,) = read(write(lines("%d/%m/%y", 1 / 60, datetime(2023, 12, 25, 10))))
+    assert track.source.notes[0] == "time: time, %d/%m/%y %H:%M:%S"
+    assert track.time[0] == datetime(2023, 12, 25, 10, tzinfo=timezone.utc).timestamp()
+
+
+def test_a_day_that_is_followed_by_the_same_a_year_later_may_have_the_year_first(write):
+    days = ["21/04/09"] * 1200 + ["21/04/10"] * 10
+    rows = [f"{day} {k // 60 % 24:02}:{k % 60:02}:00,{k},{k}" for k, day in enumerate(days)]
+    with pytest.raises(ValueError, match="the year may be first: use --time-format '%y/%m/%d %H:%M:%S'"):
+        read(write(["time,x,y", *rows]))
 
 
 def test_a_row_a_month_may_be_a_row_a_day_in_another_order(write):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from torchfra.readers import read
 from torchfra.readers.recording import Source
 from torchfra.readers.times import CLOCK, PER_SECOND, form_of, seconds_of, written
 
@@ -88,3 +89,10 @@ def test_numbers_keep_the_digits_that_they_came_with():
     assert written(np.array([0, 0.1, 0.1 + 0.2, 1.5]), "seconds") == ["0", "0.1", "0.3", "1.5"]
     assert written(START + np.array([0, 0.25]), "ms") == ["1600000000000", "1600000000250"]
     assert written(np.array([START], float), "seconds") == ["1600000000"]
+
+
+def test_the_clock_of_a_receiver_is_taken_before_that_of_a_computer(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("sys_time,gps_time,x,y\n5,100,0,0\n6,101,1,1\n7,102,2,2\n")
+    (track,) = read(path)
+    assert track.time.tolist() == [100, 101, 102]

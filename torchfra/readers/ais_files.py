@@ -97,7 +97,7 @@ def _of_the_fixes(received: NDArray[np.float64], second: NDArray[np.int8]) -> tu
     fits = known & (np.abs(late - usual) < _LATE)
     if fits.sum() < _MOST * len(received):
         return received, False
-    return np.where(fits, np.round(received / unit - late), received / unit - usual) * unit, True
+    return np.where(known, np.round(received / unit - late), received / unit - usual) * unit, True
 
 
 def _signed(bits: str) -> int:

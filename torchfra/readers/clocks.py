@@ -165,6 +165,12 @@ class Clock:
         rows = np.flatnonzero(np.isfinite(time))
         if self.stated or not re.search("(?<!%[Yy][-/. ])%[dm][-/. ]%[dm]", self.form):
             return
+        days = np.unique(time[rows] // _DAY)
+        if self.form.startswith("%d/%m/%y") and np.isin(np.diff(days), (365, 366)).any():
+            raise ValueError(
+                f"column {self.column}: expected days that go on, received one and the same a year later: the year may "
+                f"be first: use --time-format '{self.form.replace('%d/%m/%y', '%y/%m/%d')}'"
+            )
         steps = np.diff(time[rows])
         if (steps >= 0).all() or (steps <= 0).all():
             return

@@ -184,8 +184,13 @@ def found(names: Iterable[str], role: str) -> list[str]:
     """The names that may hold something, the best first."""
     rank, names = {spelt: i for i, spelt in enumerate(NAMES[role])}, list(names)
     spelt = {name: plain(name) for name in set(names)}
-    ranked = [(rank[spelt[name]], name != spelt[name], i, name) for i, name in enumerate(names) if spelt[name] in rank]
-    return [name for *_, name in sorted(ranked)]
+
+    def place(i: int) -> tuple[int, int, int]:
+        """The name alone first, that of a computer's own clock last."""
+        name = names[i]
+        return rank[spelt[name]], 2 if "sys" in name_words(name) else int(name != spelt[name]), i
+
+    return [names[i] for i in sorted((i for i, name in enumerate(names) if spelt[name] in rank), key=place)]
 
 
 def places_in(names: Iterable[str]) -> list[str]:

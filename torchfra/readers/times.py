@@ -198,6 +198,8 @@ def _form_of_dates(texts: list[str], day_first: bool) -> str | None:
     a, b, c = (max(int(one[part]) for one in found) for part in "abc")
     days = {f"%d{sign}%m{sign}{year}{clock}": b <= 12, f"%m{sign}%d{sign}{year}{clock}": a <= 12}
     years = {f"%y{sign}%m{sign}%d{clock}": b <= 12 and c <= 31} if year == "%y" else {}
+    if sign == "/" and a > 12 and len({one["a"] + one["c"] for one in found}) == 1:
+        years = {}  # of one day only, as people write it
     forms = [] if day_first or sign == "." else [form for form, fits in (days | years).items() if fits]
     return _nearest([one[0] for one in found], forms) if len(forms) > 1 else (forms or [*days])[0]
 
