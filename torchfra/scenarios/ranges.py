@@ -57,11 +57,10 @@ def ranges_outliers(
         ValueError: an argument out of its range.
 
     Source: this project.  Defaults are those of four recordings of ultra-wideband ranges over 15 minutes, with and
-        without a
-    line of sight: 0.44 % of the ranges were more than 1 m off, all of them too short, by 7 m in the median and 19 m at
-    most, two or three in a row and never from two anchors at once; 5 to 18 % were missing, mostly in runs of 1 to 6
-    steps; the walker's speed was 1 m/s in the median and 2 at most.  Differs: the errors of the other ranges changed
-    slowly there, by 1 cm from step to step and 0.2 m in all.
+    without a line of sight: 0.44 % of the ranges were more than 1 m off, all of them too short, by 7 m in the median
+    and 19 m at most, two or three in a row and never from two anchors at once; 5 to 18 % were missing, mostly in runs
+    of 1 to 6 steps; the walker's speed was 1 m/s in the median and 2 at most.  Differs: the errors of the other ranges
+    changed slowly there, by 1 cm from step to step and 0.2 m in all.
     """
     one_of(outliers=(outliers, ("short", "nlos", "both", "none")), anchors=(anchors, tuple(_ANCHORS)))
     for name, value in (("share", share), ("missing", missing)):
