@@ -12,6 +12,7 @@ from operator import xor
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.readers.columns import in_seconds
 from torchfra.readers.sheets import Sheet
 
 _LINE = re.compile(
@@ -26,8 +27,6 @@ _DEGREE = 600_000
 """Units of coordinates in a degree."""
 _MINUTE, _LATE = 60.0, 10.0
 """Seconds: in a minute, and by which nearly all messages are received after their fix, but for an offset of clocks."""
-_MILLISECONDS = 1e11
-"""Times above it are no seconds since 1970."""
 _MOST = 0.9
 """Share of the messages of which that has to be so, or the seconds in them are not used."""
 
@@ -65,7 +64,7 @@ class Ships:
         Args:
             lines: how many there were of what ``add`` calls them.
         """
-        received, second = np.array(self.time), np.array(self.second)
+        received, second = in_seconds(np.array(self.time)), np.array(self.second)
         if not np.isfinite(received).any():
             return None
         time, own = _of_the_fixes(received, second)
@@ -85,19 +84,18 @@ def _of_the_fixes(received: NDArray[np.float64], second: NDArray[np.int8]) -> tu
     A message without it was received as long after its fix as others.
 
     Args:
-        received: ``(k,)`` times of reception, s or ms since 1970.
+        received: ``(k,)`` times of reception, s since 1970.
         second: ``(k,)`` of the fix, 0 to 59; more where it is not known.
     """
-    unit = 1e3 if np.nanmax(received) > _MILLISECONDS else 1.0
     known = (second < _MINUTE) & np.isfinite(received)
-    late = (received / unit - second) % _MINUTE
+    late = (received - second) % _MINUTE
     turn = 2 * math.pi / _MINUTE
     usual = math.atan2(np.sin(turn * late[known]).sum(), np.cos(turn * late[known]).sum()) / turn
     late = (late - usual + _MINUTE / 2) % _MINUTE - _MINUTE / 2 + usual
     fits = known & (np.abs(late - usual) < _LATE)
     if fits.sum() < _MOST * len(received):
         return received, False
-    return np.where(known, np.round(received / unit - late), received / unit - usual) * unit, True
+    return np.where(known, np.round(received - late), received - usual), True
 
 
 def _signed(bits: str) -> int:

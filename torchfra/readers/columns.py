@@ -129,6 +129,11 @@ def number(value: Any) -> float:
     return float(value)
 
 
+def in_seconds(time: Array) -> Array:
+    """Times since 1970 in seconds, of which milliseconds are more than there will be."""
+    return np.where(time > 1e11, time / 1e3, time)
+
+
 def is_missing(cell: str) -> bool:
     """Whether a text stands for nothing, such as "N/A"."""
     bare = cell.strip(" \t\r\n").lower()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.clocks import YEAR_1980
-from torchfra.readers.columns import Array, grouped
+from torchfra.readers.columns import Array, grouped, in_seconds
 from torchfra.readers.layouts import Layout
 from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
 from torchfra.readers.spelling import MARKS
@@ -39,14 +39,8 @@ _PUT_BACK = 1.0
 """How often a year clocks are put back by an hour."""
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
-_MILLISECONDS = 1e11
 _CLOSE = 0.5
 """How far the step to the first row after that may be from the usual one, as a share of it, an hour added."""
-
-
-def _in_seconds(time: Array) -> Array:
-    """Seconds since 1970, of which milliseconds are more than there will be."""
-    return np.where(time > _MILLISECONDS, time / 1e3, time)
 
 
 def plural(word: str) -> str:
@@ -149,7 +143,7 @@ class _Columns:
         self.height = np.where(self.no_height, np.nan, self.height)
         self.update, self.time_stated = column("update"), layout.time_stated
         self.sent = self._times_of_positions()
-        self.time = np.where(self.sent, _in_seconds(self.update), self.time)
+        self.time = np.where(self.sent, in_seconds(self.update), self.time)
         noise = [table.column(name) for name in layout.noise]
         self.noise = layout.per_axis(noise)
         self.marked = column("visible") == 0
@@ -167,7 +161,7 @@ class _Columns:
         """
         if not self.clock.since_1970 or self.time_stated:
             return np.zeros(len(self.time), dtype=bool)
-        age = self.time - _in_seconds(self.update)
+        age = self.time - in_seconds(self.update)
         sent = (age > -_SOONER) & (age < _OLDEST)
         return sent if sent.sum() > _OFTEN * len(sent) else np.zeros_like(sent)
 
