@@ -187,3 +187,10 @@ def test_a_third_coordinate_is_proposed_with_the_others(tmp_path):
     path.write_text("Time (s),Body Position X,Body Position Y,Body Position Z\n0,1,2,3\n1,2,3,5\n2,3,5,6\n")
     with pytest.raises(ValueError, match="--x 'Body Position X' --y 'Body Position Y' --z 'Body Position Z'"):
         read(path)
+
+
+def test_a_blank_line_above_a_header_is_left_out_where_spaces_are_stated(tmp_path):
+    path = tmp_path / "log.txt"
+    path.write_text("logger 1\n\nt x y\n0 1 2\n1 2 3\n2 3 4\n")
+    (track,) = read(path, delimiter="space")
+    assert track.time.tolist() == [0, 1, 2]

@@ -176,7 +176,7 @@ def _whole_names(lines: list[str], i: int, sign: str) -> list[str]:
     above = [
         cells for line in reversed(lines[:i]) if len(cells := _split(line, sign)) == len(names) > 1 and sign != " "
     ]
-    if names[0] == "coords" and above and above[0][0] == "bodyparts":
+    if names[:1] == ["coords"] and above and above[0][0] == "bodyparts":
         marked = zip(above[0][1:], names[1:], strict=True)
         return [names[0], *(f"{part} {axis}{' (px)' if axis in 'xy' else ''}" for part, axis in marked)]
     if not above or not repeated(names):
