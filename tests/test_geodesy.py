@@ -47,6 +47,12 @@ def test_a_target_without_altitude_stays_at_that_of_the_origin(origin):
     assert (found[2] == origin[2]).all()
 
 
+def test_a_target_without_altitude_may_be_a_quarter_of_the_earth_away():
+    latitude, longitude, origin = 59.0 - np.arange(0, 90.0, 5), np.full(18, 10.0), (59.0, 10.0, 0.0)
+    found = to_geodetic(to_enu(latitude, longitude, 0.0, origin)[:, :2], origin)
+    np.testing.assert_allclose(found[:2], [latitude, longitude], rtol=0, atol=1e-8)
+
+
 def test_one_place_and_batches_of_any_shape_are_taken():
     origin = ORIGINS[0]
     assert to_enu(47.01, 8.0, 430.0, origin).shape == (3,)

@@ -54,9 +54,12 @@ def to_geodetic(position: ArrayLike, origin: Origin) -> tuple[Array, Array, Arra
     if position.shape[-1] == 3:
         return _geodetic(position, origin)
     up = np.zeros(position.shape[:-1])
-    for _ in range(4):  # the earth curves down; each round is off by a part in a hundred of the one before, or less
+    for _ in range(12):  # Newton's method, as the earth curves down; a few rounds up to 85 degrees from the origin
         latitude, longitude, altitude = _geodetic(np.concatenate([position, up[..., None]], -1), origin)
-        up = up + origin[2] - altitude
+        step = (origin[2] - altitude) / cosine(latitude, longitude, origin)
+        up = up + step
+        if not (np.abs(step) > 1e-4).any():
+            break
     return latitude, longitude, np.full_like(up, origin[2])
 
 
@@ -69,6 +72,17 @@ def turned(latitude: ArrayLike, longitude: ArrayLike, origin: Origin) -> Array:
         origin: whose axes the vectors have.
     """
     return np.asarray(np.swapaxes(_axes(latitude, longitude), -1, -2) @ _axes(*origin[:2]))
+
+
+def cosine(latitude: ArrayLike, longitude: ArrayLike, origin: Origin) -> Array:
+    """``(...)`` cosine of the angle between up at each place and up at the origin.
+
+    Args:
+        latitude: ``(...)`` degrees.
+        longitude: ``(...)`` degrees.
+        origin: whose altitude does not matter.
+    """
+    return np.asarray(_axes(latitude, longitude)[..., 2] @ _axes(*origin[:2])[:, 2])
 
 
 def _geodetic(position: Array, origin: Origin) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchfra.geodesy import to_enu
+from torchfra.geodesy import cosine, to_enu
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Head
 from torchfra.readers.layouts import Layout, layout_of
@@ -37,7 +37,7 @@ def read(
     Args:
         path: the file.
         origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
-            first target in the file.
+            first target in the file, or the middle of its way if that has no altitudes and leads around the earth.
         max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a name for 4096, a byte of
             JSON for 24 and of XML for 32.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of
             memory.
@@ -172,18 +172,34 @@ def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> L
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:
-    """What becomes (0, 0, 0): by default the first fix of all."""
+    """What becomes (0, 0, 0): by default the first fix, or the middle of a way without altitudes around the earth."""
     height = 0.0 if first.height is None else float(first.height[0])
     lat, lon, up = (float(first.place[0, 0]), float(first.place[0, 1]), height) if origin is None else origin
+    if origin is None and first.height is None and _beyond(first, (lat, lon, up), 60):
+        latitude, longitude = np.radians(first.place.T)
+        x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+        x, y, z = x.mean(), y.mean(), np.sin(latitude).mean()
+        lat, lon = math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x))
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):
         raise ValueError(f"origin: expected latitude, longitude in degrees and altitude in m, received {origin}")
     return lat, lon, up
+
+
+def _beyond(target: Target, origin: Origin, degrees: float) -> bool:
+    """Whether a tenth of a target's fixes or more, which are more than some outliers, are as far from the origin."""
+    near = cosine(target.place[:, 0], target.place[:, 1], origin) > math.cos(math.radians(degrees))
+    return bool(near.mean() <= 0.9)
 
 
 def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recording:
     """A target in metres."""
     place, height = target.place, target.height
     if origin is not None:
+        if height is None and _beyond(target, origin, 85):
+            raise ValueError(
+                f"{target.name!r}: expected positions without altitudes within 85 degrees (9400 km) of the origin, "
+                f"{origin[0]:.4g}, {origin[1]:.4g}, received a tenth or more beyond: split the track"
+            )
         position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)
         position = position if height is not None else position[:, :2]
     else:
