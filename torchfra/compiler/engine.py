@@ -55,10 +55,9 @@ class Compiled:
         if self._versions and self._versions[0].holds():
             return self._versions[0]
         with BUILDING:
-            held = next((version for version in self._versions if version.holds()), None) or Version(f)
-            others = [version for version in self._versions if version is not held]
-            self._versions = [held, *others[: _VERSIONS - 1]]
-        return held
+            now = next((x for x in self._versions if x.holds()), None) or Version(f)
+            self._versions = [now, *(x for x in self._versions if x is not now)][:_VERSIONS]
+        return now
 
     @staticmethod
     def takes(z: Any) -> bool:
@@ -149,7 +148,7 @@ class Compiled:
     def _task(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Task, Data]:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
-        advance = traced.Advance(traced.keep_past if past else traced.keep, _whole(f, measurements))
+        advance = traced.Advance(traced.keep_past if past else traced.keep, _complete(f, measurements))
         with BUILDING:
             return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
 
@@ -209,7 +208,7 @@ class Compiled:
             return interpreted
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         with BUILDING:
-            task = now.task(traced.Advance(function, _whole(f, measurements)), state, data, (False,) * 5)
+            task = now.task(traced.Advance(function, _complete(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
@@ -226,7 +225,7 @@ class Compiled:
         now = self._now(f)
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        kind = _whole(f, measurements), watched
+        kind = _complete(f, measurements), watched
         done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
@@ -252,7 +251,7 @@ class Compiled:
         return now.run(task, 1, state, data)
 
 
-def _whole(f: Any, measurements: Measurements) -> bool:
+def _complete(f: Any, measurements: Measurements) -> bool:
     return bool(f.scans and f.complete(measurements))
 
 

@@ -108,7 +108,7 @@ def fit(
     descent = Descent(learner, learner.values, learner.validation(), asdict(settings) | same)
     if path is not None and resume:
         descent.resume(path, "fit")
-    for row in descent.run(progress_bar(descent.ahead, "fit", not quiet)):
+    for row in descent.run(progress_bar(descent.remaining, "fit", not quiet)):
         if path is not None and "validation" in row and distributed.rank() == 0:
             descent.save(path)
     best = descent.best["raw"][int(descent.scores.argmin())]
