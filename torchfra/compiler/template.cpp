@@ -74,10 +74,9 @@ template <class... A> INLINE Scalar norm(A... a) {
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece
-constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t track) {
-  Scalar s[PLACES], left[LEFT];
+  Scalar s[PLACES];
   Block at{track, 0};
   // FIXED
   for (int64_t k = 0; k < steps; k++) {
@@ -85,7 +84,7 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t
     // STEP
   }
   at.step = 0;
-  end(s, left, out, at);
+  end(s, out, at);
 }
 }  // namespace NAME
 }  // namespace
