@@ -14,7 +14,7 @@ from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
 from torchfra.compiler.forms import hooked, late
 from torchfra.compiler.llvm import is_installed
-from torchfra.compiler.program import BUILDING, Making
+from torchfra.compiler.program import Making, building
 from torchfra.compiler.ready import Data, check_changing, form_of, is_ordinary, is_short, number, seconds_of
 from torchfra.compiler.run import has_gradient
 from torchfra.compiler.source import SCALARS
@@ -54,7 +54,7 @@ class Compiled:
         """The kernels that hold for the filter as it is; the version used last comes first."""
         if self._versions and self._versions[0].holds():
             return self._versions[0]
-        with BUILDING:
+        with building():
             now = next((x for x in self._versions if x.holds()), None) or Version(f)
             self._versions = [now, *(x for x in self._versions if x is not now)][:_VERSIONS]
         return now
@@ -149,7 +149,7 @@ class Compiled:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         advance = traced.Advance(traced.keep_past if past else traced.keep, _complete(f, measurements))
-        with BUILDING:
+        with building():
             return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
 
     def backward(
@@ -174,7 +174,7 @@ class Compiled:
     def _task_back(self, f: Any, back: BackwardInputs) -> tuple[Version, Task, list[Tensor]]:
         """The same as ``_task`` of a backward pass."""
         now, data, timed = self._now(f), list(back.data.values()), list(back.timed.values())
-        with BUILDING:
+        with building():
             return now, now.task(back.advance, back.state, data, timed, back), data
 
     def _make_backward(self, f: Any, task: Task, measurements: Measurements) -> None:
@@ -207,7 +207,7 @@ class Compiled:
             interpreted: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
             return interpreted
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
-        with BUILDING:
+        with building():
             task = now.task(traced.Advance(function, _complete(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
 
@@ -241,7 +241,7 @@ class Compiled:
             f._frame(state, measurements)
             complete, watched = kind
             advance = traced.Advance(traced.watch if watched else traced.observe, complete)
-            with BUILDING:
+            with building():
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
                 task = now.steps[form] = now.task(advance, state, data, (False,) * 5)
