@@ -141,7 +141,7 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
+        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()), tuple(map(type, state)))
         if key not in self.kernels:
             begin = back.begin if back else partial(traced.begin, targets=targets, like=state)
             with torch.inference_mode(False):  # in which torch does not take operations apart
