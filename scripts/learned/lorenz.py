@@ -124,8 +124,8 @@ class Tracks(NamedTuple):
         if means.shape[1] == self.truth.shape[1]:
             return means
         means = torch.cat([self.prior.mean.to(means).unsqueeze(1), means], 1)
-        ahead: Tensor = motion(means, means.new_full(means.shape[:-1], DT))
-        return ahead
+        predicted: Tensor = motion(means, means.new_full(means.shape[:-1], DT))
+        return predicted
 
 
 def rotation(angle: float) -> Tensor:
