@@ -117,16 +117,16 @@ def test_pieces_and_places_lose_nothing_that_a_track_needs(seed, inputs):
         parts = pieces(book, stepped, ends)
         book, parts, merged = with_merged(book, parts)
     layout = frame(book, [], parts, next_one, ends, merged)
-    at = layout.places
-    assert max(at.values()) < layout.size
+    at = {i: ("left", place) for i, place in layout.left.items()} | {i: ("s", k) for i, k in layout.places.items()}
+    assert max(layout.places.values()) < layout.size
     memory = {at[i]: value for i, value in zip(carried, inputs, strict=False)}
     found = {}
     guard = None
     for part in parts:
         if part.guard != guard and guard is not None:  # by now other packs have used the places of all
-            memory = {place: value for place, value in memory.items() if place < layout.own}
+            memory = {place: value for place, value in memory.items() if place[0] == "left" or place[1] < layout.own}
         guard = part.guard
-        values = {i: memory.get(at[i], math.nan) for i in needs(book, part)} | book.values
+        values = {i: memory.get(("s", layout.places[i]), math.nan) for i in needs(book, part)} | book.values
         if part.guard is not None and bool(values[part.guard[0]]) != part.guard[1]:
             continue  # what lies in the places of its results stays
         values |= {i: expected[i] for i in part.numbers if i in read}
@@ -136,7 +136,7 @@ def test_pieces_and_places_lose_nothing_that_a_track_needs(seed, inputs):
         found |= {i: values[i] for i in part.numbers if i in written}
     sources = {i: memory[at[i]] for i, _ in layout.moves if i in at} | book.values
     found |= {i: memory[at[i]] for i in written if i in merged.values()}
-    memory |= {place: sources[i] for i, place in layout.moves}
+    memory |= {("s", place): sources[i] for i, place in layout.moves}
     assert all(found[i] == expected[i] for i in written if i in found)
     for old, new in next_one.items():
         assert memory[at[old]] == expected[new]

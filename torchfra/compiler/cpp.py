@@ -146,7 +146,7 @@ def file(name: str) -> str:
     return Path(__file__).with_name(name).read_text()
 
 
-_ALWAYS = "Scalar* s, const Port* in, const Port* out, const Block& at"
+_ALWAYS = "Scalar* s, Scalar* left, const Port* in, const Port* out, const Block& at"
 """What a function takes that is called at every step."""
 
 
@@ -159,23 +159,24 @@ def texts(plan: Plan, in_step: bool = False) -> dict[str, str]:
             instructions at the same time: a long step does not fit into the cache of instructions.
     """
     functions = {f"{x.name}(const Scalar* a, Scalar* r)": _routine(x) for x in called_by(plan.book, plan.loop.live)}
-    functions["begin(Scalar* s, const Port* in, const Block& at)"] = _ordered(plan, plan.begin())
-    before, calls = ["begin(s, in, at);"], ["__syncthreads();"] if in_step else []
+    functions["begin(Scalar* s, Scalar* left, const Port* in, const Block& at)"] = _ordered(plan, plan.begin())
+    before, calls = ["begin(s, left, in, at);"], ["__syncthreads();"] if in_step else []
     for k, piece in enumerate(plan.before):
         functions[f"before{k}(Scalar* s, const Port* in, const Block& at)"] = _ordered(plan, plan.once(piece))
         before.append(f"before{k}(s, in, at);")
     for k, piece in enumerate(plan.steps):
         functions[f"piece{k}({'Scalar* s' if piece.guard else _ALWAYS})"] = _ordered(plan, plan.each(piece))
         if piece.guard is None:
-            calls.append(f"piece{k}(s, in, out, at);")
+            calls.append(f"piece{k}(s, left, in, out, at);")
         else:
             mask, value = piece.guard
             calls.append(f"if (s[{plan.frame.places[mask]}] {'!=' if value else '=='} 0) piece{k}(s);")
     functions[f"turn({_ALWAYS})"] = _ordered(plan, plan.turn())
-    functions["end(Scalar* s, const Port* out, const Block& at)"] = _ordered(plan, plan.end())
-    calls.append("turn(s, in, out, at);")
+    functions["end(Scalar* s, Scalar* left, const Port* out, const Block& at)"] = _ordered(plan, plan.end())
+    calls.append("turn(s, left, in, out, at);")
     return {
         "SIZE": str(plan.frame.own),
+        "UNREAD": str(plan.unread),
         "// PIECES\n": "".join(_function(head, lines) for head, lines in functions.items()),
         "  // FIXED\n": _indented(before, 2),
         "    // STEP\n": _indented(calls, 4),
@@ -184,7 +185,11 @@ def texts(plan: Plan, in_step: bool = False) -> dict[str, str]:
 
 def _ordered(plan: Plan, orders: Iterable[Order]) -> list[str]:
     """The lines of a function that does what a plan says."""
-    body, opened, places = _Lines(plan.book), dict[str, None](), plan.frame.places
+    body, opened = _Lines(plan.book), dict[str, None]()
+
+    def place_of(number: int) -> str:
+        place = plan.frame.places.get(number)
+        return f"left[{plan.frame.left[number]}]" if place is None else f"s[{place}]"
 
     for what, number, access, place in orders:
         if access is not None:
@@ -193,9 +198,9 @@ def _ordered(plan: Plan, orders: Iterable[Order]) -> list[str]:
         if what == "compute":
             body.compute(number)
         elif what == "take":
-            body.set(number, f"s[{places[number]}]" + " != 0" * plan.book.is_bool(number))
+            body.set(number, place_of(number) + " != 0" * plan.book.is_bool(number))
         elif access is None:
-            body.lines.append(f"s[{place if what == 'move' else places[number]}] = {body.value(number)};")
+            body.lines.append(f"{f's[{place}]' if what == 'move' else place_of(number)} = {body.value(number)};")
         elif what == "read":
             body.set(number, f"{name}[{access.entry}]")
         else:

@@ -14,9 +14,10 @@ from torchfra.compiler.routines import called_by
 from torchfra.compiler.schedule import Condition, Piece
 from torchfra.compiler.tensor_entries import BLOCK, TensorEntries
 
-_ALWAYS = ("%s", "%aside", "%in", "%out", "%at")
+_ALWAYS = ("%s", "%aside", "%left", "%in", "%out", "%at")
 """What a function takes that is called for all tracks."""
-_BEFORE, _AFTER = ("%s", "%in", "%at"), ("%s", "%out", "%at")
+_BEGIN, _ONCE = ("%s", "%left", "%in", "%at"), ("%s", "%in", "%at")
+_LAST, _END = ("%s", "%out", "%at"), ("%s", "%left", "%out", "%at")
 """What those take that are called before and after the loop."""
 _OPERATORS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq"}
@@ -82,9 +83,9 @@ class Native:
             self._done(shared(self.lanes, f"{self._name}one_{SHARED}"))
         for routine in called_by(self._book, self._loop.live):
             self._routine(routine)
-        self._ordered("begin", _BEFORE, plan.begin())
+        self._ordered("begin", _BEGIN, plan.begin())
         for k, piece in enumerate(plan.before):
-            self._ordered(f"before{k}", _BEFORE, plan.once(piece))
+            self._ordered(f"before{k}", _ONCE, plan.once(piece))
         calls: list[tuple[list[str], str | None]] = []
         start, first = 0, list[str]()
         needed = [needs(self._book, piece) for piece in plan.steps]
@@ -99,8 +100,8 @@ class Native:
             start, first = start + len(parts), [] if guard else names
         calls.append(([*first, "turn"], None))
         self._ordered("turn", _ALWAYS, plan.turn())
-        self._ordered("last", _AFTER, plan.last())
-        self._ordered("end", _AFTER, plan.end())
+        self._ordered("last", _LAST, plan.last())
+        self._ordered("end", _END, plan.end())
         self._loops(calls)
 
     def _routine(self, routine: Routine) -> None:
@@ -144,9 +145,9 @@ class Native:
         """The function of a block: the loop over time, in it that over the packs of tracks."""
         head = f"define internal void @{self.block}(ptr %in, ptr %out, i64 %steps, i64 %first, i64 %lanes, i8 %past)"
         code, width = Code(self.lanes, head), self.lanes.width
-        own, many = self._frame.own, self.plan.packs
+        own, unread, many = self._frame.own, self.plan.unread, self.plan.packs
         passing = max(1, self._frame.size - own)
-        s, aside = (code.place(code.numbers, n) for n in (many * own, passing))
+        s, aside, left = (code.place(code.numbers, n) for n in (many * own, passing, many * unread))
         at = code.place(BLOCK, many)
         if self.plan.many:
             together, state = code.place(code.numbers, own + passing), code.place("i64", 8 + 2 * width)
@@ -159,7 +160,15 @@ class Native:
         def of(p: str) -> dict[str, str]:
             """What functions take of a pack."""
             places = code.at(s, f"[{own} x {code.numbers}]", p)
-            return {"%s": places, "%at": code.at(at, BLOCK, p), "%aside": aside, "%in": "%in", "%out": "%out"}
+            unread_places = code.at(left, f"[{unread} x {code.numbers}]", p)
+            return {
+                "%s": places,
+                "%left": unread_places,
+                "%at": code.at(at, BLOCK, p),
+                "%aside": aside,
+                "%in": "%in",
+                "%out": "%out",
+            }
 
         def call(name: str, args: Sequence[str], arguments: dict[str, str]) -> None:
             code.do(f"call void @{self._name}{name}({', '.join(f'ptr {arguments[arg]}' for arg in args)})")
@@ -176,13 +185,15 @@ class Native:
             ]  # fmt: skip
             for number, (type, value) in enumerate(fields):
                 code.store(type, value, code.field(BLOCK, arguments["%at"], number))
-            call("begin", _BEFORE, arguments)
+            call("begin", _BEGIN, arguments)
             for number in range(len(self.plan.before)):
-                call(f"before{number}", _BEFORE, arguments)
+                call(f"before{number}", _ONCE, arguments)
         with code.loop("%steps") as k:
             time = k
             if self._backwards:
                 time = code.op("sub", code.op("sub", "%steps", 1), k)
+            next_step = code.op("add", k, "1")
+            last = code.new(f"icmp eq i64 {next_step}, %steps")
             begun = code.new(f"icmp sgt i64 {k}, 0")
             with code.loop(packs) as p:
                 steps = [code.field(BLOCK, at, field, p) for field in (2, 3)]
@@ -192,6 +203,9 @@ class Native:
             for names, region in calls:
                 with code.loop(packs) as p:
                     arguments = of(p)
+                    if self.plan.packs > 1:
+                        chosen = code.new(f"select i1 {last}, i64 {p}, i64 0")
+                        arguments["%left"] = code.at(left, f"[{unread} x {code.numbers}]", chosen)
                     for name in names:
                         call(name, _ALWAYS, arguments)
                     if region is not None:
@@ -205,9 +219,9 @@ class Native:
         with code.loop(packs) as p:
             arguments = of(p)
             with code.where(some):
-                call("last", _AFTER, arguments)
+                call("last", _LAST, arguments)
             code.store("i64", "0", code.field(BLOCK, at, 2, p))
-            call("end", _AFTER, arguments)
+            call("end", _END, arguments)
         self._done(code)
 
 
@@ -302,7 +316,9 @@ class _Body:
 
     def _place(self, number: int) -> str:
         """The place of a value; regions have all places side by side."""
-        place, own = self._frame.places[number], self._frame.own
+        place, own = self._frame.places.get(number), self._frame.own
+        if place is None:
+            return self.code.at("%left", self.code.numbers, self._frame.left[number])
         if place < own or self._guarded:
             return self.code.at("%s", self.code.numbers, place)
         return self.code.at("%aside", self.code.numbers, place - own)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -64,6 +64,8 @@ class Frame(NamedTuple):
     """Expressions to be copied at the end of a step, all at once, and where to."""
     late: set[int]
     """Expressions that are stored at the end of their piece: until then their place holds what was carried."""
+    left: dict[int, int]
+    """Places apart, numbered from 0, of carried values that no step reads: old and new share one."""
 
 
 def frame(
@@ -89,6 +91,10 @@ def frame(
     made = {number: k for k, piece in enumerate(steps) for number in piece.numbers}
     last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
     behind = {i for i in outputs if i not in made or i in merged.values()}
+    read = last.keys() | behind | {*merged.values()}
+    alone = Counter(carried.values())
+    unread = {old: new for old, new in carried.items() if new in made and alone[new] == 1 and not read & {old, new}}
+    carried = {old: new for old, new in carried.items() if old not in unread}
     last.update(dict.fromkeys([*carried.values(), *behind], len(steps)))
     last = {number: k for number, k in last.items() if number not in merged}
     fixed = {number for piece in before for number in piece.numbers}
@@ -101,7 +107,8 @@ def frame(
     size = _placed(places, own, steps, {i: last[i] for i in passing - places.keys()})
     moves = [(new, places[old]) for old, new in carried.items() if places.get(new) != places[old]]
     places |= {i: places[choice] for i, choice in merged.items()}
-    return Frame(size, own, places, moves, late)
+    left = {i: place for place, pair in enumerate(unread.items()) for i in pair}
+    return Frame(size, own, places, moves, late, left)
 
 
 def needs(book: Expressions, piece: Piece) -> list[int]:
@@ -200,6 +207,7 @@ class Plan:
         guarded: what of a step only some tracks need, as a share of its cost.
         many: whether packs of tracks share regions.
         packs: of a block of tracks at most.
+        unread: places of values that are carried but that no step reads.
     """
 
     def __init__(self, loop: Loop, narrow: bool, length: int | None = None) -> None:
@@ -212,8 +220,9 @@ class Plan:
         self.guarded = guarded_share(self.book, self.steps)
         self.many = bool(self.guarded) and not narrow
         self.frame = frame(self.book, self.before, self.steps, loop.carried, ends, self.merged, self.many)
+        self.unread = max(1, len({*self.frame.left.values()}))
         room = _BYTES // 64 - (self.frame.size - self.frame.own)
-        self.packs = max(1, min(_PACKS, room // self.frame.own)) if self.many else 1
+        self.packs = max(1, min(_PACKS, room // (self.frame.own + self.unread))) if self.many else 1
         always = (piece for piece in self.steps if piece.guard is None)
         self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
         self._next = {} if narrow else self._written_next()
@@ -246,7 +255,7 @@ class Plan:
                 take(arg)
             access = self.loop.loads.get(number)
             orders.append(Order("read" if access else "compute", number, access))
-            if number in self.frame.places:
+            if number in self.frame.places or number in self.frame.left:
                 (late if number in self.frame.late else orders).append(Order("keep", number))
             for other, store in behind.get(number, ()):
                 take(other)

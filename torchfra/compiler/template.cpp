@@ -74,9 +74,10 @@ template <class... A> INLINE Scalar norm(A... a) {
 namespace {
 namespace NAME {
 constexpr int PLACES = SIZE;  // of values that go from piece to piece
+constexpr int LEFT = UNREAD;  // of values that are carried but that no step reads
 // PIECES
 static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t track) {
-  Scalar s[PLACES];
+  Scalar s[PLACES], left[LEFT];
   Block at{track, 0};
   // FIXED
   for (int64_t k = 0; k < steps; k++) {
@@ -84,7 +85,7 @@ static INLINE void block(const Port* in, const Port* out, int64_t steps, int64_t
     // STEP
   }
   at.step = 0;
-  end(s, out, at);
+  end(s, left, out, at);
 }
 }  // namespace NAME
 }  // namespace
