@@ -202,7 +202,7 @@ def of_system(
 ) -> dict[str, Any]:
     """How far back estimates look, the gradients of filters, and what cuts make of them."""
     plain = make("srckf", rho, VALUES)
-    reach = {words: {n: looked(plain, tracks, n, every) for n in lengths} for words, every in EVERY.items()}
+    reach = {words: {n: reach_of(plain, tracks, n, every) for n in lengths} for words, every in EVERY.items()}
     learned = {}
     for name in names:
         f = plain if name == "srckf" else make(name, rho, VALUES)
@@ -213,7 +213,7 @@ def of_system(
     return {"reach": reach, "learned": learned, "cures": cures}
 
 
-def looked(f: Filter, tracks: Tracks, steps: int, every: int) -> Numbers:
+def reach_of(f: Filter, tracks: Tracks, steps: int, every: int) -> Numbers:
     """Norms of the gradient of the sum of the last estimate's components with respect to the start."""
     estimate, _, mean = estimated(f, tracks, steps, every)
     (gradient,) = torch.autograd.grad(estimate.mean[:, -1].sum(), mean)

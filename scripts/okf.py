@@ -218,7 +218,7 @@ def with_lidar(tracks: Tracks, options: argparse.Namespace, turns: bool = False)
 
 
 def same_radar(tracks: Tracks, options: argparse.Namespace) -> Estimates:
-    """The same filter, which is told in which direction the rate is measured."""
+    """The same filter, which knows in which direction the rate is measured."""
     process, measurement = sampled(tracks, radar.MODEL)
     f = presets.srckf(AnyNoise(process), radar.AnyDoppler(measurement))
     task = Task(lambda x: x.z, partial(prior, model=radar.MODEL), lambda x: radar.direction(x.z))

@@ -84,7 +84,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--birth", choices=BIRTHS, default="two", help="measurements that begin a target of torchfra's "
                    "(default: two)")  # fmt: skip
     p.add_argument("--confirmation", choices=CONFIRMATIONS, default="sprt", help="of torchfra's (default: sprt)")
-    p.add_argument("--hidden", type=int, default=0, metavar="SCANS", help="nobody measures a target for so long, once "
+    p.add_argument("--hidden", type=int, default=0, metavar="SCANS", help="a target is not measured for so long, once "
                    "in its life (default: 0)")  # fmt: skip
     p.add_argument("--stitch", type=float, nargs=2, metavar=("SECONDS", "METRES"), help="stitch torchfra's tracks")
     p.add_argument("--visible", type=float, nargs=2, metavar=("SEEN", "HIDDEN"), help="seconds that torchfra takes "

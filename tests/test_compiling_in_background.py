@@ -14,7 +14,7 @@ from test_compile import close
 
 from torchfra import presets, scenarios, tree
 from torchfra.compiler import jit, program
-from torchfra.compiler.program import BUILDING, Making
+from torchfra.compiler.program import Making, building
 from torchfra.compiler.step import Step
 from torchfra.motion import RandomWalk
 from torchfra.sensors import Position
@@ -150,7 +150,7 @@ def test_the_search_for_unreachable_cycles_rests_while_a_step_is_traced_and_is_t
     (gc.enable if collects else gc.disable)()
     try:
         f = filters()[0].compile()
-        with pytest.raises(NotImplementedError), BUILDING:
+        with pytest.raises(NotImplementedError), building():
             raise NotImplementedError
         f.step(f.init(tracks.prior), tracks.z[:, 0], u=tracks.u[0])
         after = gc.isenabled()

@@ -56,7 +56,7 @@ def train(descent: Descent, out: Path, name: str, *, board: Any = None, quiet: b
         board: the TensorBoard log, if there is one.
         quiet: whether to show neither a progress bar nor, without one, a line for each validation.
     """
-    bar = progress_bar(descent.ahead, name, not quiet)
+    bar = progress_bar(descent.remaining, name, not quiet)
     for row in descent.run(bar):
         iteration, loss = row["iteration"], row["loss"]
         if "validation" in row and not quiet and not hasattr(bar, "set_postfix"):

@@ -1,4 +1,4 @@
-"""Several targets: scans in which nobody says which measurement belongs to which target, or to none.
+"""Several targets: scans of measurements without labels, some of them false.
 
 You learn what JPDA filters take and return, and how to compare estimates in modified spherical coordinates with a
 Cartesian truth.

@@ -44,9 +44,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=10, help="drives (default: 10)")
     parser.add_argument("--steps", type=int, default=210, help="ranges of a drive, 10 a second (default: 210)")
-    given = parser.parse_args(arguments)
-    truth = drive(given.steps)
-    z, ranges = measure(truth, given.runs), Ranges(ANCHORS, STD, height=1.0)
+    options = parser.parse_args(arguments)
+    truth = drive(options.steps)
+    z, ranges = measure(truth, options.runs), Ranges(ANCHORS, STD, height=1.0)
 
     delay = RandomWalk(1e-6, 1, kind="bias")  # it hardly drifts: m^2/s
     motions = {
@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> None:
         mean[:3] = torch.tensor([15.0, 8.0, 4.0], **LIKE)  # speed or, to the east, its first component
         with torch.no_grad():
             estimate = presets.gpb(motion, sensor)(z, Gaussian(mean, spread.diag()), dt=DT)
-        error = metrics.rmse(estimate.mean, truth, motion.position)[given.steps // 4 :].mean()
+        error = metrics.rmse(estimate.mean, truth, motion.position)[options.steps // 4 :].mean()
         found = f", delay {estimate.mean[:, -1, -1].mean():.2f} m" if "bias" in motion.kinds else ""
         print(f"{name:<28} position RMSE {error:.3f} m{found}")
     print(check_model(motion, sensor, dt=DT))  # worth a look before any of this, with models of your own

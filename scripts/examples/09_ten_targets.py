@@ -14,7 +14,7 @@ from torchfra.targets import SPRT, Deletion, Merging, Targets, TwoPoint, collect
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Follows all aircraft of a scenario; prints who comes, who goes, and how well each was followed."""
+    """Follows all aircraft of a scenario; prints confirmations and deletions, and how well each was followed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0, help="of the simulation (default: 0)")
     options = parser.parse_args(arguments)
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
         for k, scan in enumerate(scans):
             states.append(targets.step(states[-1], scan, dt=scenario.dt))
             now = set(states[-1].identity.tolist())
-            for word, who in (("comes", now - there), ("goes", there - now)):
+            for word, who in (("confirmed", now - there), ("deleted", there - now)):
                 print("".join(f"scan {k:3d}: target {identity} {word}\n" for identity in sorted(who)), end="")
             there = now
 

@@ -43,13 +43,13 @@ class Widening(Filter[State]):
 
     def retreat(self, step, after):
         """One step back: Rauch-Tung-Striebel through the prediction as it was made."""
-        ahead = self.widened(step.past.belief, step.frame, step.next.info)
-        return (smoothed := self.smooth_belief(step.past.belief, ahead, after)).belief, smoothed
+        predicted = self.widened(step.past.belief, step.frame, step.next.info)
+        return (smoothed := self.smooth_belief(step.past.belief, predicted, after)).belief, smoothed
 
     def widened(self, belief, frame, level):
         """A belief propagated over a step."""
-        ahead = self.propagate(belief, frame)
-        return ahead._replace(process_noise=level.clamp(1, 1000).sqrt()[..., None, None] * ahead.process_noise)
+        predicted = self.propagate(belief, frame)
+        return predicted._replace(process_noise=level.clamp(1, 1000).sqrt()[..., None, None] * predicted.process_noise)
 
 
 def main(arguments=None):
@@ -72,8 +72,8 @@ def main(arguments=None):
     means |= {"fused": f(both, prior, sensors=[gps, radar], which=which).mean, "compiled": f.compile()(z, prior).mean}
     for name, mean in means.items():
         print(f"{name:<9} position RMSE {metrics.rmse(mean.detach(), truth, motion.position).mean():5.2f} m")
-    ends = (late.lagged, means["lag of 5"][0, 54]), *((x.belief, means["own"][0, 59]) for x in (tracker, state))
-    print(f"steps differ by {max((x.mean - mean).abs().max() for x, mean in ends):.0e}")
+    pairs = (late.lagged, means["lag of 5"][0, 54]), *((x.belief, means["own"][0, 59]) for x in (tracker, state))
+    print(f"steps differ by {max((x.mean - mean).abs().max() for x, mean in pairs):.0e}")
 
 
 if __name__ == "__main__":

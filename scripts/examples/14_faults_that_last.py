@@ -56,16 +56,16 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20, help="drives (default: 20)")
     parser.add_argument("--steps", type=int, default=600, help="seconds of a drive (default: 600)")
-    given = parser.parse_args(arguments)
-    truth, z, u, wrong = drives(given.runs, given.steps)
-    white, whole = math.hypot(STD, ERROR), torch.tensor([*START, ERROR, ERROR], **LIKE)
+    options = parser.parse_args(arguments)
+    truth, z, u, wrong = drives(options.runs, options.steps)
+    white, spread = math.hypot(STD, ERROR), torch.tensor([*START, ERROR, ERROR], **LIKE)
     filters = {
         "srckf, white errors": presets.srckf(Odometry(*WALKS), Position(white)),
         "rsrckf, white errors": presets.rsrckf(Odometry(*WALKS), Position(white)),
         "imm, time-correlated errors": with_faults(),
     }
     for name, f in filters.items():
-        start = Gaussian(torch.zeros(f.motion.size, **LIKE), whole[: f.motion.size].diag())
+        start = Gaussian(torch.zeros(f.motion.size, **LIKE), spread[: f.motion.size].diag())
         with torch.no_grad():
             estimate = f(z, start, u=u)
         error = metrics.rmse(estimate.mean, truth, slice(0, 2)).square().mean().sqrt()

@@ -32,15 +32,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=int, default=600, help="of the ride (default: 600)")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="PNG: the ride, before and after")
-    given = parser.parse_args(arguments)
-    time, path, fixes, wrong = ride(given.seconds)
+    options = parser.parse_args(arguments)
+    time, path, fixes, wrong = ride(options.seconds)
     cleaned = torchfra.clean((time, fixes))
     before, after = (float(np.sqrt(np.square(x - path).sum(1).mean())) for x in (fixes, cleaned.position))
     found = cleaned.flag == "outlier"
     print(f"{before:.1f} m off before, {after:.1f} m after; {(found & wrong).sum()} of {wrong.sum()} outliers found, "
           f"{(found & ~wrong).sum()} others rejected; sigma {cleaned.found.sigma:.1f} m")  # fmt: skip
-    if given.plot is not None:
-        plotting.save(plotting.cleaned(cleaned), given.plot)
+    if options.plot is not None:
+        plotting.save(plotting.cleaned(cleaned), options.plot)
 
 
 if __name__ == "__main__":

@@ -47,9 +47,9 @@ def drives(runs: int, seed: int) -> tuple[Tensor, Tensor]:
     length = BENDS.diff(dim=0).norm(dim=-1)
     way = torch.arange(0, float(length.sum()), SPEED, **LIKE)
     part = torch.searchsorted(length.cumsum(0), way)
-    ahead = (BENDS.diff(dim=0) / length.unsqueeze(-1))[part]
-    middle = BENDS[part] + (way - (length.cumsum(0) - length)[part]).unsqueeze(-1) * ahead
-    left = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
+    along = (BENDS.diff(dim=0) / length.unsqueeze(-1))[part]
+    middle = BENDS[part] + (way - (length.cumsum(0) - length)[part]).unsqueeze(-1) * along
+    left = torch.stack([-along[:, 1], along[:, 0]], -1)
     truth = middle + LANE * torch.randn(runs, 1, 1, generator=rng, **LIKE) * left
     wild = torch.rand(truth.shape[:2], generator=rng).unsqueeze(-1) < 0.05
     return truth, truth + STD * torch.randn(truth.shape, generator=rng, **LIKE) * torch.where(wild, 10.0, 1.0)
@@ -60,8 +60,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=50, help="drives (default: 50)")
     parser.add_argument("--seed", type=int, default=0, help="of the drives (default: 0)")
-    given = parser.parse_args(arguments)
-    truth, z = drives(given.runs, given.seed)
+    options = parser.parse_args(arguments)
+    truth, z = drives(options.runs, options.seed)
     motion, gps = ConstantVelocity(2.0, continuous=True), Position(STD)
     on_road = Stacked(gps, Road(BENDS, 2 * LANE))
     spread = torch.tensor([STD, STD, SPEED, SPEED], **LIKE)

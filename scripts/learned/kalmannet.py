@@ -43,15 +43,15 @@ class KalmanNet(nn.Module):
         """Estimates ``(B, T, 3)`` for ``z (B, T, m)`` and the states ``(B, 3)`` before the first measurement."""
         dt = z.new_full((len(z),), DT)
         mean, predicted, hidden, means = start, start, z.new_zeros(len(z), UNITS), []
-        before, seen = mean, self.sensor(start)
+        before, last = mean, self.sensor(start)
         for measured in z.unbind(1):
             update, change, before = mean - predicted, mean - before, mean
             predicted = self.motion(mean, dt)
             innovation = measured - self.sensor(predicted)
-            parts = measured - seen, innovation, update, change
+            parts = measured - last, innovation, update, change
             hidden = self.memory(self.first(torch.cat([nn.functional.normalize(x, dim=-1) for x in parts], -1)), hidden)
             gain = self.gain(hidden).unflatten(-1, (3, -1))
-            mean, seen = predicted + (gain @ innovation.unsqueeze(-1)).squeeze(-1), measured
+            mean, last = predicted + (gain @ innovation.unsqueeze(-1)).squeeze(-1), measured
             means.append(mean)
         return torch.stack(means, 1)
 

@@ -43,9 +43,9 @@ def simulate(runs: int, seed: int) -> Tracks:
     place, velocity = uniform(-PLACE, PLACE, 2), speed.unsqueeze(-1) * torch.stack([heading.cos(), heading.sin()], -1)
     states = [torch.cat([place, velocity], -1)]
     for forward, aside in zip(along.unbind(-1), across.unbind(-1), strict=True):
-        ahead = velocity / velocity.norm(dim=-1, keepdim=True)
-        left = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
-        acceleration = forward.unsqueeze(-1) * ahead + aside.unsqueeze(-1) * left
+        heading_unit = velocity / velocity.norm(dim=-1, keepdim=True)
+        left = torch.stack([-heading_unit[:, 1], heading_unit[:, 0]], -1)
+        acceleration = forward.unsqueeze(-1) * heading_unit + aside.unsqueeze(-1) * left
         place, velocity = place + velocity + acceleration / 2, velocity + acceleration
         states.append(torch.cat([place, velocity], -1))
     there = torch.cat([torch.ones(runs, 1, dtype=torch.bool), lasts], 1)

@@ -110,7 +110,7 @@ SETTINGS = {
 
 
 class Tracks(NamedTuple):
-    """Simulated tracks, and what filters are told of them."""
+    """Simulated tracks, and what filters assume."""
 
     truth: Tensor
     """``(B, T, 3)`` states."""
@@ -124,8 +124,8 @@ class Tracks(NamedTuple):
         if means.shape[1] == self.truth.shape[1]:
             return means
         means = torch.cat([self.prior.mean.to(means).unsqueeze(1), means], 1)
-        ahead: Tensor = motion(means, means.new_full(means.shape[:-1], DT))
-        return ahead
+        predicted: Tensor = motion(means, means.new_full(means.shape[:-1], DT))
+        return predicted
 
 
 def rotation(angle: float) -> Tensor:
@@ -162,6 +162,6 @@ def simulate(setting: Setting, variance: float, runs: int, seed: int) -> Tracks:
     noise = torch.randn(runs, setting.steps, 3, generator=rng, dtype=torch.float64)[..., : setting.measured]
     large = torch.rand(runs, setting.steps, 1, generator=rng, dtype=torch.float64) < SHARE
     std = variance**0.5 * torch.where(large, SIZE, 1.0) if setting.outliers else variance**0.5
-    seen = path @ rotation(DEGREE).mT if setting.turned_sensor else path
-    z = sensor(seen) + std * noise
+    turned = path @ rotation(DEGREE).mT if setting.turned_sensor else path
+    z = sensor(turned) + std * noise
     return Tracks(path, z[:, :-1] if setting.published else z, prior)

@@ -65,7 +65,7 @@ def draws(runs: int, seed: int) -> tuple[Callable[..., Tensor], Callable[..., Te
 
 
 class Model(NamedTuple):
-    """What a Kalman filter is told besides its noise."""
+    """What a Kalman filter assumes besides its noise."""
 
     matrix: Callable[[Tensor], Tensor]
     """From a position ``(..., d)`` to what is measured of a state there, ``H (..., m, 2 d)``."""

@@ -105,7 +105,7 @@ def simulate(kind: Kind, runs: int, seed: int) -> Tracks:
     if kind.near:
         centre = path[..., :3].nanmean(1, keepdim=True) - path[:, :1, :3]
         path = torch.cat([path[..., :3] - centre, path[..., 3:]], -1)
-    return Tracks(path, seen(kind, path, normal(path.shape[1], 4)))
+    return Tracks(path, measured(kind, path, normal(path.shape[1], 4)))
 
 
 def log_normal(mean: float, std: Tensor, normal: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ def moved(
     return place + moved * torch.stack([chord, chord, torch.ones_like(chord)], -1), after
 
 
-def seen(kind: Kind, path: Tensor, normal: Tensor) -> Tensor:
+def measured(kind: Kind, path: Tensor, normal: Tensor) -> Tensor:
     """Measurements ``(..., 4)`` of states ``(..., 6)``, with standard normal noise of that shape."""
     place, velocity = path.chunk(2, -1)
     rate = (place * velocity).sum(-1) / place.norm(dim=-1) + DOPPLER * normal[..., 3]
@@ -161,7 +161,7 @@ def located(polar: Tensor) -> Tensor:
     return RangeBearing(1.0, dims=3).locate(polar)
 
 
-# ---------------------------------------------------------------- what filters are told
+# ---------------------------------------------------------------- what filters assume
 
 
 def direction(z: Tensor) -> Tensor:

@@ -93,8 +93,8 @@ def associations(study: Study) -> dict[str, dict[str, Any]]:
     with torch.no_grad():
         of = {name: f(tracks.z, tracks.prior, dt=study.scenario.dt).info.association[0]
               for name, f in study.filters.items()}  # fmt: skip
-    doubt = torch.special.entr(list(of.values())[-1]).sum((0, -1))
-    shown = sorted(doubt.argsort(descending=True)[:SCANS_SHOWN].tolist())
+    entropy = torch.special.entr(list(of.values())[-1]).sum((0, -1))
+    shown = sorted(entropy.argsort(descending=True)[:SCANS_SHOWN].tolist())
     return {name: {str(k + 1): each[:, k].tolist() for k in shown} for name, each in of.items()}
 
 

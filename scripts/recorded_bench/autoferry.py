@@ -1,4 +1,4 @@
-"""Boats in a harbour, measured from a ferry by radar and lidar, among land, buoys and boats that nobody has a truth of.
+"""Boats in a harbour, measured from a ferry by radar and lidar, among land, buoys and boats without a truth.
 
 A recording is NAME_detections.json with NAME_groundTruth.json beside it, gzipped or not: lists of as many entries.  A
 detection has ``sensorID`` (1 lidar, 2 radar; cameras are not used), ``time`` (s), ``ownshipPosition`` (north and east,

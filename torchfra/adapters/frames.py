@@ -48,10 +48,10 @@ def estimates(estimate: Estimate, motion: Motion, time: Any = None) -> pd.DataFr
     if estimate.mean.dim() != 2:
         raise ValueError(f"estimate: expected one track (T, n), received {tuple(estimate.mean.shape)}")
     std = estimate.scale_tril.square().sum(-1).sqrt()
-    held = {name: estimate.mean[:, i] for i, name in enumerate(motion.components)}
-    held |= {f"std_{name}": std[:, i] for i, name in enumerate(motion.components)} | {"nis": estimate.nis}
+    columns = {name: estimate.mean[:, i] for i, name in enumerate(motion.components)}
+    columns |= {f"std_{name}": std[:, i] for i, name in enumerate(motion.components)} | {"nis": estimate.nis}
     index = None if time is None else pd.Index(time, name="time")
-    return pd.DataFrame({name: x.detach().numpy() for name, x in held.items()}, index=index)
+    return pd.DataFrame({name: x.detach().numpy() for name, x in columns.items()}, index=index)
 
 
 def measurements(

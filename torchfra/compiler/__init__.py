@@ -1,6 +1,6 @@
 """From a filter's step to machine code: ``README.md`` beside this file begins with a page that says how.
 
-- A filter: ``engine`` is what it holds once it is compiled, ``background`` what it holds if it does not wait for that;
+- A filter: ``engine`` has what it holds once it is compiled, and what it holds if it does not wait for that;
   ``version`` the filter as it is now, ``traced`` and ``backward`` what is traced of it; ``ready`` calls of a form that
   is known; ``one_operation`` what ``torch.compile`` sees; ``export`` for use without torch.
 - Trace: ``step`` (backwards too), ``tangents`` (derivatives forwards), ``boundary`` (what comes before the first step

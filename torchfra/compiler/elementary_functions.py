@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from torchfra.compiler.instructions import Code, Integer, Lanes, Number, Truth, phi
+from torchfra.compiler.instructions import Code, Lanes, Number, phi
 
 
 def applied(code: Code, name: str, args: Sequence[str]) -> str:
@@ -173,84 +173,18 @@ def _atan2(y: Number, x: Number) -> Number:
     s = t * t
     octant = (t + t * s * _polynomial(s, _ARC)) + beyond.choose(quarter, 0.0)
     quadrant = steep.choose(2 * quarter - octant, octant)
-    return _signed_as(x.integer().negative().choose(4 * quarter - quadrant, quadrant), y)
+    behind = _signed_as(code.number(1.0), x) < 0.0  # of x = -0 too
+    return _signed_as(behind.choose(4 * quarter - quadrant, quadrant), y)
 
 
-def _split(code: Code) -> tuple[int, float, float, float]:
-    """Binary digits behind the first, ln(2) in two parts, and a number that rounds what is added to it.
-
-    Integer multiples of the first part are exact; what is rounded is in the last bits of the sum.
-    """
-    if code.lanes.bits == 64:
-        return 52, float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33"), 1.5 * 2.0**52
-    return 23, float.fromhex("0x1.62e4p-1"), float.fromhex("0x1.7f7d1cf79abcap-20"), 1.5 * 2.0**23
+_WRITTEN: dict[str, Callable[..., Number]] = {"max": _largest, "min": _smallest, "norm": _norm, "atan2": _atan2}
+SHARED = "atan2"
+"""The function of many instructions that a long step calls: written once for all of its uses."""
 
 
-def _exp(x: Number) -> Number:
-    """To a rounding: a power of two times a Taylor polynomial within ln(2) / 2, off by 5e-18 at most."""
-    code = x.code
-    digits, high, low, rounder = _split(code)
-    smallest, largest = (-746.0, 710.0) if code.lanes.bits == 64 else (-104.0, 89.0)  # beyond: 0 or infinite
-    a = (x < smallest).choose(smallest, x)
-    a = (a > largest).choose(largest, a)
-    shifted = a * 1.4426950408889634 + rounder
-    k = shifted - rounder
-    r = (a - k * high) - k * low
-    p = 1.0 + (r + r * r * _polynomial(r, [1 / math.factorial(n) for n in range(2, 14)]))
-    if code.lanes.registers == "avx512" and code.lanes.width > 1:
-        kind, bits = code.numbers, "i8" if code.lanes.bits == 64 else "i16"
-        name = f"llvm.x86.avx512.mask.scalef.p{'d' if code.lanes.bits == 64 else 's'}.512"
-        zero = "zeroinitializer"
-        return Number(
-            code, code.call(kind, name, (kind, p.name), (kind, k.name), (kind, zero), (bits, "-1"), ("i32", "4"))
-        )
-    power = shifted.integer() - code.number(rounder).integer()
-    half = power >> 1  # in halves: the power alone may be out of range
-
-    def of_two(exponent: Integer) -> Number:
-        return ((exponent << digits) + code.number(1.0).integer()).number()
-
-    return p * of_two(half) * of_two(power - half)
-
-
-_LOG = (
-    0.6666666666666735130, 0.3999999999940941908, 0.2857142874366239149, 0.2222219843214978396, 0.1818357216161805012,
-    0.1531383769920937332, 0.1479819860511658591,
-)  # fmt: skip
-
-
-def _log(x: Number) -> Number:
-    """To a rounding, as in FDLIBM (Sun Microsystems, 1993): exponent and fraction, and of that a rational function."""
-    code = x.code
-    digits, high, low, rounder = _split(code)
-    more, lowest = (54, 2.0**-1022) if code.lanes.bits == 64 else (25, 2.0**-126)
-    tiny = x < lowest
-    bits = tiny.choose(x * 2.0**more, x).integer()
-    exponent = (bits - code.number(0.70710678118654752).integer()) >> digits
-    k = (exponent + code.number(rounder).integer()).number() - tiny.choose(rounder + more, rounder)
-    f = (bits - (exponent << digits)).number() - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    half = 0.5 * f * f
-    p = z * _polynomial(z, _LOG)
-    found = k * high + (f - (half - (s * (half + p) + k * low)))
-    extreme = (x < 0.0).choose(math.nan, x.equals(0.0).choose(-math.inf, x))
-    usual: Truth = (x > 0.0) & (x < math.inf)
-    return usual.choose(found, extreme)
-
-
-_WRITTEN: dict[str, Callable[..., Number]] = {
-    "max": _largest, "min": _smallest, "norm": _norm, "atan2": _atan2, "exp": _exp, "log": _log,
-}  # fmt: skip
-
-SHARED = {"atan2": 2, "exp": 1, "log": 1}
-"""Functions of many instructions that a long step calls, and their arguments: written once for all of its uses."""
-
-
-def function(lanes: Lanes, name: str, of: str) -> Code:
-    """A function of ``SHARED`` by itself, to be called by ``name``."""
+def shared(lanes: Lanes, name: str) -> Code:
+    """The function ``SHARED`` by itself, to be called by ``name``."""
     numbers = lanes.of(lanes.scalar)
-    args = [f"%x{k}" for k in range(SHARED[of])]
-    code = Code(lanes, f"define internal {numbers} @{name}({', '.join(f'{numbers} {arg}' for arg in args)})")
-    code.do(f"ret {numbers} {applied(code, of, args)}")
+    code = Code(lanes, f"define internal {numbers} @{name}({numbers} %y, {numbers} %x)")
+    code.do(f"ret {numbers} {applied(code, SHARED, ('%y', '%x'))}")
     return code

@@ -1,10 +1,11 @@
-"""The engine of a compiled filter, whose step runs as one kernel over all tracks and steps."""
+"""Engines of compiled filters, whose step runs as one kernel over all tracks and steps, made at once or meanwhile."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partialmethod
 from typing import Any
 
 import torch
@@ -14,7 +15,7 @@ from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
 from torchfra.compiler.forms import hooked, late
 from torchfra.compiler.llvm import is_installed
-from torchfra.compiler.program import BUILDING, Making
+from torchfra.compiler.program import Making, building
 from torchfra.compiler.ready import Data, check_changing, form_of, is_ordinary, is_short, number, seconds_of
 from torchfra.compiler.run import has_gradient
 from torchfra.compiler.source import SCALARS
@@ -54,11 +55,10 @@ class Compiled:
         """The kernels that hold for the filter as it is; the version used last comes first."""
         if self._versions and self._versions[0].holds():
             return self._versions[0]
-        with BUILDING:
-            held = next((version for version in self._versions if version.holds()), None) or Version(f)
-            others = [version for version in self._versions if version is not held]
-            self._versions = [held, *others[: _VERSIONS - 1]]
-        return held
+        with building():
+            now = next((x for x in self._versions if x.holds()), None) or Version(f)
+            self._versions = [now, *(x for x in self._versions if x is not now)][:_VERSIONS]
+        return now
 
     @staticmethod
     def takes(z: Any) -> bool:
@@ -149,8 +149,8 @@ class Compiled:
     def _task(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Task, Data]:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
-        advance = traced.Advance(traced.keep_past if past else traced.keep, _whole(f, measurements))
-        with BUILDING:
+        advance = traced.Advance(traced.keep_past if past else traced.keep, _complete(f, measurements))
+        with building():
             return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
 
     def backward(
@@ -175,7 +175,7 @@ class Compiled:
     def _task_back(self, f: Any, back: BackwardInputs) -> tuple[Version, Task, list[Tensor]]:
         """The same as ``_task`` of a backward pass."""
         now, data, timed = self._now(f), list(back.data.values()), list(back.timed.values())
-        with BUILDING:
+        with building():
             return now, now.task(back.advance, back.state, data, timed, back), data
 
     def _make_backward(self, f: Any, task: Task, measurements: Measurements) -> None:
@@ -208,8 +208,8 @@ class Compiled:
             interpreted: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
             return interpreted
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
-        with BUILDING:
-            task = now.task(traced.Advance(function, _whole(f, measurements)), state, data, (False,) * 5)
+        with building():
+            task = now.task(traced.Advance(function, _complete(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
@@ -226,7 +226,7 @@ class Compiled:
         now = self._now(f)
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        kind = _whole(f, measurements), watched
+        kind = _complete(f, measurements), watched
         done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
@@ -242,7 +242,7 @@ class Compiled:
             f._frame(state, measurements)
             complete, watched = kind
             advance = traced.Advance(traced.watch if watched else traced.observe, complete)
-            with BUILDING:
+            with building():
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
                 task = now.steps[form] = now.task(advance, state, data, (False,) * 5)
@@ -252,7 +252,7 @@ class Compiled:
         return now.run(task, 1, state, data)
 
 
-def _whole(f: Any, measurements: Measurements) -> bool:
+def _complete(f: Any, measurements: Measurements) -> bool:
     return bool(f.scans and f.complete(measurements))
 
 
@@ -263,3 +263,76 @@ def _seconds(dt: float, dtype: torch.dtype, zero_dt: bool) -> Tensor:
     if not is_ordinary(seconds, dtype):
         check_seconds(dt, dtype, zero_dt)
     return seconds
+
+
+class InBackground:
+    """Runs a call of a new form interpreted, while a thread makes its kernels; later calls of that form run compiled.
+
+    The thread makes the same call, on copies of its arguments.  A call with gradients waits for its kernels.
+
+    Args:
+        otherwise: the engine that answers meanwhile, and runs what kernels do not take.
+    """
+
+    def __init__(self, otherwise: Any) -> None:
+        self.otherwise, self._compiled = otherwise, Compiled(otherwise)
+        self.call, self.calls = self._compiled.call, self._compiled.calls
+        self._made: dict[Hashable, Future[Any]] = {}
+
+    def __reduce__(self) -> tuple[type[InBackground], tuple[Any]]:
+        return InBackground, (self.otherwise,)  # kernels are no part of a copy
+
+    def another(self) -> InBackground:
+        """An engine of the same kind for another filter: kernels are of one."""
+        return InBackground(self.otherwise)
+
+    def _run(self, name: str, f: Any, *arguments: Any) -> Any:
+        """The result of the method of this name; see ``filters.engine.Engine``.
+
+        Raises:
+            CompileError, NotImplementedError: kernels for an earlier call like this one could not be made.
+        """
+        tensors = [*f.parameters(), *flatten(arguments)]
+        if has_gradient(tensors) or not all(Compiled.takes(x) for x in tensors if x.is_floating_point()):
+            return getattr(self._compiled, name)(f, *arguments)
+        form = name, torch.is_grad_enabled(), torch.is_inference_mode_enabled(), _kinds(arguments)
+        made = self._made.get(form)
+        if made is None:
+            made = self._made[form] = self._start(name, f, map_tensors(Tensor.clone, arguments))
+        if not made.done():
+            return getattr(self.otherwise, name)(f, *arguments)
+        made.result()
+        return getattr(self._compiled, name)(f, *arguments)
+
+    step, once = partialmethod(_run, "step"), partialmethod(_run, "once")
+    over_steps = partialmethod(_run, "over_steps")
+    forward, backward = partialmethod(_run, "forward"), partialmethod(_run, "backward")
+
+    def _start(self, name: str, f: Any, arguments: tuple[Any, ...]) -> Future[Any]:
+        """Makes a call in a thread."""
+        made: Future[Any] = Future()
+        inference, grad = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
+
+        def work() -> None:
+            try:
+                with torch.inference_mode(inference), torch.set_grad_enabled(grad):  # which hold for each thread alone
+                    getattr(self._compiled, name)(f, *arguments)
+            except BaseException as error:
+                made.set_exception(error)
+            else:
+                made.set_result(None)
+
+        Making(target=work).start()
+        return made
+
+
+def _kinds(x: Any) -> Hashable:
+    """What kernels depend on; of numbers and tensors not the values."""
+    if isinstance(x, Tensor):
+        return x.dtype, x.device, x.dim(), x.dim() == 0 or x.shape[:-1].numel() == 1
+    if isinstance(x, tuple):
+        return type(x), tuple(map(_kinds, x))
+    if x is None or isinstance(x, bool) or callable(x):
+        itself: Hashable = x
+        return itself
+    return str(type(x))

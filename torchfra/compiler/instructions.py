@@ -182,13 +182,10 @@ class Code:
 
     def truth(self, number: str, value: bool = True) -> str:
         """Truth values: whether a number in a place, of which all bits or none are set, stands for this value."""
-        integer, zero = self.new(f"bitcast {self.numbers} {number} to {self.integers}"), self.zero
-        return self.new(f"icmp {'ne' if value else 'eq'} {self.integers} {integer}, {zero}")
-
-    @property
-    def zero(self) -> str:
-        """The whole number 0 in each lane."""
-        return "0" if self.lanes.width == 1 else "zeroinitializer"
+        integer = self.new(f"bitcast {self.numbers} {number} to {self.integers}")
+        return self.new(
+            f"icmp {'ne' if value else 'eq'} {self.integers} {integer}, {self.every(f'i{self.lanes.bits}', '0')}"
+        )
 
     def any(self, truth: str) -> str:
         """Whether it holds in a lane."""
@@ -263,10 +260,6 @@ class Number:
         """Truth values of a comparison of LLVM."""
         return Truth(self.code, self.code.new(f"fcmp {how} {self.code.numbers} {self.name}, {self._of(other)}"))
 
-    def integer(self) -> Integer:
-        """Its bits."""
-        return Integer(self.code, self.code.new(f"bitcast {self.code.numbers} {self.name} to {self.code.integers}"))
-
 
 class Truth:
     """A truth value in each lane."""
@@ -291,44 +284,6 @@ class Truth:
         code, kind = self.code, self.code.numbers
         names = [x.name if isinstance(x, Number) else code.constant(x) for x in (yes, no)]
         return Number(code, code.new(f"select {code.truths} {self.name}, {kind} {names[0]}, {kind} {names[1]}"))
-
-
-class Integer:
-    """A whole number in each lane, of as many bits as a number."""
-
-    def __init__(self, code: Code, name: str) -> None:
-        self.code, self.name = code, name
-
-    def _with(self, op: str, other: Integer | int) -> Integer:
-        code = self.code
-        value = other.name if isinstance(other, Integer) else code.every(f"i{code.lanes.bits}", str(other))
-        return Integer(code, code.new(f"{op} {code.integers} {self.name}, {value}"))
-
-    def __add__(self, other: Integer | int) -> Integer:
-        return self._with("add", other)
-
-    def __sub__(self, other: Integer | int) -> Integer:
-        return self._with("sub", other)
-
-    def __and__(self, other: Integer | int) -> Integer:
-        return self._with("and", other)
-
-    def __or__(self, other: Integer | int) -> Integer:
-        return self._with("or", other)
-
-    def __lshift__(self, bits: int) -> Integer:
-        return self._with("shl", bits)
-
-    def __rshift__(self, bits: int) -> Integer:
-        return self._with("ashr", bits)
-
-    def negative(self) -> Truth:
-        """Truth values: whether it is below 0."""
-        return Truth(self.code, self.code.new(f"icmp slt {self.code.integers} {self.name}, {self.code.zero}"))
-
-    def number(self) -> Number:
-        """The number whose bits these are."""
-        return Number(self.code, self.code.new(f"bitcast {self.code.integers} {self.name} to {self.code.numbers}"))
 
 
 def phi(code: Code, type: str, incoming: Sequence[tuple[str, str]]) -> str:

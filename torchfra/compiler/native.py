@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from torchfra.compiler.elementary_functions import SHARED, applied, function
+from torchfra.compiler.elementary_functions import SHARED, applied, shared
 from torchfra.compiler.expressions import Expressions, Routine
 from torchfra.compiler.gathering import gathered
 from torchfra.compiler.instructions import Code, Lanes
@@ -22,8 +22,8 @@ _LAST, _END = ("%s", "%out", "%at"), ("%s", "%left", "%out", "%at")
 _OPERATORS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq"}
 _LONG = 20_000
-"""Expressions from which on a step calls the functions of ``SHARED``, where a shorter one has them written out: LLVM
-then takes three quarters of the time, and a step 1.02 to 1.04 times as long."""
+"""Expressions from which on a step calls the function ``SHARED``, where a shorter one has it written out: LLVM then
+takes less time, and a step hardly more."""
 
 
 class Native:
@@ -42,7 +42,7 @@ class Native:
         self._book, self._frame = self.plan.book, self.plan.frame
         self.declared: set[str] = set()
         self.texts: list[str] = []
-        self._called = set[str]() if len(loop.live) > _LONG else None
+        self._is_long = len(loop.live) > _LONG
         self._write()
 
     @property
@@ -73,16 +73,14 @@ class Native:
 
     def applied(self, code: Code, op: str, args: Sequence[str]) -> str:
         """The value of a function of numbers: written out, or in a long step called."""
-        if self._called is None or op not in SHARED:
+        if op != SHARED or not self._is_long:
             return applied(code, op, args)
-        name = f"{self._name}one_{op}"
-        if op not in self._called:
-            self._called.add(op)
-            self._done(function(self.lanes, name, op))
-        return code.call(code.numbers, name, *((code.numbers, arg) for arg in args))
+        return code.call(code.numbers, f"{self._name}one_{op}", *((code.numbers, arg) for arg in args))
 
     def _write(self) -> None:
         plan = self.plan
+        if self._is_long:
+            self._done(shared(self.lanes, f"{self._name}one_{SHARED}"))
         for routine in called_by(self._book, self._loop.live):
             self._routine(routine)
         self._ordered("begin", _BEGIN, plan.begin())

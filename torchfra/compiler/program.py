@@ -6,7 +6,8 @@ import gc
 import os
 import threading
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -16,35 +17,25 @@ from torchfra.compiler import cuda, jit
 from torchfra.compiler.pages import PAST, maker, rows_of_tracks
 from torchfra.compiler.source import Port, Scan
 
+_LOCK = threading.RLock()
 
-class Building:
-    """A lock that the same thread may take several times, while Python looks for no unreachable cycles.
 
-    Of the millions of objects that tracing makes nearly all stay: to look at them again and again takes a fifth of it.
+@contextmanager
+def building() -> Iterator[None]:
+    """Holds a lock while caches of kernels are looked up and filled: threads that need the same kernels make them once.
+
+    Meanwhile Python looks for no unreachable cycles: of the millions of objects that tracing makes nearly all stay, and
+    to look at them again and again takes a fifth of it.  Tracing itself needs no lock: every trace has its own copy of
+    the module.
     """
-
-    def __init__(self) -> None:
-        self._lock, self._depth, self._collects = threading.RLock(), 0, False
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-        if self._depth == 0:
-            self._collects = gc.isenabled()
-            gc.disable()
-        self._depth += 1
-
-    def __exit__(self, *error: object) -> None:
-        self._depth -= 1
-        if self._depth == 0 and self._collects:
-            gc.enable()
-        self._lock.release()
-
-
-BUILDING = Building()
-"""Held while caches of kernels are looked up and filled: threads that need the same kernels make them once.
-
-Tracing itself needs no lock: every trace has its own copy of the module.
-"""
+    with _LOCK:
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            yield
+        finally:
+            if collects:
+                gc.enable()
 
 
 class Making(threading.Thread):
@@ -90,7 +81,7 @@ class Program:
     ) -> None:  # fmt: skip
         self._dtype, self._device = scan.dtype, device
         self._reads, self._timed, self._writes = scan.carry + scan.reads, scan.writes, scan.after + scan.writes
-        with BUILDING:
+        with building():
             source = scan.cuda() if device.type == "cuda" else scan.source(narrow)
         written()
         # Outside: several filters compile at the same time.

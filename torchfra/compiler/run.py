@@ -17,7 +17,7 @@ from torch.autograd.function import once_differentiable
 from torchfra.compiler.boundary import Boundary, after_back, begin_back
 from torchfra.compiler.forms import savable
 from torchfra.compiler.learning import Learning
-from torchfra.compiler.program import BUILDING, Making, Program, Ready, batch_first
+from torchfra.compiler.program import Making, Program, Ready, batch_first, building
 from torchfra.compiler.source import Scan
 from torchfra.compiler.step import Step
 from torchfra.compiler.track_kernel import TrackKernel, load, track_kernel
@@ -73,7 +73,7 @@ class Kernels:
         if name not in self._programs:
             with self._making:
                 if name not in self._programs:
-                    with BUILDING, torch.inference_mode(False):
+                    with building(), torch.inference_mode(False):
                         scan = make()
                     self._programs[name] = None if scan is None else Program(scan, narrow, device, self._written)
         return self._programs[name]
@@ -114,7 +114,7 @@ class Kernels:
             NotImplementedError: kernels cannot do it.
         """
         with self._making_around:
-            with BUILDING, torch.inference_mode(False):
+            with building(), torch.inference_mode(False):
                 made = self._boundary = self._boundary or Boundary(self.step)
             if learns not in self._track_functions:
                 self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)

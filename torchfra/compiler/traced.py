@@ -29,7 +29,7 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
         return f.with_memory_of(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
     if like is None or type(like) is type(state):
         return state
-    return type(like)(state, *(Entries.inputs(book, tuple(targets), dtype) for _ in like[1:]))
+    return type(like)(state, *(x if x is None else Entries.inputs(book, tuple(targets), dtype) for x in like[1:]))
 
 
 @dataclass(frozen=True)

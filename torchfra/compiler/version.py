@@ -141,7 +141,7 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()))
+        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()), tuple(map(type, state)))
         if key not in self.kernels:
             begin = back.begin if back else partial(traced.begin, targets=targets, like=state)
             with torch.inference_mode(False):  # in which torch does not take operations apart
@@ -220,10 +220,10 @@ class Version:
         count = len(task.kernels.step.zero)
         full = self.full(task, [*flatten(state), *(x for x in data if x is not None), *self._read_for(back)])
         state, record = task.kernels.run(task.batch, steps, full[:count], full[count:], *options)
-        return state, map_tensors(_whole, record, task.kernels.step.record) if task.counts else record
+        return state, map_tensors(_as_count, record, task.kernels.step.record) if task.counts else record
 
 
-def _whole(x: Tensor, like: Tensor) -> Tensor:
+def _as_count(x: Tensor, like: Tensor) -> Tensor:
     """A count, which kernels hold as a floating point number, as the whole number that it is."""
     return x if like.is_floating_point() else x.to(like.dtype)
 

@@ -560,8 +560,7 @@ class Filter(nn.Module, Generic[S]):
         if args or options:
             super().compile(*args, **options)
         else:
-            from torchfra.compiler.background import InBackground
-            from torchfra.compiler.engine import Compiled
+            from torchfra.compiler.engine import Compiled, InBackground
             from torchfra.compiler.llvm import is_installed, missing
 
             if not is_installed():

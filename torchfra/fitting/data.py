@@ -103,12 +103,12 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
         ValueError: data of no known form, shapes that do not fit, or no prior where the sensor does not locate targets.
     """
     if isinstance(data, Scenario):
-        return _whole(f, {**data.simulate(runs, seed)._asdict(), "dt": data.dt})
+        return _as_batch(f, {**data.simulate(runs, seed)._asdict(), "dt": data.dt})
     if callable(data) and not isinstance(data, DataLoader):
         takes_runs = len(inspect.signature(data).parameters) > 1
         data = data(seed, runs) if takes_runs else data(seed)
     if isinstance(data, Tensor | np.ndarray | Mapping | Tracks):
-        return _whole(f, _fields(data))
+        return _as_batch(f, _fields(data))
     if isinstance(data, Dataset) and hasattr(data, "__len__"):
         data = [data[i] for i in range(len(data))]
     if not isinstance(data, Iterable):
@@ -120,7 +120,7 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
     if not items:
         raise ValueError("data: expected one track or more, received none")
     rank = 3 + f.scans
-    return _whole(f, _joined([_fields(item) for item in items], rank))
+    return _as_batch(f, _joined([_fields(item) for item in items], rank))
 
 
 def _fields(item: Any) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
         raise ValueError(f"z: expected measurements of one size in all items, received {received}")
     longest = max(part["z"].shape[1] for part in parts)
     fills = {"z": math.nan, "truth": math.nan, "dt": 1.0, "u": 0.0}
-    whole: dict[str, Any] = {
+    joined: dict[str, Any] = {
         name: torch.cat(
             [lengthened(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts]
         )
@@ -159,8 +159,8 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
         if name in parts[0]
     }
     if "mean" in parts[0]:
-        whole["prior"] = Gaussian(*(torch.cat([part[name] for part in parts]) for name in ("mean", "root")))
-    return whole
+        joined["prior"] = Gaussian(*(torch.cat([part[name] for part in parts]) for name in ("mean", "root")))
+    return joined
 
 
 def _batched(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
@@ -226,16 +226,16 @@ def _recorded(f: Filter, recordings: list[Recording]) -> Batch:
         raise ValueError(f"data: expected recordings of {size} dimensions, as the sensor has, received fewer")
     cut = [steps_of(recording) for recording in recordings]
     z, dt, _ = padded([steps._replace(raw=steps.raw[:, :size], std=steps.std[:, :size]) for steps in cut])
-    return _whole(f, {"z": z, "dt": dt})
+    return _as_batch(f, {"z": z, "dt": dt})
 
 
-def _whole(f: Filter, given: dict[str, Any]) -> Batch:
+def _as_batch(f: Filter, fields: dict[str, Any]) -> Batch:
     """The batch of tensors, all with tracks first.
 
     Raises:
         ValueError: a shape that does not fit, or no prior where the sensor does not locate targets.
     """
-    z = torch.as_tensor(given["z"]).to(next(chain(f.parameters(), f.buffers())).device)
+    z = torch.as_tensor(fields["z"]).to(next(chain(f.parameters(), f.buffers())).device)
     rank = 3 + f.scans
     if z.dim() != rank or z.shape[-1] != f.sensor.size or not z.is_floating_point():
         letters = f"(N, T, J, {f.sensor.size})" if f.scans else f"(N, T, {f.sensor.size})"
@@ -243,22 +243,22 @@ def _whole(f: Filter, given: dict[str, Any]) -> Batch:
     count, steps = z.shape[:2]
     if not count:
         raise ValueError("data: expected one track or more, received none")
-    if isinstance(given.get("dt"), str):
-        raise ValueError(f"dt: expected seconds, received {given['dt']!r}")
-    dt = torch.as_tensor(given.get("dt", 1.0), dtype=z.dtype, device=z.device)
+    if isinstance(fields.get("dt"), str):
+        raise ValueError(f"dt: expected seconds, received {fields['dt']!r}")
+    dt = torch.as_tensor(fields.get("dt", 1.0), dtype=z.dtype, device=z.device)
     dt = _expanded("dt", dt, (count, steps)).contiguous()
-    u, truth = given.get("u"), given.get("truth")
+    u, truth = fields.get("u"), fields.get("truth")
     u = None if u is None else _expanded("u", torch.as_tensor(u).to(z), (count, steps, -1))
     truth = None if truth is None else torch.as_tensor(truth).to(z)
     if truth is not None and (len(truth), truth.shape[1 + f.scans]) != (count, steps):
         raise ValueError(f"truth: expected {count} tracks of {steps} steps, received {tuple(truth.shape)}")
     if truth is not None and bool(truth.isnan().all()):
         truth = None
-    if "prior" not in given:
+    if "prior" not in fields:
         if f.scans:
             raise ValueError("prior: expected one belief per target and track of scans, received none")
         return _started(f, z, dt, u, truth)
-    mean, root = (x.to(z) for x in _belief(given["prior"]))
+    mean, root = (x.to(z) for x in _belief(fields["prior"]))
     if mean.dim() > 1 + f.scans and len(mean) not in (1, count):
         raise ValueError(f"prior: expected one, or one for each of {count} tracks, received {len(mean)}")
     mean = mean.expand(count, *mean.shape[mean.dim() - 1 - f.scans :])

@@ -73,7 +73,7 @@ class Descent:
         return self.iteration >= self.iterations or unimproved >= self.patience
 
     @property
-    def ahead(self) -> range:
+    def remaining(self) -> range:
         """The iterations that are left."""
         return range(self.iteration, self.iterations)
 
@@ -81,7 +81,7 @@ class Descent:
         """Iterates until it is done; the row of each iteration.
 
         Args:
-            bar: ``ahead``, behind a progress bar or not.
+            bar: ``remaining``, behind a progress bar or not.
         """
         for _ in bar:
             if self.done:

@@ -78,7 +78,7 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
 
     Source: van der Vaart (1998), "Asymptotic Statistics", theorem 5.23; White (1982), Econometrica 50.
     """
-    hessian, scores = curvature.hessian[0, 0], curvature.scores[0, 0]
+    hessian, scores = curvature.hessian[0], curvature.scores[0]
     eigenvalues, axes = torch.linalg.eigh(hessian.nan_to_num())
     if bool(hessian.isfinite().all()) and bool(eigenvalues[0] > 1e-12 * eigenvalues[-1].clamp_min(1e-300)):
         inverse = torch.linalg.inv(hessian)
@@ -93,7 +93,7 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     low, high = vector.intervals(raw, covariance)
     return Certainty(
         covariance, vector.errors(raw, covariance), low, high, (2 * reach < WIDEST).tolist(), condition,
-        _words(vector, axes[:, 0], inner), float(curvature.gradient_size[0, 0]),
+        _words(vector, axes[:, 0], inner), float(curvature.gradient_size[0]),
         float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
     )  # fmt: skip
 
@@ -170,16 +170,16 @@ def profile(
     error = certainty.covariance[i, i].sqrt()
     if not bool(error.isfinite()):
         raise ValueError(f"name: expected a value with a standard error, received {name}")
-    fixed = raw.repeat(points, 1, 1)
-    fixed[:, 0, i] += error * torch.linspace(-reach, reach, points, dtype=raw.dtype)
+    fixed = raw.repeat(points, 1)
+    fixed[:, i] += error * torch.linspace(-reach, reach, points, dtype=raw.dtype)
     others = sums.directions[:, sums.directions[i] == 0]
-    least = sums.losses(raw[None, None])[0, 0]
+    least = sums.losses(raw[None])
     if others.shape[1]:
         fixed, curvature = minimised(Sums(sums.objective, sums.batch, others), fixed)
-        growth = curvature.loss[:, 0] - least
+        growth = curvature.loss - least
     else:
-        growth = sums.losses(fixed)[:, 0] - least
-    return Profile(name, vector.natural(fixed[:, 0])[:, i].tolist(), growth.tolist())
+        growth = sums.losses(fixed) - least
+    return Profile(name, vector.natural(fixed)[:, i].tolist(), growth.tolist())
 
 
 def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
@@ -202,9 +202,9 @@ def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
     drawn = torch.randint(count, (resamples, count), generator=generator)
     weights = torch.zeros(resamples, count, dtype=torch.float64).scatter_add(1, drawn, torch.ones_like(drawn).double())
     again = Sums(sums.objective, sums.batch, sums.directions, weights=weights)
-    found, _ = minimised(again, raw.repeat(resamples, 1, 1))
+    found, _ = minimised(again, raw.repeat(resamples, 1))
     vector = sums.objective.vector
-    natural = vector.natural(found[:, 0])
+    natural = vector.natural(found)
     low, high = natural.quantile(torch.tensor([0.025, 0.975], dtype=natural.dtype), dim=0).tolist()
     errors = natural.std(0).tolist()
     return Bootstrap(

@@ -108,12 +108,12 @@ def fit(
     descent = Descent(learner, learner.values, learner.validation(), asdict(settings) | same)
     if path is not None and resume:
         descent.resume(path, "fit")
-    for row in descent.run(progress_bar(descent.ahead, "fit", not quiet)):
+    for row in descent.run(progress_bar(descent.remaining, "fit", not quiet)):
         if path is not None and "validation" in row and distributed.rank() == 0:
             descent.save(path)
     best = descent.best["raw"][int(descent.scores.argmin())]
     sums, raw, more = _polished(Sums(objective, train.to(torch.float64), vector.directions), best, valid, settings)
-    known = certainty(vector, raw, sums.curvature(raw[None, None]), settings.errors)
+    known = certainty(vector, raw, sums.curvature(raw[None]), settings.errors)
     vector.store(raw)
     f.requires_grad_(False)
     held = _judged(own := FitTracks(objective, sums, test), start, raw, settings.seed)
@@ -165,11 +165,11 @@ def _polished(sums: Sums, best: Tensor, valid: Batch, settings: Settings) -> tup
     """Tracks whose losses are not chaotic, the values where the sum of their losses is least, and notes on both."""
     raw, count = best, len(sums.batch.z)
     for again in (False, True):
-        regular = sums.not_chaotic(raw[None, None])
+        regular = sums.not_chaotic(raw[None])
         if again and bool(regular.all()):
             break  # the least sum of the same tracks is known
         sums = Sums(sums.objective, sums.batch.rows(regular), sums.directions)
-        raw = minimised(sums, best[None, None])[0][0, 0] if settings.polish else best
+        raw = minimised(sums, best[None])[0][0] if settings.polish else best
     chaotic = count - len(sums.batch.z)
     notes = (
         [f"{chaotic} tracks whose loss is chaotic do not count in the last steps and standard errors"]

@@ -25,57 +25,47 @@ CHAOTIC = 30.0
 
 
 class Curvature(NamedTuple):
-    """The sums over tracks of each of R problems in each of G groups, in Q directions."""
+    """The sums over tracks of each of R problems, in Q directions."""
 
     loss: Tensor
-    """``(R, G)``."""
+    """``(R,)``."""
     gradient: Tensor
-    """``(R, G, Q)``."""
+    """``(R, Q)``."""
     scores: Tensor
-    """``(R, G, Q, Q)`` of the outer products of tracks' gradients."""
+    """``(R, Q, Q)`` of the outer products of tracks' gradients."""
     hessian: Tensor
-    """``(R, G, Q, Q)``."""
+    """``(R, Q, Q)``."""
 
     @property
     def gradient_size(self) -> Tensor:
-        """``(R, G)`` size of the gradient in units of its standard errors, 0 at a minimum."""
+        """``(R,)`` size of the gradient in units of its standard errors, 0 at a minimum."""
         solved = torch.linalg.pinv(self.scores, hermitian=True) @ self.gradient.unsqueeze(-1)
         square: Tensor = (self.gradient * solved.squeeze(-1)).sum(-1)
         return square.clamp_min(0).sqrt()
 
 
 class Sums:
-    """Losses of tracks summed over groups of them.
+    """Sums of the losses of tracks.
 
     Args:
         objective: the loss of each track.
         batch: the tracks, in float64.
         directions: ``(P, Q)`` in which values may change.
-        group: ``(N,)`` to which of the G groups each track belongs, every one with values of its own; one if None.
         weights: ``(R, N)`` how often each track counts in each problem; once if None.
     """
 
-    def __init__(
-        self, objective: Objective, batch: Batch, directions: Tensor, group: Tensor | None = None,
-        weights: Tensor | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, objective: Objective, batch: Batch, directions: Tensor, weights: Tensor | None = None) -> None:
         self.objective, self.batch, self.directions, self.weights = objective, batch, directions, weights
-        self.group = torch.zeros(len(batch.z), dtype=torch.int64) if group is None else group
-        self.groups = int(self.group.max()) + 1
 
     def losses(self, raw: Tensor) -> Tensor:
-        """``(R, G)`` at ``raw (R, G, P)``; infinite where they are NaN."""
-        loss = self.objective.losses(raw[:, self.group], self.batch)
-        return self._summed(loss.unsqueeze(-1))[..., 0].nan_to_num(nan=torch.inf)
+        """``(R,)`` at ``raw (R, P)``; infinite where they are NaN."""
+        return self._summed(self.objective.losses(raw.unsqueeze(1), self.batch)).nan_to_num(nan=torch.inf)
 
     def curvature(self, raw: Tensor) -> Curvature:
-        """At ``raw (R, G, P)``, by central differences along the directions."""
+        """At ``raw (R, P)``, by central differences along the directions."""
         loss, gradient, hessians = self.of_tracks(raw)
-        scores = self._summed((gradient.unsqueeze(-1) * gradient.unsqueeze(-2)).flatten(-2), squared=True)
-        count = self.directions.shape[1]
-        hessian = self._summed(hessians.flatten(-2)).unflatten(-1, (count, count))
-        total = self._summed(loss.unsqueeze(-1))[..., 0]
-        return Curvature(total, self._summed(gradient), scores.unflatten(-1, (count, count)), hessian)
+        scores = self._summed(gradient.unsqueeze(-1) * gradient.unsqueeze(-2), squared=True)
+        return Curvature(self._summed(loss), self._summed(gradient), scores, self._summed(hessians))
 
     def of_tracks(self, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``.
@@ -84,15 +74,15 @@ class Sums:
         two, one after the other, and estimates their error.
         """
         offsets = STEP * torch.cat([torch.zeros_like(self.directions[:, :1]), self.directions, -self.directions], 1).mT
-        points = (raw.unsqueeze(1) + offsets[:, None]).flatten(0, 1)  # (R (1 + 2 Q), G, P)
-        loss, gradient = self.objective.gradients(points[:, self.group], self.batch)
+        points = (raw.unsqueeze(1) + offsets).flatten(0, 1)  # (R (1 + 2 Q), P)
+        loss, gradient = self.objective.gradients(points.unsqueeze(1), self.batch)
         count = self.directions.shape[1]
         gradient = (gradient @ self.directions).unflatten(0, (len(raw), -1))  # (R, 1 + 2 Q, N, Q)
         change = (gradient[:, 1 : count + 1] - gradient[:, count + 1 :]).movedim(1, 2) / (2 * STEP)
         return loss.unflatten(0, (len(raw), -1))[:, 0], gradient[:, 0], (change + change.mT) / 2
 
     def not_chaotic(self, raw: Tensor) -> Tensor:
-        """``(N,)`` bool: whether the curvature of each track's loss is near that of the others, at ``raw (1, G, P)``.
+        """``(N,)`` bool: whether the curvature of each track's loss is near that of the others, at ``raw (1, P)``.
 
         The loss of a track on which the filter nearly diverges can change by any amount over a tiny change of the
         values.  A few such tracks would dominate the minimum of the sum and its curvature.
@@ -104,12 +94,12 @@ class Sums:
         return regular
 
     def _summed(self, x: Tensor, squared: bool = False) -> Tensor:
-        """``(R, G, k)`` of ``x (R, N, k)``."""
+        """``(R, ...)`` of ``x (R, N, ...)``."""
         if self.weights is not None:
             many = len(x) // len(self.weights)  # line searches try several values for each problem
-            weights = self.weights.repeat_interleave(many, 0).unsqueeze(-1)
+            weights = self.weights.repeat_interleave(many, 0).reshape(*x.shape[:2], *(1,) * (x.dim() - 2))
             x = torch.where(weights > 0, x, 0.0) * (weights.square() if squared else weights)
-        return x.new_zeros(len(x), self.groups, x.shape[-1]).index_add(1, self.group, x)
+        return x.sum(1)
 
 
 def median_of_nonzero(x: Tensor, dim: int) -> Tensor:
@@ -122,13 +112,13 @@ def median_of_nonzero(x: Tensor, dim: int) -> Tensor:
 
 
 def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
-    """The values ``(R, G, P)`` of the least sums nearby, and the curvature there.
+    """The values ``(R, P)`` of the least sums nearby, and the curvature there.
 
     Directions of negative curvature are followed downhill.  A problem stays where no step lowers its sum.
 
     Args:
         sums: the losses.
-        raw: ``(R, G, P)`` where the minimisation begins.
+        raw: ``(R, P)`` where the minimisation begins.
     """
     curvature = sums.curvature(raw)
     for _ in range(ITERATIONS):
@@ -136,21 +126,19 @@ def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
         if not bool(going.any()):
             break
         steps = _steps(curvature) @ sums.directions.mT
-        lengths = raw.new_tensor(LENGTHS).reshape(-1, 1, 1)
-        tried = raw.unsqueeze(1) + lengths * steps.unsqueeze(1)  # (R, 5, G, P)
-        losses = sums.losses(tried.flatten(0, 1)).unflatten(0, (len(raw), -1))  # (R, 5, G)
+        tried = raw.unsqueeze(1) + raw.new_tensor(LENGTHS).unsqueeze(-1) * steps.unsqueeze(1)  # (R, 5, P)
+        losses = sums.losses(tried.flatten(0, 1)).unflatten(0, (len(raw), -1))  # (R, 5)
         best, which = losses.min(1)
         better = going & (best < curvature.loss)
         if not bool(better.any()):
             break
-        chosen = tried.gather(1, which[:, None, :, None].expand(-1, 1, -1, raw.shape[-1])).squeeze(1)
-        raw = torch.where(better.unsqueeze(-1), chosen, raw)
+        raw = torch.where(better.unsqueeze(-1), tried[torch.arange(len(raw)), which], raw)
         curvature = sums.curvature(raw)
     return raw, curvature
 
 
 def _steps(curvature: Curvature) -> Tensor:
-    """``(R, G, Q)`` downhill: Newton's with the sizes of the curvatures."""
+    """``(R, Q)`` downhill: Newton's with the sizes of the curvatures."""
     hessian, gradient = curvature.hessian.nan_to_num(), curvature.gradient.nan_to_num()
     curvatures, axes = torch.linalg.eigh(hessian)
     curvatures = curvatures.abs()

@@ -3,11 +3,10 @@
 ``Targets`` is a manager around ``torchfra.filters.JPDA``.  ``torchfra/targets/README.md`` shows how to use it.
 """
 
-from torchfra.targets.births import Birth, OnePoint, TwoPoint
+from torchfra.targets.births import Birth, OnePoint, PoissonBirths, TwoPoint
 from torchfra.targets.clutter_map import ClutterMap
 from torchfra.targets.manager import Targets
 from torchfra.targets.merging import Merging
-from torchfra.targets.poisson import PoissonBirths
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
 from torchfra.targets.state import TargetsEstimate, TargetsState, Track, collect
 from torchfra.targets.stitching import Stitching

@@ -76,21 +76,21 @@ def check_parts(**parts: tuple[object, type]) -> None:
 
 
 def by_sensor(
-    name: str, given: Mapping[str | None, T] | None, sensors: Collection[str], kind: Any
+    name: str, values: Mapping[str | None, T] | None, sensors: Collection[str], kind: Any
 ) -> dict[str | None, T]:
     """An argument that has values of a kind for some sensors, by their names, None for the filter's own.
 
     Raises:
         ValueError: it is no dictionary, or has a name of no sensor or a value of another kind.
     """
-    if not isinstance(given, Mapping | None):
-        raise ValueError(f"{name}: expected a dict by the name of a sensor, received {given!r}")
-    for sensor, value in (given or {}).items():
+    if not isinstance(values, Mapping | None):
+        raise ValueError(f"{name}: expected a dict by the name of a sensor, received {values!r}")
+    for sensor, value in (values or {}).items():
         if sensor is not None and sensor not in sensors:
             raise ValueError(f"{name}: expected some of {', '.join(['None', *sensors])}, received {sensor!r}")
         if not isinstance(value, kind):
             raise ValueError(f"{name}: expected a {kind.__name__} of {sensor!r}, received {type(value).__name__}")
-    return dict(given or {})
+    return dict(values or {})
 
 
 def check_scan(

@@ -266,17 +266,19 @@ class Targets(nn.Module):
         filter = self._of(sensor)
         if sensor in self.linkage:
             scan = linked(filter.sensor, scan, self.linkage[sensor])
-        state, seen = self._predicted(state, scan.dt[scene], number)
+        state, visible = self._predicted(state, scan.dt[scene], number)
         exists = self.confirmation.exists(state.track.score)
-        after, log_missed, density, association, groups = filter_scan(filter, state.filter, scene, scan, exists, seen)
+        after, log_missed, density, association, groups = filter_scan(
+            filter, state.filter, scene, scan, exists, visible
+        )
         miss = log_miss(filter.detection, filter.gate, log_missed)
-        unseen = miss if seen is None else log_unseen(miss, seen)
-        gained, own = unseen - log_missed, log_miss(self.filter.detection, self.filter.gate, log_missed)
+        miss_or_hidden = miss if visible is None else log_unseen(miss, visible)
+        gained, own = miss_or_hidden - log_missed, log_miss(self.filter.detection, self.filter.gate, log_missed)
         located, excess, mapped = _located(filter, scan), scan.z.new_zeros(scan.z.shape[:2]), None
         if self.clutter_map is not None:
             excess, explained, mapped = self._mapped(state, scan, filter, number, located, association)
             gained = gained - explained if _maps(filter) else torch.zeros_like(gained)
-        track = _aged(state.track, log_missed, density, gained, unseen / own, scan.dt[scene])
+        track = _aged(state.track, log_missed, density, gained, miss_or_hidden / own, scan.dt[scene])
         if self.visibility is not None and track.visible is not None:
             track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
         if sensor in self.views:

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from torchfra import tree
 from torchfra.association.gates import Candidates, ChiSquare, Gate
+from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
-from torchfra.filters.scans.managed import (
-    UncertainTargets,
-    predict_measurements,
-    step_scan,
-    update_targets,
-    update_uncertain,
-)
-from torchfra.gaussian.inputs import Measurements
-from torchfra.linalg.triangular import tria
+from torchfra.filters.scans.lost_tracks import inflated, log_miss, lost_inflation
+from torchfra.filters.scans.scan import JPDAState
+from torchfra.filters.scans.separate import inflated_state, step_missed
+from torchfra.filters.srckf import SRCKF
+from torchfra.gaussian.inputs import Frame, Measurements
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.sensors.base import Sensor
 from torchfra.targets.assignment import chi_square
 from torchfra.targets.clusters import Group, clusters
 from torchfra.targets.state import rows
 from torchfra.types import Gaussian
 
+S = TypeVar("S", bound=Any)
 _WIDER = 1.25
 """Factor by which the coarse gates are wider than the filter's own: they use the covariance of the predicted
 measurement to first order only."""
@@ -76,15 +76,11 @@ def filter_scan(
     with torch.no_grad():
         groups = clusters(_reach(filter, state, scene, scan), scene)
     tables = _tables(scan)
-    certain = exists is None and visible is None
-    sure = scan.z.new_ones(len(scene))
-    chances = (sure if x is None else x for x in (exists, visible))
-    everyone = state if certain else UncertainTargets(state, *chances)
-    function: Any = update_targets if certain else update_uncertain
+    everyone = UncertainTargets(state, exists, visible)
     parts, missed, density = [], [], []
     for targets, measurements in groups:
         measured = _measured(scene[targets[:, 0]], scan, *rows(tables, measurements))
-        after, (chances, evidence) = step_scan(filter, function, rows(everyone, targets), measured)
+        after, (chances, evidence) = step_scan(filter, update_targets, rows(everyone, targets), measured)
         target, number = targets.unsqueeze(-1), measurements.unsqueeze(-2)
         inside = (number >= 0).expand(*targets.shape, number.shape[-1])
         place = (target.expand_as(inside)[inside], number.expand_as(inside)[inside] % count)
@@ -94,8 +90,7 @@ def filter_scan(
         density.append(evidence.flatten())
     order = torch.cat([group.targets.flatten() for group in groups]).argsort()
     everyone = tree.map_tensors(lambda *xs: torch.cat(xs)[order], *parts)
-    state = everyone if certain else everyone.state
-    return state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
+    return everyone.state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
 
 
 def _reach(filter: JPDA, state: Any, scene: Tensor, scan: SceneScan) -> Tensor:
@@ -115,7 +110,7 @@ def _in_gates(gate: Gate, sensor: Sensor, predicted: Gaussian, scans: Tensor, sc
     Args:
         gate: the gate of the filter.
         sensor: the sensor of the scan.
-        predicted: measurements ``(N,)``, see ``filters.scans.managed.predict_measurements``.
+        predicted: measurements ``(N,)``, see ``predict_measurements``.
         scans: ``(R, J, m)``; NaN is missing.
         scene: ``(N,)`` number of each target's scene.
         heat: temperature of the gate.
@@ -174,3 +169,78 @@ def _widest(scene: Tensor, scan: SceneScan) -> Tensor | None:
         return None
     some = torch.where(scan.z.isnan(), 0.0, std).amax(-2, keepdim=True) if scan.z.shape[-2] else std.new_zeros(())
     return torch.where(some > 0, some, 1.0).expand(len(scan.z), 1, size)[scene]
+
+
+# ---------------------------------------------------------------- steps of the filter
+
+
+class UncertainTargets(NamedTuple):
+    """Targets that may not exist, or not be visible."""
+
+    state: JPDAState
+    """The state of targets that exist."""
+    exists: Tensor | None
+    """``(..., N)`` probability that each exists; None if all do."""
+    visible: Tensor | None
+    """``(..., N)`` probability that each is visible to the sensor, if it exists; None if all are."""
+
+    @property
+    def belief(self) -> Gaussian:
+        """``(..., N)``."""
+        return self.state.belief
+
+
+def step_scan(
+    f: JPDA, function: Callable[[JPDA, S, Frame], tuple[S, Any]], state: S, measurements: Measurements
+) -> tuple[S, Any]:
+    """Calls a ``function`` of this module on a checked scan ``z (C, J, m)``.
+
+    Only an interpreted step can split a scan into clusters, so a scan that is too large to sum over all its joint
+    events at once runs interpreted.
+    """
+    targets, count = state.belief.mean.shape[-2], measurements.z.shape[-2]
+    small = targets == 1 or (targets <= f.exact[0] and count <= f.exact[1])
+    return (f.engine if small else INTERPRETED).once(f, function, state, measurements)
+
+
+def update_targets(f: JPDA, targets: UncertainTargets, frame: Frame) -> tuple[UncertainTargets, tuple[Tensor, Tensor]]:
+    """The targets after a scan, the association ``(..., N, J + 1)`` and the log density ``(..., N)``: see ``JPDAInfo``.
+
+    Each state and association is conditional on existence.  A scan without any measurement misses all targets.
+    """
+    before, exists, visible = targets
+    state, record = f.advance(before, frame, exists=exists, visible=visible, count_empty=True)
+    assert record.density is not None
+    return targets._replace(state=state), (record.info.association, record.density)
+
+
+def predict_measurements(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAState, Gaussian]:
+    """The unchanged state, and the predicted measurement ``(..., N)`` of each target in the scan.
+
+    Of the scan only its noise is used.
+    """
+    inner, learned, factor = state.inner, None, None
+    if f.lost:
+        miss = log_miss(f.detection, f.gate, state.missed)
+        factor, _ = lost_inflation(state.missed, state.inflations, miss, f.lost)
+    if isinstance(f.inner, SRCKF):
+        before, _, noise = tree.insert_batch_dimension(inner)
+        prediction = f.inner.predicted(before, frame)
+        belief = (prediction if factor is None else inflated(prediction, factor)).belief
+        learned = f.inner.noise.scale(noise)
+    else:
+        before = inner if factor is None else inflated_state(f.inner, inner, factor)
+        belief = step_missed(f.inner, before, frame, f.sensor)[1].belief
+    return state, tree.remove_batch_dimension(_measurement(f.sensor, belief, frame, learned))
+
+
+def _measurement(sensor: Sensor, belief: Gaussian, frame: Frame, learned: Tensor | None) -> Gaussian:
+    """The predicted measurement ``(..., m)`` of predictions ``(..., n)``, noise included, by third-degree cubature."""
+    mean, root = belief
+    n = mean.shape[-1]
+    offsets = (n**0.5 * root).movedim(-1, 0)  # (n, ..., n)
+    points = torch.cat([mean.unsqueeze(0), mean + offsets, mean - offsets])
+    z = sensor.at_points(points, frame.u)
+    spread = sensor.difference(z[1:], z[:1]).movedim(0, -1) / (2 * n) ** 0.5  # (..., m, 2n)
+    scale = torch.ones_like(z[0]) if learned is None else learned
+    return Gaussian(z[0], tria(hstack(spread, frame.measurement_noise.colour(scale.sqrt().diag_embed()))))

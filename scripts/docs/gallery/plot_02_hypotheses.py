@@ -1,8 +1,8 @@
 """The hypotheses of one step.
 
-What ``gpb`` holds at the large innovation, the same for both aircraft: a belief if the measurement was clean, so that
-the target has moved, and one if it was an outlier, so that it has not. The next measurement decides, and smooths the
-step.
+The beliefs of ``gpb`` after the large innovation, the same for both aircraft: one if the measurement is an inlier, so
+that the target has moved, and one if it is an outlier, so that it has not. The next measurement decides, and
+smooths the step.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Robust or adaptive, as the next measurement decides.
 
 ``fra`` forks at abnormal steps; the estimate of such a step is decided one step later. Bearings of two stations,
-outliers, and a start that is 2.5 km off: errors of 200 runs, of what was known at the step and one step later.
+outliers, and a prior that is 2.5 km off: errors of 200 runs, of the provisional estimate and one step later.
 """
 
 import matplotlib.pyplot as plt

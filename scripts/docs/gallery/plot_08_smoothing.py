@@ -1,7 +1,7 @@
-"""With what came later.
+"""Smoothing.
 
 ``smooth`` estimates every step from all measurements; with ``lag=3`` from those up to three steps later. Half the
-track has no measurements for a while: a filter drifts there, a smoother is led from both sides.
+track has no measurements for a while: a filter drifts there, a smoother has measurements on both sides.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Track initiation and deletion.
 
 Aircraft among false measurements, found and followed by ``targets.Targets`` around ``jpda``.  False measurements fall
-around each aircraft's way also before it appears and after it has gone: where they are says nothing of who is there.
+around each aircraft's path also before it appears and after it has left: their places do not show which are there.
 """
 
 import matplotlib.pyplot as plt

@@ -257,12 +257,12 @@ class GPB(Filter[GPBState]):
             return None
         regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        ahead = regimes.predicted_parts(propagated, nis, self.motion.position)
+        predicted = regimes.predicted_parts(propagated, nis, self.motion.position)
         mean, root = (regimes.per_regime(x) for x in mixed)
         # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
-        rest, slope = ahead.spread[..., :-n], ahead.spread[..., -n:]
-        change = hstack(rest, slope - root, ahead.process_noise)[..., :d, :]
-        expected = Gaussian(self.motion.difference(ahead.mean, mean)[..., :d], tria(change))
+        rest, slope = predicted.spread[..., :-n], predicted.spread[..., -n:]
+        change = hstack(rest, slope - root, predicted.process_noise)[..., :d, :]
+        expected = Gaussian(self.motion.difference(predicted.mean, mean)[..., :d], tria(change))
         probability = self.outliers.same_offset_probability(
             state.outlier, relaxation, state.last.measured, frame.measured
         )

@@ -94,33 +94,8 @@ class Hypotheses(NamedTuple):
 
 
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
-    """The entries of ``x`` along an axis that have these indices.
-
-    Successive numbers are a slice and equal ones an expansion, which copy less than ``index_select``.
-    """
-    parts = []
-    for first, count, copies in _runs(which):
-        part = x.narrow(axis, first, count)
-        if copies > 1:
-            sizes = [-1] * x.dim()
-            sizes[axis] = copies
-            part = part.expand(sizes)
-        parts.append(part)
-    return parts[0] if len(parts) == 1 else torch.cat(parts, axis)
-
-
-def _runs(which: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Numbers as runs of successive ones, and of copies of one: the first, how many, and how many copies."""
-    runs: list[tuple[int, int, int]] = []
-    for k in which:
-        first, count, copies = runs[-1] if runs else (-1, 0, 0)
-        if (k, count) == (first, 1):
-            runs[-1] = first, 1, copies + 1
-        elif (k, copies) == (first + count, 1):
-            runs[-1] = first, count + 1, 1
-        else:
-            runs.append((k, 1, 1))
-    return runs
+    """The entries of ``x`` along an axis that have these indices."""
+    return x.index_select(axis, torch.tensor(which, dtype=torch.int64, device=x.device))
 
 
 def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int] = ()) -> Gaussian:
