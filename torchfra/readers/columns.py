@@ -61,6 +61,8 @@ class Head(NamedTuple):
     """Whether its numbers may have decimal commas."""
     json: bool = False
     """Whether it is JSON."""
+    word: str = ""
+    """What its targets are, where the format says it."""
 
 
 @dataclass(frozen=True)

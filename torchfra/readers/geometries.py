@@ -1,11 +1,18 @@
-"""Points as data bases write them in one cell: WKB in hexadecimal digits, and WKT, perhaps with a grid (SRID)."""
+"""Positions in one cell: "47.1,8.2", objects of JSON, and points of data bases, perhaps with a grid (SRID)."""
 
 from __future__ import annotations
 
+import json
 import re
 import struct
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from torchfra.readers.columns import Cells, Head, is_missing
+from torchfra.readers.spelling import found, places_in, plain
 
 _HEX = re.compile(r"(?:\\x)?(?P<digits>0[01](?:[0-9A-Fa-f]{2}){20,36})")
 _NUMBER = r"[+-]?[0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]+)?"
@@ -21,6 +28,10 @@ _STRETCHED = {3857, 900913, 3785}
 """Grids of maps in the web, whose metres grow with the latitude."""
 _FINEST = 1e-4
 """Degrees, of which positions without a grid have some more digits; most lie off 0, 0."""
+_PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location", "координаты"}
+"""Names of columns that may hold a latitude and a longitude."""
+_PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*(?:\([0-9]+\)\s*)?")
+"""Both in one cell, and perhaps the number of satellites in brackets."""
 
 
 class Point(NamedTuple):
@@ -92,3 +103,72 @@ def _look_like_degrees(points: Sequence[Point]) -> bool:
             "none: they may be degrees or metres"
         )
     return True
+
+
+class Together(NamedTuple):
+    """A column whose cells hold several numbers."""
+
+    column: str
+    axes: tuple[str, ...]
+    """Names of the columns that are made of it."""
+    numbers: Callable[[str], Sequence[Any] | None]
+    """Those of a cell, or texts; None where it holds something else."""
+
+
+def together_in(head: Head) -> Together | None:
+    """The column that holds a position, as "47.1,8.2", a point or an object; None where none does, or names tell it."""
+    if any(found(head.names, axis) for axis in ("latitude", "longitude", "x")):
+        return None
+    for name in head.names:
+        cells = [cell for cell in head.cells(name) if isinstance(cell, str) and not is_missing(cell)]
+        if plain(name) in _PAIRS and any(map(_PAIR.fullmatch, cells)):
+            return Together(name, ("latitude", "longitude"), _pair)
+        points = [point for cell in cells if (point := point_of(cell))]
+        if points and len(points) == len(cells) and (axes := axes_of(points)):
+            return Together(name, axes[:2] if axes[-1] in head.names else axes, _numbers_of_point)
+        objects = [one for cell in cells if (one := _object(cell))]
+        keys = list(dict.fromkeys(key for one in objects for key in one))
+        axes = tuple(f"{name}.{key}" if key in head.names else key for key in keys)
+        if objects and len(objects) == len(cells) and places_in(axes):
+            return Together(name, axes, partial(_values_of, keys))
+    return None
+
+
+def _pair(cell: str) -> Sequence[str] | None:
+    match = _PAIR.fullmatch(cell)
+    return match.groups() if match else None
+
+
+def _numbers_of_point(cell: str) -> Sequence[float] | None:
+    point = point_of(cell)
+    return point and point.numbers
+
+
+def _object(cell: str) -> dict[str, Any]:
+    """An object of JSON with the values of objects in it beside its own; empty of other text."""
+    try:
+        parsed = json.loads(cell) if cell.lstrip().startswith("{") else {}
+    except (ValueError, RecursionError):
+        return {}
+    inner = [one for one in parsed.values() if isinstance(one, dict)]
+    return {key: value for one in (parsed, *inner) for key, value in one.items() if not isinstance(value, dict)}
+
+
+def _values_of(keys: Sequence[str], cell: str) -> Sequence[Any] | None:
+    found = _object(cell)
+    return [found.get(key) for key in keys] if found else None
+
+
+def parted(cells: Cells, together: Together) -> Cells:
+    """The cells of columns, with more: those of ``together``."""
+
+    def part(cell: Any, axis: int) -> Any:
+        numbers = together.numbers(cell) if isinstance(cell, str) else None
+        return cell if numbers is None or len(numbers) <= axis else numbers[axis]  # what is something else is refused
+
+    def of(name: str) -> Sequence[Any] | NDArray[Any]:
+        if name not in together.axes:
+            return cells(name)
+        return [part(cell, together.axes.index(name)) for cell in cells(together.column)]
+
+    return of

@@ -26,6 +26,8 @@ class Sheet(NamedTuple):
     json: bool = False
     placed: bool = False
     """Whether a caller has named columns of positions among its own."""
+    word: str = ""
+    """What its targets are, where the format says it."""
 
 
 def listed(names: Iterable[str]) -> str:
