@@ -81,7 +81,9 @@ _PARTS_OF_SECONDS = {
     "ns": "ns", "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns",
 }  # fmt: skip
 """Last words of names of columns with whole seconds, and with parts of one."""
-FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords"}
+_OF_PX4 = "timestampsample"
+"""Plain name of a column beside which timestamps are microseconds since the start of an autopilot."""
+FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords", "timestep"}
 """Names of numbers of frames, which tell the time by how many a second has; the last is DeepLabCut's."""
 
 
@@ -248,7 +250,7 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
             refusals.append(error)
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
-    best = min(clocks, key=lambda clock: clock.doubt)
+    best = min(clocks, key=lambda clock: (*clock.doubt, bool({*name_words(clock.columns[-1])} & OTHER_ZONES)))
     _check_rest(best, head)
     column = best.columns[0]
     no_seconds = column in found(head.names, "date") or not len(_values(head.cells(column)))
@@ -300,6 +302,8 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
         columns = (*[year for year in head.names if plain(year) in _YEARS][:1], days[0], name)
         form = OF_THE_YEAR[3 - len(columns)]
         return Clock(columns, replace(_text_kind(form, "2024 60 3600"), joined=columns), form, len(columns) > 2)
+    if _OF_PX4 in map(plain, head.names) and plain(name) == "timestamp" and options.time is None:
+        return Clock((name,), _unit_kind("us", False), "us", False)
     if plain(name) in FRAMES:
         raise ValueError(
             f"column {name}: expected times, received numbers of frames: say how many a second has, such as "

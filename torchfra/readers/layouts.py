@@ -237,9 +237,8 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
 
 
 def _tells_some_valid(cells: Sequence[Any] | NDArray[Any]) -> bool:
-    """Whether cells are true or false, and not all false."""
-    words = {*map(word_of, cells)} - {""}
-    return words <= WORDS_OF_MARKS.keys() and any(WORDS_OF_MARKS[word] for word in words)
+    """Whether some cells are true; other words than these and false say nothing that is known."""
+    return any(WORDS_OF_MARKS.get(word) for word in {*map(word_of, cells)})
 
 
 def _parting(
@@ -342,7 +341,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     if role == "update":
         return Kind()
     if role in ("valid", *MARKS):
-        return _MARK
+        return replace(_MARK, others=role == "valid")
     if role not in _LIMITS:
         return Kind(unit=length, behind=_unit_behind(head, columns[role]))
     column, other = columns[role], columns["latitude" if role == "longitude" else "longitude"]

@@ -1,0 +1,123 @@
+"""Files as widespread programs export them are read at once, or refused with what reads them."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from torchfra.readers import read
+from torchfra.readers.datasets import open_data
+
+ROWS = 40
+
+
+def table(header, row, above=()):
+    return [*above, header, *(row(i) for i in range(ROWS))]
+
+
+def lat(i):
+    return f"{47 + i * 1.234567e-4:.7f}"
+
+
+def test_a_hint_names_the_altitude_beside_places(write):
+    lines = table("time,OSD.latitude,OSD.longitude,OSD.altitude [ft],HOME.latitude,HOME.longitude",
+                  lambda i: f"{i},{lat(i)},8.3000001,{400 + i},47.0,8.3")  # fmt: skip
+    with pytest.raises(ValueError, match=r"--lat OSD.latitude --lon OSD.longitude --alt 'OSD.altitude \[ft\]'"):
+        read(write(lines))
+
+
+def test_a_hint_takes_the_column_of_times_before_one_that_counts_rows(write):
+    lines = table("Nr,t [sec],x [pixel],y [pixel]", lambda i: f"{i},{i / 10},{3 * i},{2 * i}")
+    with pytest.raises(ValueError, match=r"--time 't \[sec\]' --x 'x \[pixel\]'"):
+        read(write(lines))
+
+
+@pytest.mark.parametrize("late", ["unknown", "DGPS"])
+def test_words_that_are_neither_true_nor_false_mark_nothing(write, late):
+    lines = table("t,x,y,valid", lambda i: f"{i},{2 * i},1.5,{late if i == 30 else 'false' if i == 20 else 'true'}")
+    (track,) = read(write(lines))
+    assert track.repairs == {"rows marked as invalid dropped": 1}
+
+
+def test_a_third_word_behind_the_first_thousand_rows_marks_nothing_either(write):
+    lines = ["t,x,y,valid", *(f"{i},{2 * i},1.5,{'no fix' if i == 1500 else 'true'}" for i in range(2000))]
+    (track,) = read(write(lines))
+    assert len(track.time) == 2000
+
+
+def test_points_without_a_grid_whose_steps_are_metres_are_refused_however_many_digits_they_have(write):
+    lines = table("t,geom", lambda i: f"{i},POINT({20.123456 + 0.3456789 * i:.7f} {30 + 0.2345678 * i:.7f})")
+    with pytest.raises(ValueError, match="they may be degrees or metres"):
+        read(write(lines))
+
+
+def test_times_in_utc_are_taken_before_local_ones(write):
+    lines = table("datetime(utc),datetime(local),latitude,longitude",
+                  lambda i: f"2024-05-06 10:31:{i:02},2024-05-06 12:31:{i:02},{lat(i)},8.3")  # fmt: skip
+    (track,) = read(write(lines))
+    assert track.source.columns["time"] == "datetime(utc)"
+
+
+def test_time_stamps_of_an_autopilot_are_microseconds(write):
+    (track,) = read(write(table("timestamp,timestamp_sample,lat,lon", lambda i: f"{i * 10**6},{i},{lat(i)},8.3")))
+    assert track.time[-1] == ROWS - 1
+
+
+@pytest.mark.parametrize(("altitude", "metres"), [(lambda i: 430 + i % 3, 2), (lambda i: 430_000 + 100 * i, 3.9)])
+def test_whole_altitudes_beside_whole_degrees_are_metres_where_they_hardly_change(write, altitude, metres):
+    lines = table("time,lat,lon,alt", lambda i: f"{i},{470000000 + 1000 * i},83000000,{altitude(i)}")
+    (track,) = read(write(lines))
+    assert np.ptp(track.position[:, 2]) == pytest.approx(metres, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("beside", "values", "unit"),
+    [("Bank,Pitch,g Load", "1,2,1.0", 0.3048), ("gameId,playId,nflId", "1,2,3", 0.9144)],
+)
+def test_units_of_some_programs_are_known(write, beside, values, unit):
+    places = "lat,lon,Altitude" if "Bank" in beside else "x,y,z"
+    lines = table(f"time,{places},{beside}", lambda i: f"{i},{47 + i / 1e4},8.3,{400 + i},{values}")
+    (track,) = read(write(lines))
+    assert track.source.unit == unit
+
+
+def test_baselines_of_rtklib_are_east_north_and_up(write):
+    def row(i):
+        return f"2024/05/06 10:31:{i:02}.000  {10 + i}.5  {20 - i}.25  1.125  1"
+
+    header = "%  GPST   e-baseline(m)  n-baseline(m)  u-baseline(m)   Q"
+    (track,) = read(write(table(header, row, ["% program : RTKPOST"]), "rover.pos"))
+    assert np.ptp(track.position[:, :2], axis=0).tolist() == [ROWS - 1, ROWS - 1]
+
+
+def test_coordinates_from_the_centre_of_the_earth_are_refused_with_the_conversion(write):
+    lines = table("time,x-ecef(m),y-ecef(m),z-ecef(m)", lambda i: f"{i},{4277000 + i},{625000 - i},{4671000 + i}")
+    with pytest.raises(ValueError, match="centre of the earth: convert them to degrees, such as by pyproj"):
+        read(write(lines))
+
+
+def test_names_with_a_unit_in_words_are_known(write):
+    (track,) = read(write(table("ts in ms;x in m;y in m", lambda i: f"{1000 * i};{2 * i}.5;1.5")))
+    assert (track.time[-1], track.position[-1, 0]) == (ROWS - 1, 2 * ROWS - 1.5)
+
+
+def test_elements_around_places_are_targets_where_nothing_names_them(write):
+    ways = "".join("<track>" + "".join(f'<point time="{i}" x="{i + 50 * k}" y="1"/>' for i in range(ROWS)) + "</track>"
+                   for k in range(2))  # fmt: skip
+    one, two = read(write(f"<tracks>{ways}</tracks>", "a.xml"))
+    assert [one.name, two.name] == ["track 1", "track 2"]
+
+
+def test_spots_of_a_microscope_need_frames_and_a_unit(write):
+    spots = "".join(f'<detection t="{i}" x="{i}.5" y="1.0" z="0.0"/>' for i in range(ROWS))
+    path = write(f'<Tracks spaceUnits="micron" frameInterval="0.5"><particle>{spots}</particle></Tracks>', "a.xml")
+    with pytest.raises(ValueError, match=r"--time frame --time-format 25fps --x 'x \(micron\)' --y 'y \(micron\)'"):
+        read(path)
+    (track,) = read(path, time="frame", time_format="2fps", x="x (micron)", y="y (micron)", units="mm")
+    assert (track.time[-1], math.dist(*track.position[:2])) == pytest.approx(((ROWS - 1) / 2, 0.001))
+
+
+def test_a_data_set_of_two_columns_for_an_id_is_explained(tmp_path):
+    with pytest.raises(ValueError, match=re.escape("id: expected one column, by which a data set is parted, received")):
+        open_data(tmp_path, id="a,b")
