@@ -121,3 +121,22 @@ def test_spots_of_a_microscope_need_frames_and_a_unit(write):
 def test_a_data_set_of_two_columns_for_an_id_is_explained(tmp_path):
     with pytest.raises(ValueError, match=re.escape("id: expected one column, by which a data set is parted, received")):
         open_data(tmp_path, id="a,b")
+
+
+WIDE = {
+    "names": table("time,Player11_x,Player11_y,Player1_x,Player1_y", lambda i: f"{i / 10},{i}.5,1,{2 * i},3"),
+    "blanks": table("Period,Frame,Time [s],Player11,,Player1,", lambda i: f"1,{i},{i / 10},{i}.5,1,{2 * i},3",
+                    [",,,Home,,Home,", ",,,11,,1,"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WIDE)
+def test_targets_side_by_side_are_refused_with_a_line_of_python_that_parts_them(write, way, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    path = write(WIDE[way])
+    with pytest.raises(ValueError, match=r"side by side, and all are read from long\.csv after") as refused:
+        read(path)
+    exec(str(refused.value).rpartition("after: ")[2], {"pandas": pytest.importorskip("pandas"), "FILE": path})
+    one, two = read("long.csv")
+    assert one.name.startswith("Player1")
+    assert {one.position[-1, 0], two.position[-1, 0]} == {ROWS - 0.5, 2 * ROWS - 2}

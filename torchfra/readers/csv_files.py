@@ -13,7 +13,7 @@ from typing import Any
 
 from torchfra.readers.bounded import Rows
 from torchfra.readers.columns import Cells, Head, is_missing, number
-from torchfra.readers.guesses import alike, looks_like
+from torchfra.readers.guesses import alike, looks_like, side_by_side
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
 from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, found, instead_of, is_header, places_in
@@ -66,6 +66,8 @@ def csv_sheet(
         if _numbered(rows, sign, options, headers):
             said.append("no header: columns by their numbers")
         beneath = _leave_out_beneath(rows, sign, options) if options else []
+        if options:
+            _check_pairs(_lines(rows.head, _BENEATH), sign, above)
         rows.start(sign)
         names = _header(rows.first(), headers)
     except csv.Error as error:
@@ -243,6 +245,21 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
     if words:
         rows.head = lines[0] + rows.head[len(lines[0]) + start :]
     return words
+
+
+def _check_pairs(lines: list[str], sign: str, above: int) -> None:
+    """Refuses headers in which every second column has no name, behind that of a target, as Metrica writes them."""
+    for row, line in enumerate(lines):
+        names = _split(line, sign)
+        times = [name for name in names if name in found(names, "time")]
+        first = names.index("") - 1 if "" in names[1:] else -1
+        blank = [name == "" for name in names[first:]]
+        if times and first > 0 and len(blank) > 3 and blank == [i % 2 == 1 for i in range(len(blank))]:
+            pairs = f"zip(t.columns[{first}::2], t.columns[{first + 1}::2])"
+            more = f", sep={sign!r}" * (sign != ",") + f", header={row + above}" * (row + above > 0)
+            raise ValueError(
+                f"expected a name for every column: there are x and y of {side_by_side(times[0], pairs, more)}"
+            )
 
 
 def _without_unit(name: str) -> str:

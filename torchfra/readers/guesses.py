@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from shlex import quote
@@ -89,7 +90,37 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
         return _ranges(asked, rest)
     target = _target(head, time, places)
     pixels = "; read mm in the results as pixels" if _is_of_pixels(next(iter(places.values()))) else ""
-    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}{pixels}"
+    several = "" if head.said else _several(time, [name for name in rest if not _is_other(name)])
+    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}{pixels}{several}"
+
+
+def side_by_side(time: str, pairs: str, more: str = "") -> str:
+    """What makes a row for each target and time of pairs of columns: a line of Python.
+
+    Args:
+        time: the column of times.
+        pairs: an expression for the pairs of columns of the table ``t``.
+        more: arguments of ``pandas.read_csv``.
+    """
+    return (
+        f"one target of several side by side, and all are read from long.csv after: t = pandas.read_csv(FILE{more}); "
+        f"pandas.concat({{a: t[[{time!r}, a, b]].set_axis([{time!r}, 'x', 'y'], axis=1) for a, b in {pairs}}}, "
+        "names=['id']).reset_index('id').to_csv('long.csv', index=False)"
+    )
+
+
+def _several(time: str, names: Sequence[str]) -> str:
+    """What to do with pairs of x and y of several targets, whose names end alike; "" where there is one pair.
+
+    Names as they stand in the file: without lines that were left out.
+    """
+    ends = Counter[tuple[str, str]]()
+    for x, y in _alike(names, "x", "y"):
+        start = next((i for i, (a, b) in enumerate(zip(x, y, strict=False)) if a != b), min(len(x), len(y)))
+        ends[x[start:], y[start:]] += 1
+    (x, y), count = max(ends.items(), key=lambda item: item[1], default=(("", ""), 0))
+    pairs = f"((n, n.removesuffix({x!r}) + {y!r}) for n in t if n.endswith({x!r}))"
+    return f"; this is {side_by_side(time, pairs)}" if count > 1 else ""
 
 
 def _with_date(time: str, names: Sequence[str], head: Head) -> str:
