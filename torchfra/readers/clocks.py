@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -314,12 +314,12 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     values = _values(some)
     if other := _counted_since_another(values, name, head):
         return _clock_of_form(name, other, head)
-    if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
+    if len(values) < len(some) and (clock := _text_clock((name,), some, head)) is not None:
         return clock
     minutes = len(some) and all(isinstance(cell, str) and _MINUTE.fullmatch(cell.strip()) for cell in some)
     for date in _dates(name, head) if minutes else []:
         together = [*filter(None, joined(head.cells, (date, name)))]
-        if date == name or (clock := _text_clock((date, name), together, _is_danish(head))) is None:
+        if date == name or (clock := _text_clock((date, name), together, head)) is None:
             continue
         if len({*map(str, head.cells(date))}) == 1 and not clock.form.endswith("%p"):
             raise ValueError(
@@ -341,12 +341,21 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     return _numeric(name, values, options)
 
 
-def _text_clock(columns: tuple[str, ...], some: Sequence[Any], day_first: bool) -> Clock | None:
-    """How texts tell the time; None where they do not."""
+def _text_clock(columns: tuple[str, ...], some: Sequence[Any], head: Head) -> Clock | None:
+    """How texts tell the time; None where they do not.  Where they leave open which is the day, further rows tell."""
+    texts = [cell for cell in some if isinstance(cell, str)]
+
+    def form_of_these(lines: Iterable[str]) -> tuple[str, str] | None:
+        return form_of([*texts, *lines], day_first=_is_danish(head))
+
     try:
-        form = form_of([cell for cell in some if isinstance(cell, str)], day_first=day_first)
-    except ValueError as error:
-        raise ValueError(f"column {columns[-1]}: {error}") from None
+        form = form_of_these(())
+    except ValueError:
+        days = {line.partition(" ")[0]: line for line in joined(head.further or head.cells, columns) if line}
+        try:
+            form = form_of_these(days.values())
+        except ValueError as error:
+            raise ValueError(f"column {columns[-1]}: {error}") from None
     if form is None:
         return None
     read, write = form
@@ -490,7 +499,7 @@ def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
     for date in _dates(clock.columns[0], head):
         columns = (date, *clock.columns)
         together = [*filter(None, joined(head.cells, columns))]
-        if date not in clock.columns and (dated := _text_clock(columns, together, _is_danish(head))):
+        if date not in clock.columns and (dated := _text_clock(columns, together, head)):
             return _ahead(dated, head)
     unread = [date for date in _dates(clock.columns[0], head) if "dat" in plain(date) and date not in clock.columns]
     text = next((cell for date in unread for cell in head.cells(date) if isinstance(cell, str) and cell.strip()), "")
@@ -517,7 +526,7 @@ def _ahead(clock: Clock, head: Head) -> Clock:
         columns = (*clock.columns, offset)
         pairs = zip(joined(head.cells, clock.columns), joined(head.cells, (offset,)), strict=True)
         if all(_OFFSET.fullmatch(ahead) for time, ahead in pairs if time or ahead):
-            return _text_clock(columns, [*filter(None, joined(head.cells, columns))], False) or clock
+            return _text_clock(columns, [*filter(None, joined(head.cells, columns))], head) or clock
     return clock
 
 

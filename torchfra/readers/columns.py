@@ -63,6 +63,8 @@ class Head(NamedTuple):
     """Whether it is JSON."""
     word: str = ""
     """What its targets are, where the format says it."""
+    further: Cells | None = None
+    """More of each column, where there are more rows."""
 
 
 @dataclass(frozen=True)

@@ -240,7 +240,7 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
 def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, Together | None]:
     """How a sheet begins, by the cells of its first rows, and which column holds positions as a whole."""
     begin = cache(lambda name: cells(name)[:HEAD])
-    head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json, sheet.word)
+    head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json, sheet.word, cells)
     together = None if sheet.placed else together_in(head)
     if together is not None:
         names = [*(name for name in sheet.names if name != together.column), *together.axes]
@@ -248,7 +248,9 @@ def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, Together | None]:
             *sheet.said,
             f"{listed(together.axes)}: {'both' if len(together.axes) == 2 else 'all'} in {together.column}",
         )
-        head = head._replace(names=names, cells=parted(head.cells, together), said=said)
+        head = head._replace(
+            names=names, cells=parted(head.cells, together), said=said, further=parted(cells, together)
+        )
     return head, together
 
 
