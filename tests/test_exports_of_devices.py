@@ -123,6 +123,32 @@ def test_a_data_set_of_two_columns_for_an_id_is_explained(tmp_path):
         open_data(tmp_path, id="a,b")
 
 
+def test_logs_of_autopilots_have_fixes_of_one_receiver_among_other_messages(write):
+    head = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+            "FMT, 130, 50, GPS, QBBIHff, TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt", "PARM, 1, SYSID, 1"]  # fmt: skip
+    rows = (f"GPS, {i}, {k}, 3, {124278000 + 1000 * i}, 2313, {lat(i)}, 8.3, 430\nATT, 1, 2"
+            for i in range(ROWS) for k in range(2))  # fmt: skip
+    (track,) = read(write([*head, *rows], "1.log"))
+    assert (len(track.time), track.time[0]) == (ROWS, 1714991460)
+
+
+def test_messages_of_receivers_of_aircraft_without_a_header_have_feet_and_targets(write):
+    day = "2024/05/06"
+    rows = (f"MSG,3,1,1,4B180{k},1,{day},10:31:{i:02}.123,{day},10:31:{i:02}.2,,{3000 + i},,,{lat(i)},8.3,,,0,0,0,0"
+            for i in range(ROWS) for k in range(2))  # fmt: skip
+    one, two = read(write(list(rows)))
+    assert (one.name, two.name, one.source.word, one.source.unit) == ("4B1800", "4B1801", "aircraft", 0.3048)
+
+
+def test_the_axis_that_is_up_in_motion_capture_is_said(write):
+    head = ["Format Version,1.23,Length Units,Meters,Coordinate Space,Global", "", ",,Drone,Drone,Drone",
+            ",,Position,Position,Position"]  # fmt: skip
+    (track,) = read(
+        write(table("Frame,Time (Seconds),X,Y,Z", lambda i: f"{i},{i / 10},{i / 9:.3f},{i % 3},1.{i}", head))
+    )
+    assert any("y is up" in note for note in track.source.notes)
+
+
 WIDE = {
     "names": table("time,Player11_x,Player11_y,Player1_x,Player1_y", lambda i: f"{i / 10},{i}.5,1,{2 * i},3"),
     "blanks": table("Period,Frame,Time [s],Player11,,Player1,", lambda i: f"1,{i},{i / 10},{i}.5,1,{2 * i},3",

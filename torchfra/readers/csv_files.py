@@ -22,6 +22,11 @@ _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spa
 _COMMENTS = ("#", "%", "//")
 """How lines begin that are for people."""
 UTF_8 = "utf-8-sig"
+_SBS = (
+    "message,transmission,session,aircraft,hex,flight,date,time,date_logged,time_logged,callsign,altitude,speed,course,"
+    "lat,lon,climb,squawk,alert,emergency,spi,on_ground\n"
+)
+"""The header of what receivers of aircraft write without one: BaseStation, on port 30003 of dump1090."""
 _GUESSED_FROM = 100
 """Rows of which it is guessed what their columns hold."""
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
@@ -58,10 +63,14 @@ def csv_sheet(
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
+    if rows.head.startswith("MSG,"):
+        rows.head = _SBS + rows.head
+    y_up = "Coordinate Space," in rows.head[: rows.head.find("\n")]
     above = _leave_out_above(rows, options) if options else 0
     sign, units = _begin(rows, options or ReadOptions())
     said = [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     said += [f"lines before the header left out: {above}"] if above else []
+    said += ["OptiTrack: y is up, unless it was told otherwise: --x X --y Z --z Y make it the height"] if y_up else []
     try:
         if _numbered(rows, sign, options, headers):
             said.append("no header: columns by their numbers")

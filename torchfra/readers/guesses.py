@@ -56,7 +56,7 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
     places = _by_names(values)
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
-    dated = [name for name, column in values.items() if column.min() > YEAR_1980]
+    dated = [name for name, column in values.items() if YEAR_1980 < column.min() < column.max()]
     newest_first = [name for name in dated if _grows(values[name][::-1])]
     growing = newest_first + [name for name, column in values.items() if _grows(column)]
     growing = [name for name in growing if not _is_other(name) and name not in places.values()]
@@ -81,11 +81,11 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
             return f"; {rows[0]} is in rows of {name}: pivot the table, so that each coordinate has a column"
     if squares := [name for name in names if cells[name] and all(_SQUARE.fullmatch(str(cell)) for cell in cells[name])]:
         return f"; {squares[0]} holds references such as {cells[squares[0]][0]}: convert them to degrees, or metres"
-    for name in names:
-        if any(isinstance(cell, list) or str(cell).lstrip().startswith(("[[", "LINESTRING")) for cell in cells[name]):
-            return f"; {name} holds several records, or places, in a cell: write a row for each time and place"
     rest = {name: column for name, column in values.items() if name != time}
     places = places or _by_degrees(rest, cells)
+    for name in names if not places else []:
+        if any(isinstance(cell, list) or str(cell).lstrip().startswith(("[[", "LINESTRING")) for cell in cells[name]):
+            return f"; {name} holds several records, or places, in a cell: write a row for each time and place"
     if not time or not places:
         return _ranges(asked, rest)
     target = _target(head, time, places)

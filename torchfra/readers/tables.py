@@ -23,7 +23,7 @@ from torchfra.readers.csv_files import UTF_8, csv_sheet
 from torchfra.readers.geometries import Together, parted, together_in
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import is_json, json_sheet
-from torchfra.readers.mixed_files import fit_sheet, gnss_sheet, is_fit_csv, is_gnss_log
+from torchfra.readers.mixed_files import fit_sheet, is_fit_csv, is_log, log_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.npy_files import is_npy, npy_sheet
 from torchfra.readers.options import ReadOptions
@@ -131,8 +131,8 @@ def read_table(
             return nmea_sheet(file, max_bytes)
         if is_fit_csv(start):
             return fit_sheet(file, max_bytes, encoding)
-        if is_gnss_log(start):
-            return gnss_sheet(file, max_bytes)
+        if is_log(start):
+            return log_sheet(file, max_bytes)
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
