@@ -33,6 +33,14 @@ def test_a_hint_takes_the_column_of_times_before_one_that_counts_rows(write):
         read(write(lines))
 
 
+def test_a_hint_names_the_target_though_a_column_numbers_the_rows(write):
+    names = ("id", "bus.id", "bus.position.latitude", "bus.position.longitude", "bus.timestamp")
+    lines = table(",".join(f"entity.{name}" for name in names), lambda i:
+                  f"e{i},bus{i % 2},{47 + i * 1e-4 + i % 2:.6f},8.3000{i % 9 + 1},{1714991460 + i // 2 * 15}")  # fmt: skip
+    with pytest.raises(ValueError, match=r"--lon entity.bus.position.longitude --id entity.bus.id"):
+        read(write(lines))
+
+
 @pytest.mark.parametrize("late", ["unknown", "DGPS"])
 def test_words_that_are_neither_true_nor_false_mark_nothing(write, late):
     lines = table("t,x,y,valid", lambda i: f"{i},{2 * i},1.5,{late if i == 30 else 'false' if i == 20 else 'true'}")

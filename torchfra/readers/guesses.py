@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
 from torchfra.readers.columns import Array, Head, is_missing, joined, number
-from torchfra.readers.identities import likely_ids, option
+from torchfra.readers.identities import counts_rows, likely_ids, option
 from torchfra.readers.spelling import NAMES, RARER_UNITS, UNITS, found, name_words, plain, unit
 from torchfra.readers.times import form_of, seconds_of
 
@@ -134,7 +134,7 @@ def _with_date(time: str, names: Sequence[str], head: Head) -> str:
 
 def _target(head: Head, time: str, places: Mapping[str, str]) -> str:
     """The option for the column that names the target of a row; "" where none is needed, or its name says it."""
-    if found(head.names, "id"):
+    if any(not counts_rows(name, head) for name in found(head.names, "id")):
         return ""
     order = _in_order(head.cells(time))
     place = np.stack([_or_missing(head.cells(name)) for name in places.values()], 1)

@@ -15,7 +15,7 @@ from torchfra.readers.clocks import Clock, clock_of
 from torchfra.readers.columns import BEHIND, Array, Head, Kind, is_missing, joined, number, numbers, word_of
 from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import cartesian, looks_like, polar
-from torchfra.readers.identities import likely_ids, option
+from torchfra.readers.identities import counts_rows, likely_ids, option
 from torchfra.readers.noises import noise_of
 from torchfra.readers.options import METRES, ReadOptions
 from torchfra.readers.placeholders import PLACEHOLDERS
@@ -26,7 +26,6 @@ from torchfra.readers.species import kind_of
 from torchfra.readers.spelling import (
     ANGLE,
     ANIMALS,
-    COUNTERS,
     DEPTHS,
     FLIGHT_LEVELS,
     MARKS,
@@ -219,7 +218,7 @@ def _word(head: Head) -> str:
 
 def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     """Columns that say which target a row is of, what else it is called, and what marks a new position."""
-    ids = [asked["id"]] if "id" in asked else [name for name in found(head.names, "id") if not _counts(name, head)]
+    ids = [asked["id"]] if "id" in asked else [name for name in found(head.names, "id") if not counts_rows(name, head)]
     calls = [name for name in found(head.names, "call") if (plain(name) == "callsign") == (word == "aircraft")]
     calls = calls if word in ("aircraft", "ship") else []
     if not ids and len(set(filter(None, _texts(head, calls)))) > 1:
@@ -257,14 +256,6 @@ def _parting(
         likely = likely_ids(head, values(clock.column), np.stack([*map(values, places)], 1), names, known)
         return tuple(option(*known, name) for name in likely)
     return ()
-
-
-def _counts(name: str, head: Head) -> bool:
-    """Whether a column numbers the rows instead of naming targets."""
-    if plain(name) not in COUNTERS:
-        return False
-    cells = _texts(head, [name])
-    return len(set(cells)) == len(cells) > 2
 
 
 def _texts(head: Head, names: Sequence[str]) -> list[str]:
