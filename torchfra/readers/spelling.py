@@ -51,7 +51,7 @@ NAMES = {
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
-                 "heightaboveellipsoid", "enhancedaltitude", "zaltitude", "wysokosc", "altitudine", "высота"),
+                 "heightaboveellipsoid", "mslaltitude", "enhancedaltitude", "zaltitude", "wysokosc", "altitudine", "высота"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "trackno", "tracknum", "targetno", "targetid",
            "objectid", "tn",
            "vesselid", "shipid", "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier",
