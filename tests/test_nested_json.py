@@ -47,6 +47,13 @@ def test_the_only_list_with_times_and_places_is_taken_however_deep(write, whole)
     assert track.position[-1, 1] == pytest.approx(19e-4 * 111_170, rel=1e-3)
 
 
+def test_fixes_of_a_phone_in_json_are_no_aircraft_with_feet(write):
+    more = [{"timestamp": fix.pop("time"), "altitude": 430.5} | fix for fix in fixes()]
+    for whole in [fix | {"horizontalAccuracy": 5} for fix in more], {"data": [{"name": "Run", "route": more}]}:
+        (track,) = read(write(json.dumps(whole), "a.json"))
+        assert (track.source.word, track.source.unit) == ("target", 1)
+
+
 def test_two_lists_of_fixes_beside_each_other_are_refused_with_what_to_do(write):
     frames = [{"wall": i, "home": fixes()[:2], "away": fixes()[:2]} for i in range(ROWS)]
     with pytest.raises(ValueError, match=r"home holds several records, or places, in a cell: write a row for each"):

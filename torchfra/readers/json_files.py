@@ -57,7 +57,7 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
     if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
         return sheet
     names, rows, cells, said = _columns(parsed)
-    return Sheet(names, [(rows, cells)] if names else [], said, json=True)
+    return Sheet(names, [(rows, cells)] if names else [], said, json=not said)
 
 
 def _parsed(content: str) -> Any:

@@ -206,7 +206,7 @@ def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tupl
 def _word(head: Head) -> str:
     """What the targets are: as the format says, or the columns; animals by their species, or else by their names."""
     names = {plain(name) for name in head.names}
-    traffic = head.json and {"timestamp", "latitude", "longitude"} <= set(head.names)
+    traffic = head.json and {"timestamp", "latitude", "longitude"} <= {*head.names} and not found(head.names, "sigma")
     word = head.word or next((word for word, columns in TARGETS.items() if names & columns), "")
     word = word or ("aircraft" if traffic else "target")
     if word not in ("animal", "target"):

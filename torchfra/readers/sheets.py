@@ -24,6 +24,7 @@ class Sheet(NamedTuple):
     said: tuple[str, ...] = ()
     commas: bool = False
     json: bool = False
+    """Whether it is JSON without lists in it."""
     placed: bool = False
     """Whether a caller has named columns of positions among its own."""
     word: str = ""
