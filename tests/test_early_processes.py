@@ -1,5 +1,6 @@
 """Processes for a large file begin to import torch before this one does; no other call starts any."""
 
+import argparse
 import gc
 import os
 import subprocess
@@ -7,7 +8,7 @@ import sys
 
 import pytest
 
-from torchfra.cli import early
+from torchfra.cli import early, track_command
 
 
 @pytest.fixture
@@ -40,11 +41,23 @@ def test_a_large_file_starts_them(started, line):
         "large.csv --jobs some",
         "large.csv --filter imm",
         "large.csv --out",
+        "large.csv --sigma some",
+        "large.csv --sigma -1",
+        "large.csv --sgima 5",
+        "large.csv large.csv",
+        "large.csv --help",
     ],
 )
 def test_no_other_line_does(started, line):
     early.start_processes(line.split())
     assert not started
+
+
+def test_all_options_of_the_command_are_known():
+    command = argparse.ArgumentParser()
+    track_command.add_to(command)
+    known = {f"--{name}" for names in early.OPTIONS.values() for name in names.split()}
+    assert known == {*command._option_string_actions} - {"-h", "--help"}
 
 
 def test_no_process_of_several_does(started, monkeypatch):

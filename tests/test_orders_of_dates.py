@@ -71,3 +71,11 @@ def test_a_date_goes_with_the_time_that_is_called_alike_and_a_date_of_zeros_is_m
     assert track.source.notes[0] == "time: FIX-date and FIX-time, %y/%m/%d %H:%M:%S"
     assert track.repairs == {"rows without time dropped": sum(i % 7 == 3 for i in range(ROWS))}
     np.testing.assert_allclose(track.time - track.time[0], 1800.0 * track.row)
+
+
+def test_rows_behind_the_first_thousand_tell_whether_the_day_is_first(write):
+    first = [f"05/06/2024 {i // 60:02}:{i % 60:02}:00,{i},0" for i in range(1200)]
+    (track,) = read(write(["time,x,y", *first, "13/06/2024 10:00:00,5,0"]))
+    assert track.source.time == "%d/%m/%Y %H:%M:%S"
+    (track,) = read(write(["time,x,y", *first, "05/13/2024 10:00:00,5,0"]))
+    assert track.source.time == "%m/%d/%Y %H:%M:%S"

@@ -57,7 +57,7 @@ def test_a_day_that_may_be_a_month_is_refused_unless_another_row_tells():
     assert form_of(["03/04/2020 12:00:00", "03/13/2020 12:00:00"])[0] == "%m/%d/%Y %H:%M:%S"
 
 
-@pytest.mark.parametrize("text", ["noon", "20200913T122640", "2020-09-13", "12:26", "1", "2020-9-1x1:00:00"])
+@pytest.mark.parametrize("text", ["noon", "2020-09-13T12", "2020-09-13", "12:26", "1", "2020-9-1x1:00:00"])
 def test_other_text_is_no_time(text):
     assert form_of([text]) is None
 
@@ -96,3 +96,25 @@ def test_the_clock_of_a_receiver_is_taken_before_that_of_a_computer(tmp_path):
     path.write_text("sys_time,gps_time,x,y\n5,100,0,0\n6,101,1,1\n7,102,2,2\n")
     (track,) = read(path)
     assert track.time.tolist() == [100, 101, 102]
+
+
+@pytest.mark.parametrize(
+    ("text", "form"),
+    [
+        ("20:15:00 19-Jul-2017", "%H:%M:%S %d-%b-%Y"),
+        ("20:15:00 2017-07-19", "%H:%M:%S %Y-%m-%d"),
+        ("20:15:00 19/07/2017", "%H:%M:%S %d/%m/%Y"),
+        ("20170719T201500Z", "%Y%m%dT%H%M%SZ"),
+        ("20170719_201500", "%Y%m%d_%H%M%S"),
+        ("2017-07-19 20:15:00.0 UTC+00:00", "%Y-%m-%d %H:%M:%S UTC+00:00"),
+    ],
+)
+def test_a_clock_before_its_date_and_digits_without_signs_are_read_and_written(text, form):
+    read, write = form_of([text, text])
+    assert write == form
+    assert seconds_of(text, read) == 1500495300
+    assert written(np.array([1500495300.0]), write) == [text.replace(":00.0 ", ":00 ")]
+
+
+def test_a_zone_behind_utc_is_ahead_of_it():
+    assert seconds_of("2024-05-06 12:00:00 UTC+02:00", "iso") == seconds_of("2024-05-06 10:00:00Z", "iso")

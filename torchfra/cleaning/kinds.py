@@ -42,6 +42,8 @@ KINDS = {
     "bird": Kind(10.0, 3.0, 30.0),
 }
 """Kinds by name.  Animals that swim or dive are marine; an animal may be of any species."""
+_OTHER_WORDS = {"marine animal": "marine", "glider": "aircraft", "drone": "aircraft"}
+"""Kinds by other words of files for targets."""
 _BY_SPEED = ("person", "vehicle", "aircraft")
 """Kinds that are chosen by speed where a file names none, the slowest first."""
 BANKS = {
@@ -93,8 +95,9 @@ def check_speeds(recordings: Sequence[Recording], name: str) -> None:
 
 def kind_of(recording: Recording) -> tuple[str, str]:
     """The name of the kind of a target, and why: as the file says, or by its speed."""
-    if recording.source.word in KINDS:
-        return recording.source.word, "as the file says"
+    word = _OTHER_WORDS.get(recording.source.word, recording.source.word)
+    if word in KINDS:
+        return word, "as the file says"
     around, turn = _speed_and_turn(recording)
     speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording), around)
     may = (name for name in _BY_SPEED if speed <= KINDS[name].fastest and turn <= KINDS[name].acceleration)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -81,7 +81,9 @@ _PARTS_OF_SECONDS = {
     "ns": "ns", "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns",
 }  # fmt: skip
 """Last words of names of columns with whole seconds, and with parts of one."""
-FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords"}
+_OF_PX4 = "timestampsample"
+"""Plain name of a column beside which timestamps are microseconds since the start of an autopilot."""
+FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords", "timestep"}
 """Names of numbers of frames, which tell the time by how many a second has; the last is DeepLabCut's."""
 
 
@@ -248,7 +250,7 @@ def clock_of(head: Head, options: ReadOptions) -> tuple[Clock, list[str]]:
             refusals.append(error)
     if not clocks:
         raise refusals[0] if refusals else LookupError("time")
-    best = min(clocks, key=lambda clock: clock.doubt)
+    best = min(clocks, key=lambda clock: (*clock.doubt, bool({*name_words(clock.columns[-1])} & OTHER_ZONES)))
     _check_rest(best, head)
     column = best.columns[0]
     no_seconds = column in found(head.names, "date") or not len(_values(head.cells(column)))
@@ -300,6 +302,8 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
         columns = (*[year for year in head.names if plain(year) in _YEARS][:1], days[0], name)
         form = OF_THE_YEAR[3 - len(columns)]
         return Clock(columns, replace(_text_kind(form, "2024 60 3600"), joined=columns), form, len(columns) > 2)
+    if _OF_PX4 in map(plain, head.names) and plain(name) == "timestamp" and options.time is None:
+        return Clock((name,), _unit_kind("us", False), "us", False)
     if plain(name) in FRAMES:
         raise ValueError(
             f"column {name}: expected times, received numbers of frames: say how many a second has, such as "
@@ -310,12 +314,12 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     values = _values(some)
     if other := _counted_since_another(values, name, head):
         return _clock_of_form(name, other, head)
-    if len(values) < len(some) and (clock := _text_clock((name,), some, _is_danish(head))) is not None:
+    if len(values) < len(some) and (clock := _text_clock((name,), some, head)) is not None:
         return clock
     minutes = len(some) and all(isinstance(cell, str) and _MINUTE.fullmatch(cell.strip()) for cell in some)
     for date in _dates(name, head) if minutes else []:
         together = [*filter(None, joined(head.cells, (date, name)))]
-        if date == name or (clock := _text_clock((date, name), together, _is_danish(head))) is None:
+        if date == name or (clock := _text_clock((date, name), together, head)) is None:
             continue
         if len({*map(str, head.cells(date))}) == 1 and not clock.form.endswith("%p"):
             raise ValueError(
@@ -337,12 +341,21 @@ def _clock(name: str, head: Head, options: ReadOptions) -> Clock:
     return _numeric(name, values, options)
 
 
-def _text_clock(columns: tuple[str, ...], some: Sequence[Any], day_first: bool) -> Clock | None:
-    """How texts tell the time; None where they do not."""
+def _text_clock(columns: tuple[str, ...], some: Sequence[Any], head: Head) -> Clock | None:
+    """How texts tell the time; None where they do not.  Where they leave open which is the day, further rows tell."""
+    texts = [cell for cell in some if isinstance(cell, str)]
+
+    def form_of_these(lines: Iterable[str]) -> tuple[str, str] | None:
+        return form_of([*texts, *lines], day_first=_is_danish(head))
+
     try:
-        form = form_of([cell for cell in some if isinstance(cell, str)], day_first=day_first)
-    except ValueError as error:
-        raise ValueError(f"column {columns[-1]}: {error}") from None
+        form = form_of_these(())
+    except ValueError:
+        days = {line.partition(" ")[0]: line for line in joined(head.further or head.cells, columns) if line}
+        try:
+            form = form_of_these(days.values())
+        except ValueError as error:
+            raise ValueError(f"column {columns[-1]}: {error}") from None
     if form is None:
         return None
     read, write = form
@@ -486,7 +499,7 @@ def _dated(clock: Clock, head: Head, options: ReadOptions) -> Clock:
     for date in _dates(clock.columns[0], head):
         columns = (date, *clock.columns)
         together = [*filter(None, joined(head.cells, columns))]
-        if date not in clock.columns and (dated := _text_clock(columns, together, _is_danish(head))):
+        if date not in clock.columns and (dated := _text_clock(columns, together, head)):
             return _ahead(dated, head)
     unread = [date for date in _dates(clock.columns[0], head) if "dat" in plain(date) and date not in clock.columns]
     text = next((cell for date in unread for cell in head.cells(date) if isinstance(cell, str) and cell.strip()), "")
@@ -513,7 +526,7 @@ def _ahead(clock: Clock, head: Head) -> Clock:
         columns = (*clock.columns, offset)
         pairs = zip(joined(head.cells, clock.columns), joined(head.cells, (offset,)), strict=True)
         if all(_OFFSET.fullmatch(ahead) for time, ahead in pairs if time or ahead):
-            return _text_clock(columns, [*filter(None, joined(head.cells, columns))], False) or clock
+            return _text_clock(columns, [*filter(None, joined(head.cells, columns))], head) or clock
     return clock
 
 

@@ -61,6 +61,10 @@ class Head(NamedTuple):
     """Whether its numbers may have decimal commas."""
     json: bool = False
     """Whether it is JSON."""
+    word: str = ""
+    """What its targets are, where the format says it."""
+    further: Cells | None = None
+    """More of each column, where there are more rows."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,8 @@ class Kind:
     """The unit behind each number, as in "154 m"."""
     words: tuple[tuple[str, float], ...] = ()
     """Of text: the words that there may be, in small letters, and the number of each."""
+    others: bool = False
+    """Whether there may be other words, which are taken as missing."""
 
 
 SECONDS = Kind(limit=1e10, advice=", which is too large for seconds: milliseconds must be divided by 1000")
@@ -208,7 +214,7 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
         return instant
     if kind.words:
-        return partial(_of_word, numbers=dict(kind.words))
+        return partial(_of_word, numbers=dict(kind.words), others=kind.others)
     if kind.behind:
         bare = _converter(replace(kind, behind=""))
         return lambda cell: bare(_without_unit(cell, kind.behind) if isinstance(cell, str) else cell)
@@ -242,12 +248,12 @@ def _without_unit(cell: str, unit: str) -> str:
     return match["number"] if match else cell
 
 
-def _of_word(cell: Any, numbers: Mapping[str, float]) -> float:
+def _of_word(cell: Any, numbers: Mapping[str, float], others: bool) -> float:
     """The number of a word; NaN if the cell is empty."""
     word = word_of(cell)
-    if word and word not in numbers:
+    if word and word not in numbers and not others:
         raise ValueError
-    return numbers[word] if word else math.nan
+    return numbers.get(word, math.nan)
 
 
 def word_of(cell: Any) -> str:

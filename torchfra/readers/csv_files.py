@@ -13,7 +13,7 @@ from typing import Any
 
 from torchfra.readers.bounded import Rows
 from torchfra.readers.columns import Cells, Head, is_missing, number
-from torchfra.readers.guesses import alike, looks_like
+from torchfra.readers.guesses import alike, looks_like, side_by_side
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.sheets import Sheet, listed, repeated
 from torchfra.readers.spelling import OTHER_UNIT, RARER_UNITS, UNITS, found, instead_of, is_header, places_in
@@ -22,6 +22,11 @@ _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spa
 _COMMENTS = ("#", "%", "//")
 """How lines begin that are for people."""
 UTF_8 = "utf-8-sig"
+_SBS = (
+    "message,transmission,session,aircraft,hex,flight,date,time,date_logged,time_logged,callsign,altitude,speed,course,"
+    "lat,lon,climb,squawk,alert,emergency,spi,on_ground\n"
+)
+"""The header of what receivers of aircraft write without one: BaseStation, on port 30003 of dump1090."""
 _GUESSED_FROM = 100
 """Rows of which it is guessed what their columns hold."""
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)")
@@ -58,14 +63,20 @@ def csv_sheet(
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
+    if rows.head.startswith("MSG,"):
+        rows.head = _SBS + rows.head
+    y_up = "Coordinate Space," in rows.head[: rows.head.find("\n")]
     above = _leave_out_above(rows, options) if options else 0
     sign, units = _begin(rows, options or ReadOptions())
     said = [] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]
     said += [f"lines before the header left out: {above}"] if above else []
+    said += ["OptiTrack: y is up, unless it was told otherwise: --x X --y Z --z Y make it the height"] if y_up else []
     try:
         if _numbered(rows, sign, options, headers):
             said.append("no header: columns by their numbers")
         beneath = _leave_out_beneath(rows, sign, options) if options else []
+        if options:
+            _check_pairs(_lines(rows.head, _BENEATH), sign, above)
         rows.start(sign)
         names = _header(rows.first(), headers)
     except csv.Error as error:
@@ -243,6 +254,21 @@ def _leave_out_beneath(rows: Rows, sign: str, options: ReadOptions) -> list[list
     if words:
         rows.head = lines[0] + rows.head[len(lines[0]) + start :]
     return words
+
+
+def _check_pairs(lines: list[str], sign: str, above: int) -> None:
+    """Refuses headers in which every second column has no name, behind that of a target, as Metrica writes them."""
+    for row, line in enumerate(lines):
+        names = _split(line, sign)
+        times = [name for name in names if name in found(names, "time")]
+        first = names.index("") - 1 if "" in names[1:] else -1
+        blank = [name == "" for name in names[first:]]
+        if times and first > 0 and len(blank) > 3 and blank == [i % 2 == 1 for i in range(len(blank))]:
+            pairs = f"zip(t.columns[{first}::2], t.columns[{first + 1}::2])"
+            more = f", sep={sign!r}" * (sign != ",") + f", header={row + above}" * (row + above > 0)
+            raise ValueError(
+                f"expected a name for every column: there are x and y of {side_by_side(times[0], pairs, more)}"
+            )
 
 
 def _without_unit(name: str) -> str:

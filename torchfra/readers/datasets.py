@@ -141,6 +141,10 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
             which target a row is of; or a column is of numbers in one file and of text in another.
         ImportError: pyarrow is not installed.
     """
+    if words.get("id") and "," in str(words["id"]):
+        raise ValueError(
+            f"id: expected one column, by which a data set is parted, received {words['id']}: write one column of both"
+        )
     pyarrow, parquet = (optional(name, "Parquet", "formats") for name in ("pyarrow", "pyarrow.parquet"))
     path = Path(path)
     files, schemas = [], []

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from shlex import quote
 from typing import Any
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from torchfra.readers.clocks import FRAMES, YEAR_1980, days_of
 from torchfra.readers.columns import Array, Head, is_missing, joined, number
-from torchfra.readers.identities import likely_ids, option
-from torchfra.readers.spelling import NAMES, found, name_words, plain, unit
+from torchfra.readers.identities import counts_rows, likely_ids, option
+from torchfra.readers.spelling import NAMES, RARER_UNITS, UNITS, found, name_words, plain, unit
 from torchfra.readers.times import form_of, seconds_of
 
 _DEGREES = re.compile(r"\s*[+-]?[0-9]{1,3}[.,][0-9]{4,}\s*")
@@ -55,12 +56,12 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     time = next((name for name in names if name not in values and _is_time(cells[name])), "")
     places = _by_names(values)
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
-    dated = [name for name, column in values.items() if column.min() > YEAR_1980]
+    dated = [name for name, column in values.items() if YEAR_1980 < column.min() < column.max()]
     newest_first = [name for name in dated if _grows(values[name][::-1])]
     growing = newest_first + [name for name, column in values.items() if _grows(column)]
     growing = [name for name in growing if not _is_other(name) and name not in places.values()]
     named = [name for name in values if {*name_words(name)} & _TIMES]
-    sure = [name for name in named if name in dated or name in growing]
+    sure = [name for name in named if name in dated or name in growing] or found(values, "time")
     time = time or next(iter(sure or likely + growing + named), "")
     asked = _with_date(time, [name for name in names if name not in values and name != time], head)
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
@@ -82,17 +83,44 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
         return f"; {squares[0]} holds references such as {cells[squares[0]][0]}: convert them to degrees, or metres"
     rest = {name: column for name, column in values.items() if name != time}
     places = places or _by_degrees(rest, cells)
-    if (
-        {*places} == {"x", "y"}
-        and (pair := alike([name for name in rest if not _is_other(name)], "x", "z"))
-        and pair[0] == places["x"]
-    ):
-        places["z"] = pair[1]
+    for name in names if not places else []:
+        if any(isinstance(cell, list) or str(cell).lstrip().startswith(("[[", "LINESTRING")) for cell in cells[name]):
+            return f"; {name} holds several records, or places, in a cell: write a row for each time and place"
     if not time or not places:
         return _ranges(asked, rest)
     target = _target(head, time, places)
     pixels = "; read mm in the results as pixels" if _is_of_pixels(next(iter(places.values()))) else ""
-    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}{pixels}"
+    several = "" if head.said else _several(time, [name for name in rest if not _is_other(name)])
+    return f"; looks like --time {quote(asked)}{form_said} {_said(places)}{target}{frames}{pixels}{several}"
+
+
+def side_by_side(time: str, pairs: str, more: str = "") -> str:
+    """What makes a row for each target and time of pairs of columns: a line of Python.
+
+    Args:
+        time: the column of times.
+        pairs: an expression for the pairs of columns of the table ``t``.
+        more: arguments of ``pandas.read_csv``.
+    """
+    return (
+        f"one target of several side by side, and all are read from long.csv after: t = pandas.read_csv(FILE{more}); "
+        f"pandas.concat({{a: t[[{time!r}, a, b]].set_axis([{time!r}, 'x', 'y'], axis=1) for a, b in {pairs}}}, "
+        "names=['id']).reset_index('id').to_csv('long.csv', index=False)"
+    )
+
+
+def _several(time: str, names: Sequence[str]) -> str:
+    """What to do with pairs of x and y of several targets, whose names end alike; "" where there is one pair.
+
+    Names as they stand in the file: without lines that were left out.
+    """
+    ends = Counter[tuple[str, str]]()
+    for x, y in _alike(names, "x", "y"):
+        start = next((i for i, (a, b) in enumerate(zip(x, y, strict=False)) if a != b), min(len(x), len(y)))
+        ends[x[start:], y[start:]] += 1
+    (x, y), count = max(ends.items(), key=lambda item: item[1], default=(("", ""), 0))
+    pairs = f"((n, n.removesuffix({x!r}) + {y!r}) for n in t if n.endswith({x!r}))"
+    return f"; this is {side_by_side(time, pairs)}" if count > 1 else ""
 
 
 def _with_date(time: str, names: Sequence[str], head: Head) -> str:
@@ -106,7 +134,7 @@ def _with_date(time: str, names: Sequence[str], head: Head) -> str:
 
 def _target(head: Head, time: str, places: Mapping[str, str]) -> str:
     """The option for the column that names the target of a row; "" where none is needed, or its name says it."""
-    if found(head.names, "id"):
+    if any(not counts_rows(name, head) for name in found(head.names, "id")):
         return ""
     order = _in_order(head.cells(time))
     place = np.stack([_or_missing(head.cells(name)) for name in places.values()], 1)
@@ -144,9 +172,13 @@ def _said(places: Mapping[str, str]) -> str:
 def _by_names(values: Collection[str]) -> dict[str, str]:
     """Two columns that names say are positions, by the options for them; none where none do."""
     names = [name for name in values if not _is_other(name)]
-    for roles, options in ((("latitude", "longitude"), ("lat", "lon")), (("x", "y"), ("x", "y"))):
-        if pair := alike(names, *roles):
-            return dict(zip(options, pair, strict=True))
+    for roles, options in (
+        (("latitude", "longitude", "altitude"), ("lat", "lon", "alt")),
+        (("x", "y", "z"), ("x", "y", "z")),
+    ):
+        if pair := alike(names, *roles[:2]):
+            heights = [height for place, height in _alike(names, roles[0], roles[2]) if place == pair[0]]
+            return dict(zip(options, [*pair, *heights[:1]], strict=False))
     return {}
 
 
@@ -192,13 +224,24 @@ def _grows(column: Array) -> bool:
 
 def alike(names: Sequence[str], one: str, other: str) -> tuple[str, str] | None:
     """Two names that differ in words for these roles alone, such as ``Local_X`` and ``Local_Y``."""
-    words = {tuple(word.removesuffix("s") for word in name_words(name)): name for name in names}
-    for several, name in words.items():
+    return next(_alike(names, one, other), None)
+
+
+def _alike(names: Sequence[str], one: str, other: str) -> Iterator[tuple[str, str]]:
+    """All such names: each with the best one for the other role."""
+    words = {_without_unit(name): name for name in reversed(names)}
+    for several, name in reversed(words.items()):
         for i in (i for i, word in enumerate(several) if word in NAMES[one]):
             pairs = ((*several[:i], word, *several[i + 1 :]) for word in NAMES[other])
             if pair := next((words[pair] for pair in pairs if pair in words), None):
-                return name, pair
-    return None
+                yield name, pair
+
+
+def _without_unit(name: str) -> tuple[str, ...]:
+    """The words of a name in the singular, without a unit at its end."""
+    words = name_words(name)
+    words = words[:-1] if len(words) > 1 and words[-1] in {*UNITS, *RARER_UNITS} else words
+    return tuple(word.removesuffix("s") for word in words)
 
 
 def polar(names: Collection[str]) -> tuple[str, str] | None:

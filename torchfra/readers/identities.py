@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.columns import Array, Head, is_missing
+from torchfra.readers.spelling import COUNTERS, plain
 
 _SEVERAL = 5
 """Least rows of a target, in the mean."""
@@ -67,6 +68,14 @@ def likely_ids(
         return clash > fewest, way > shortest, count, clash
 
     return tuple(sorted(better, key=rank))
+
+
+def counts_rows(name: str, head: Head) -> bool:
+    """Whether a column numbers the rows instead of naming targets."""
+    if plain(name) not in COUNTERS:
+        return False
+    cells = [str(cell).strip() for cell in head.cells(name) if cell is not None and not isinstance(cell, list | dict)]
+    return len({*cells}) == len(cells) > 2
 
 
 def option(*names: str) -> str:

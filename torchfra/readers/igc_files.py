@@ -53,7 +53,8 @@ def igc_sheet(file: Any, max_bytes: int, encoding: str) -> Sheet:
     by_gnss = [int(fix[11]) if fix[9] == "A" else None for fix in fixes]
     columns["altitude"] = by_gnss if any(by_gnss) else [int(fix[10]) for fix in fixes]
     said = f"IGC: altitudes by {'GNSS' if any(by_gnss) else 'pressure'}"
-    return points_sheet(columns, (said + f"; {sum(held):,} held positions (V) left out" * any(held),))
+    sheet = points_sheet(columns, (said + f"; {sum(held):,} held positions (V) left out" * any(held),))
+    return sheet._replace(word="glider")
 
 
 def _midnight(date: str) -> float:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from typing import Any
 
 from torchfra.readers.columns import Cells, short
 from torchfra.readers.json_apps import app_sheet
 from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
-from torchfra.readers.spelling import found
+from torchfra.readers.spelling import found, is_header
 from torchfra.readers.times import seconds_of
 
 _RECORDED = re.compile(rb"[0-9TZ:.-]+\t[^\t\n]+\t\{")
@@ -55,8 +56,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return sheet
     if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
         return sheet
-    names, rows, cells = _columns(parsed)
-    return Sheet(names, [(rows, cells)] if names else [], json=True)
+    names, rows, cells, said = _columns(parsed)
+    return Sheet(names, [(rows, cells)] if names else [], said, json=not said)
 
 
 def _parsed(content: str) -> Any:
@@ -73,28 +74,72 @@ def _parsed(content: str) -> Any:
         return [record for one in several for record in (one if isinstance(one, list) else [one])]
 
 
-def _columns(parsed: Any) -> tuple[list[str], int, Cells]:
-    """Names of the columns, the number of rows, and the cells of a column by its name."""
+def _columns(parsed: Any) -> tuple[list[str], int, Cells, tuple[str, ...]]:
+    """Names of the columns, the number of rows, the cells of a column by its name, and what to say of them."""
     if isinstance(parsed, dict):
+        if inner := _inner([parsed]):
+            return _columns_of(*inner)
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
-            return list(lists), len(next(iter(lists.values()))), lists.__getitem__
+            return list(lists), len(next(iter(lists.values()))), lists.__getitem__, ()
         columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
         is_table = len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1
         records = next(iter(lists.values())) if len(lists) == 1 and not is_table else []
         if records and all(isinstance(one, dict) for one in records):
             return _columns(records)  # under one name, as "locations" of a phone
         keys = list(dict.fromkeys(key for column in columns.values() for key in column))
-        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys]
+        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys], ()
     records = parsed if isinstance(parsed, list) else [parsed]
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    records = [_parted(record) for record in _flat(records)]
+    return _columns_of(*(_inner(records) or (_flat(records), "")))
+
+
+def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int, Cells, tuple[str, ...]]:
+    """Those of records, which stand in lists of that name."""
+    records = [_parted(record) for record in records]
     names = list(dict.fromkeys(name for record in records for name in record))
-    return names, len(records), lambda name: [record.get(name) for record in records]
+    said = (f"JSON: a row for each record in {of}",) if of else ()
+    return names, len(records), lambda name: [record.get(name) for record in records], said
 
 
-def _flat(records: list[dict[str, Any]], depth: int = 2) -> list[dict[str, Any]]:
+def _inner(records: list[dict[str, Any]], depth: int = 4) -> tuple[list[dict[str, Any]], str] | None:
+    """The records in the lists of one name that alone have times and places, with what stands beside the lists.
+
+    So services answer: the targets, and the fixes of each.  None where the records have places, or no such list is
+    the only one.
+    """
+    records = _flat(records)
+    names = dict.fromkeys(name for record in records for name in record)
+    if not depth or is_header(names):
+        return None
+    likely = list[tuple[list[dict[str, Any]], str]]()
+    for name in names:
+        several = [(record, record[name]) for record in records if record.get(name)]
+        if not several or not all(
+            isinstance(one, list) and all(isinstance(i, dict) for i in one) for _, one in several
+        ):
+            continue
+        inner = [
+            {key: value for key, value in record.items() if several[1:] and not isinstance(value, list | dict)}
+            | {key if record.get(key) is None or isinstance(record[key], list | dict) else f"{name}.{key}": value
+               for key, value in one.items()}
+            for record, ones in several for one in _flat(ones)
+        ]  # fmt: skip
+        if _tells_tracks(key for _, ones in several for one in ones for key in one):
+            likely.append((_flat(inner), name))
+        elif deeper := _inner(inner, depth - 1):
+            likely.append((deeper[0], f"{name}, {deeper[1]}"))
+    return likely[0] if len(likely) == 1 else None
+
+
+def _tells_tracks(keys: Iterable[str]) -> bool:
+    """Whether names say when something was, and where."""
+    names = {*keys}
+    return is_header(names) and bool(found(names, "time"))
+
+
+def _flat(records: list[dict[str, Any]], depth: int = 4) -> list[dict[str, Any]]:
     """Records in which the values of what is an object wherever it is there have both names: ``coords.latitude``.
 
     What an object says of its type, as data bases write ``{"$numberLong": "7"}``, is no name.

@@ -15,25 +15,24 @@ from torchfra.readers.clocks import Clock, clock_of
 from torchfra.readers.columns import BEHIND, Array, Head, Kind, is_missing, joined, number, numbers, word_of
 from torchfra.readers.degrees import advice
 from torchfra.readers.guesses import cartesian, looks_like, polar
-from torchfra.readers.identities import likely_ids, option
+from torchfra.readers.identities import counts_rows, likely_ids, option
 from torchfra.readers.noises import noise_of
 from torchfra.readers.options import METRES, ReadOptions
 from torchfra.readers.placeholders import PLACEHOLDERS
 from torchfra.readers.recording import Source
 from torchfra.readers.sheets import listed
+from torchfra.readers.species import COLUMNS as OF_SPECIES
+from torchfra.readers.species import kind_of
 from torchfra.readers.spelling import (
-    AEROAPI,
-    AIRCRAFT,
     ANGLE,
     ANIMALS,
-    COUNTERS,
     DEPTHS,
     FLIGHT_LEVELS,
     MARKS,
     NAMES,
-    NGSIM,
     OTHER_UNIT,
-    SHIPS,
+    TARGETS,
+    UNITS_BESIDE,
     WORDS_OF_MARKS,
     ZONES,
     found,
@@ -75,6 +74,8 @@ _WHOLE = re.compile(r"[+-]?([0-9]+)(?:\.0*)?")
 """A whole number; tables write it with decimals, all 0, where the column has gaps."""
 _AUTOPILOT = 1e-7
 """Degrees in the numbers of autopilots, whose altitudes are in millimetres."""
+_HIGH, _LEVEL = 10_000.0, 5.0
+"""Whole altitudes below the first that change by no more than the second from row to row are metres."""
 _SEMICIRCLE = 180 / 2**31
 """Degrees in the numbers of FIT files, of watches and bicycle computers."""
 _SEMICIRCLES = ("position_lat", "position_long")
@@ -203,19 +204,21 @@ def _clock(head: Head, options: ReadOptions, columns: Mapping[str, str]) -> tupl
 
 
 def _word(head: Head) -> str:
-    """What the targets are."""
+    """What the targets are: as the format says, or the columns; animals by their species, or else by their names."""
     names = {plain(name) for name in head.names}
-    if names & SHIPS:
-        return "ship"
-    traffic = head.json and {"timestamp", "latitude", "longitude"} <= set(head.names)
-    if names & AIRCRAFT or traffic:
-        return "aircraft"
-    return next((word for word, columns in ANIMALS.items() if names & columns), "target")
+    traffic = head.json and {"timestamp", "latitude", "longitude"} <= {*head.names} and not found(head.names, "sigma")
+    word = head.word or next((word for word, columns in TARGETS.items() if names & columns), "")
+    word = word or ("aircraft" if traffic else "target")
+    if word not in ("animal", "target"):
+        return word
+    species = {text for name in head.names if plain(name) in OF_SPECIES for text in _texts(head, [name])} - {""}
+    called = {*_texts(head, found(head.names, "id"))} - {""} if word == "animal" else ()
+    return kind_of(species) or kind_of(called) or word
 
 
 def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
     """Columns that say which target a row is of, what else it is called, and what marks a new position."""
-    ids = [asked["id"]] if "id" in asked else [name for name in found(head.names, "id") if not _counts(name, head)]
+    ids = [asked["id"]] if "id" in asked else [name for name in found(head.names, "id") if not counts_rows(name, head)]
     calls = [name for name in found(head.names, "call") if (plain(name) == "callsign") == (word == "aircraft")]
     calls = calls if word in ("aircraft", "ship") else []
     if not ids and len(set(filter(None, _texts(head, calls)))) > 1:
@@ -233,9 +236,8 @@ def _labels(head: Head, asked: Mapping[str, str], word: str) -> dict[str, str]:
 
 
 def _tells_some_valid(cells: Sequence[Any] | NDArray[Any]) -> bool:
-    """Whether cells are true or false, and not all false."""
-    words = {*map(word_of, cells)} - {""}
-    return words <= WORDS_OF_MARKS.keys() and any(WORDS_OF_MARKS[word] for word in words)
+    """Whether some cells are true; other words than these and false say nothing that is known."""
+    return any(WORDS_OF_MARKS.get(word) for word in {*map(word_of, cells)})
 
 
 def _parting(
@@ -256,14 +258,6 @@ def _parting(
     return ()
 
 
-def _counts(name: str, head: Head) -> bool:
-    """Whether a column numbers the rows instead of naming targets."""
-    if plain(name) not in COUNTERS:
-        return False
-    cells = _texts(head, [name])
-    return len(set(cells)) == len(cells) > 2
-
-
 def _texts(head: Head, names: Sequence[str]) -> list[str]:
     """The cells of the first of these columns that are text or numbers."""
     cells = head.cells(names[0]) if names else []
@@ -275,6 +269,14 @@ def _is_whole(head: Head, name: str | None, digits: int) -> bool:
     texts = [] if name is None else [text for text in _texts(head, [name]) if text.lower() not in ("", "nan")]
     whole = [match[1] for text in texts if (match := _WHOLE.fullmatch(text))]
     return max(map(len, whole), default=0) >= digits and len(whole) == len(texts)
+
+
+def _in_millimetres(head: Head, altitude: str | None) -> bool:
+    """Whether altitudes are whole, and many or change as much as only millimetres do: trackers round to metres."""
+    if not _is_whole(head, altitude, 1):
+        return False
+    values = np.array([float(text or "nan") for text in _texts(head, [altitude or ""])])
+    return not np.nanmax(np.abs(values)) < _HIGH or np.nanmedian(np.abs(np.diff(values))) > _LEVEL
 
 
 def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: Head) -> float:
@@ -297,6 +299,11 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         if ending and OTHER_UNIT.fullmatch(ending[-1]) and not (options.units and "x" in columns):
             other = f", or {instead_of(ending[-1])}" if "x" in columns else ""
             raise ValueError(f"column {name}: expected metres or degrees, received {ending[-1]}: convert them{other}")
+    if "ecef" in plain(columns.get("x", "")):
+        raise ValueError(
+            f"{columns['x']}: expected east, north and up, received coordinates from the centre of the earth: convert "
+            "them to degrees, such as by pyproj.Transformer.from_crs(4978, 4979).transform(x, y, z)"
+        )
     if {"xyvalid", "zvalid"} <= {*map(plain, head.names)} and plain(columns.get("x", "")) == "x":
         raise ValueError(
             "x, y, z: expected east, north and up, received north, east and down of an autopilot: --x y --y x, and "
@@ -307,11 +314,12 @@ def _length(columns: Mapping[str, str], options: ReadOptions, word: str, head: H
         return METRES[options.units] if options.units else units[0]
     if plain(columns.get("z", "")) in FLIGHT_LEVELS:
         raise ValueError(f"z: expected heights in the unit of x and y, received flight levels in {columns['z']}")
-    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS or {*map(plain, head.names)} >= AEROAPI:
+    beside = next((unit for names, unit in UNITS_BESIDE if names <= {*map(plain, head.names)}), "")
+    if beside:
+        return METRES.get(beside, _FLIGHT_LEVEL)
+    if plain(columns.get("altitude", "")) in FLIGHT_LEVELS:
         return _FLIGHT_LEVEL
-    autopilot = _is_whole(head, columns.get("latitude"), 7) and _is_whole(head, columns.get("altitude"), 1)
-    if {*map(plain, head.names)} >= NGSIM:
-        return METRES["ft"]
+    autopilot = _is_whole(head, columns.get("latitude"), 7) and _in_millimetres(head, columns.get("altitude"))
     latitude = columns.get("latitude", "")
     in_metres = _in_semicircles(latitude) or plain(latitude) == _OF_A_PHONE
     return 1e-3 if autopilot and not in_metres else METRES["ft" if feet else "m"]
@@ -324,7 +332,7 @@ def _kind(role: str, columns: Mapping[str, str], head: Head, length: float, word
     if role == "update":
         return Kind()
     if role in ("valid", *MARKS):
-        return _MARK
+        return replace(_MARK, others=role == "valid")
     if role not in _LIMITS:
         return Kind(unit=length, behind=_unit_behind(head, columns[role]))
     column, other = columns[role], columns["latitude" if role == "longitude" else "longitude"]

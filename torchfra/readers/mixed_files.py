@@ -1,9 +1,10 @@
-"""Logs with rows of several kinds, of which those of fixes are read: of FitCSVTool, and of GnssLogger on a phone."""
+"""Logs with rows of several kinds, of which those of fixes are read: of FitCSVTool, GnssLogger and ArduPilot."""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from typing import Any
 
 from torchfra.readers.bounded import short_lines
@@ -11,6 +12,8 @@ from torchfra.readers.sheets import Sheet, points_sheet, whole_text
 
 _FUSED = {"FLP", "FUSED"}
 """Providers of fixes that are made of those of others."""
+_OF_THE_WEEK = {"GWk": "week", "GMS": "tow (ms)"}
+"""What an autopilot calls weeks of GPS, and what of them has passed."""
 
 
 def is_fit_csv(start: bytes) -> bool:
@@ -44,31 +47,41 @@ def fit_sheet(file: Any, max_bytes: int, encoding: str) -> Sheet:
     return points_sheet(columns, ("FIT as FitCSVTool writes it: messages called record",))
 
 
-def is_gnss_log(start: bytes) -> bool:
-    """Whether a file that begins so is of GnssLogger."""
-    return b"# Fix,Provider," in start
+def is_log(start: bytes) -> bool:
+    """Whether a file that begins so is of GnssLogger, or of an autopilot (ArduPilot)."""
+    return b"# Fix,Provider," in start or re.match(b"FMT, ?[0-9]+,", start) is not None
 
 
-def gnss_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The fixes of a phone, without those that it made of the others.
+def log_sheet(file: Any, max_bytes: int) -> Sheet:
+    """The fixes of a phone, without those that it made of the others, or of the first receiver of an autopilot.
 
-    Source: google/gps-measurement-tools.
+    Source: google/gps-measurement-tools; ArduPilot, DataFlash messages as text (Mission Planner, mavlogdump).
 
     Raises:
         ValueError: there are none, or too many lines.
     """
-    names, rows = list[str](), list[list[str]]()
+    names, rows, of = list[str](), list[list[str]](), "Fix"
     for line in short_lines(file, max_bytes):
-        if line.startswith("# Fix,"):
-            names = line.removeprefix("# ").split(",")
-        elif line.startswith("Fix,"):
-            rows.append(line.split(","))
+        cells = [cell.strip() for cell in line.split(",")]
+        if cells[0] == "# Fix":
+            names = ["Fix", *cells[1:]]
+        elif cells[0] == "FMT" and cells[3:4] == ["GPS"]:
+            names, of = ["GPS", *(_OF_THE_WEEK.get(name, name) for name in cells[5:])], "GPS"
+        elif cells[0] == of:
+            rows.append(cells)
     if not rows:
         raise ValueError(
-            "expected rows that begin with Fix, received none: have GnssLogger log locations too, or compute positions "
-            "from its raw measurements, such as with RTKLIB"
+            f"expected rows that begin with {of}, received none: have GnssLogger log locations too, or compute "
+            "positions from its raw measurements, such as with RTKLIB"
         )
-    own = [row for row in rows if row[1].upper() not in _FUSED] or rows
-    fused = f"; {len(rows) - len(own):,} fused ones left out" if len(own) < len(rows) else ""
+    if of == "GPS":
+        own, said = (
+            [row for row in rows if row[names.index("I")] == "0"] if "I" in names else rows,
+            "ArduPilot: messages GPS",
+        )
+    else:
+        own = [row for row in rows if row[1].upper() not in _FUSED] or rows
+        fused = f"; {len(rows) - len(own):,} fused ones left out" if len(own) < len(rows) else ""
+        said = f"GnssLogger: rows that begin with Fix{fused}"
     columns = {name: [row[i] if i < len(row) else "" for row in own] for i, name in enumerate(names)}
-    return points_sheet(columns, (f"GnssLogger: rows that begin with Fix{fused}",))
+    return points_sheet(columns, (said,))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +85,7 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     """
     ids, calls = (table.texts.get(layout.columns.get(role, "")) for role in ("id", "call"))
     members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
-    columns, targets = _Columns(table, layout), []
+    columns, targets = _Columns(table, layout, members), []
     for name, rows in members.items():
         index, repairs = columns.rows_to_keep(rows)
         call = "" if calls is None else next((calls[i] for i in index if calls[i]), "")
@@ -127,12 +127,13 @@ def _too_few(targets: list[Target], word: str) -> str:
 class _Columns:
     """The columns of a table by what they hold."""
 
-    def __init__(self, table: Table, layout: Layout) -> None:
+    def __init__(self, table: Table, layout: Layout, members: Mapping[str, NDArray[np.intp]]) -> None:
         def column(*roles: str) -> Array:
             return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
         self.clock = layout.clock
         self.time = layout.clock.whole(table.column(layout.clock.column))
+        self.carried = self._carry_on_together(members.values())
         layout.clock.check_order(self.time)
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
@@ -153,6 +154,18 @@ class _Columns:
         self.may_be_held = layout.source.word == "aircraft"
         self.dated, self.ids = layout.clock.since_1970, layout.source.id_options
         self.other_times = layout.other_times
+
+    def _carry_on_together(self, members: Iterable[NDArray[np.intp]]) -> NDArray[np.bool_]:
+        """Carries counts that begin anew on for all targets at once, where rows are in order; returns which rows.
+
+        A target alone may have no row before midnight.  Rows of one target behind those of another begin anew too.
+        """
+        rows, carried = np.flatnonzero(np.isfinite(self.time)), np.zeros(len(self.time), dtype=bool)
+        mixed = any((np.diff(of) != 1).any() for of in members)
+        if mixed and (np.diff(together := self.clock.going_on(self.time[rows])) >= 0).all():
+            carried[rows] = together != self.time[rows]
+            self.time[rows] = together
+        return carried
 
     def _times_of_positions(self) -> NDArray[np.bool_]:
         """Rows ``(rows,)`` whose position is of the moment of its update, as state vectors of OpenSky have it.
@@ -176,7 +189,9 @@ class _Columns:
         repairs["times taken from the update of the position"] = int(self.sent[rows].sum())
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
         time = self.clock.going_on(self.time[index])
-        repairs["times carried on where the count begins anew"] = int((time != self.time[index]).sum())
+        repairs["times carried on where the count begins anew"] = int(
+            (self.carried[index] | (time != self.time[index])).sum()
+        )
         self.time[index] = time
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip

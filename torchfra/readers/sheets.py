@@ -24,8 +24,11 @@ class Sheet(NamedTuple):
     said: tuple[str, ...] = ()
     commas: bool = False
     json: bool = False
+    """Whether it is JSON without lists in it."""
     placed: bool = False
     """Whether a caller has named columns of positions among its own."""
+    word: str = ""
+    """What its targets are, where the format says it."""
 
 
 def listed(names: Iterable[str]) -> str:

@@ -32,28 +32,33 @@ NAMES = {
              "datahora", "время", "датаивремя", "дата", "seconds", "sec", "secs", "ms",
              "timegmt", "isotime", "tst", "gpst", "gmttime", "gmt", "lmttime", "localtime", "timelocal",
              "timeofday", "secondsofday", "tod", "sod", "timestampexternal", "sitime", "lcltime", "fixtime",
-             "devicetime", "utctimein", *APPLE,
+             "devicetime", "utctimein", "collectingtime", *APPLE,
              "date", "datum", "fecha", "ts", "tow", "timeofweek", "sow", "secondsofweek", "minutes", "hours", "days"),
     "week": ("week", "gpsweek", "weekno", "weeknumber", "wn", "gpswn"),
     "date": ("date", "day", "dateutc", "utcdate", "dategmt", "gmtdate", "lmtdate", "localdate", "datelocal", "lcldate",
              "datum", "tag", "jour", "fecha", "dia", "sidate"),
-    "x": ("x", "east", "easting", "posx", "px", "tx", "prsrx", "e", "rechtswert", "ostwert", "ost", "este"),
-    "y": ("y", "north", "northing", "posy", "py", "ty", "prsry", "n", "hochwert", "nordwert", "nord", "norte"),
-    "z": ("z", "up", "posz", "pz", "tz", "prsrz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud"),
-    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7", "silati", "zlatitude",
-                 "latitudine", "szerokosc", "szerokoscgeogr", "szerokoscgeograficzna", "широта"),
+    "x": ("x", "east", "easting", "posx", "px", "tx", "prsrx", "e", "rechtswert", "ostwert", "ost", "este", "ebaseline",
+          "xecef", "ecefx"),
+    "y": ("y", "north", "northing", "posy", "py", "ty", "prsry", "n", "hochwert", "nordwert", "nord", "norte",
+          "nbaseline", "yecef", "ecefy"),
+    "z": ("z", "up", "posz", "pz", "tz", "prsrz", "altitude", "alt", "height", "u", "hohe", "hoehe", "altitud",
+          "ubaseline", "zecef", "ecefz"),
+    "latitude": ("latitude", "lat", "latitud", "breitengrad", "breite", "latitudee7", "late7", "latituden", "silati",
+                 "zlatitude", "latitudine", "szerokosc", "szerokoscgeogr", "szerokoscgeograficzna", "широта"),
     "longitude": ("longitude", "lon", "lng", "long", "longitud", "langengrad", "laengengrad", "lange", "laenge",
-                  "longitudee7", "silong", "zlongitude", "longitudine", "dlugosc", "dlugoscgeogr",
-                  "dlugoscgeograficzna", "долгота"),
+                  "longitudee7", "lnge7", "longitudee", "silong", "zlongitude", "longitudine", "dlugosc",
+                  "dlugoscgeogr", "dlugoscgeograficzna", "долгота"),
     "altitude": ("altitude", "alt", "baroaltitude", "geoaltitude", "altbaro", "altgeom", "height", "elevation", "ele",
                  "elev", "altitudemsl", "altmsl", "hae", "altitudeabovesealevel", "heightabovetakeoff", "z",
                  "flightlevel", "fl", "hohe", "hoehe", "altitud", "altura", "hauteur", "heightabovemsl",
-                 "heightaboveellipsoid", "enhancedaltitude", "zaltitude", "wysokosc", "altitudine", "высота"),
+                 "heightaboveellipsoid",
+                 "mslaltitude", "enhancedaltitude", "zaltitude", "wysokosc", "altitudine", "высота"),
     "id": ("icao24", "icao", "hex", "mmsi", "trackid", "tracknumber", "trackno", "tracknum", "targetno", "targetid",
            "objectid", "tn",
            "vesselid", "shipid", "flightid", "deviceid", "vehicleid", "individuallocalidentifier", "taglocalidentifier",
            "tagid", "uavid", "droneid", "target", "object", "vessel", "ship", "vehicle", "device", "individual", "trip",
            "tripid", "imo", "trajid", "trajectoryid", "trajectory", "playerid", "player", "animalid", "animal",
+           "deployid", "platformidno", "platformid",
            "birdid", "bird", "collarid", "busid", "bus", "boatid", "boat", "imei", "userid", "user", "entityid",
            "entity", "agentid", "agent", "riderid", "rider",
            "vehiclevehicleid",
@@ -67,7 +72,7 @@ NAMES = {
               "точность", "hdop", "horizontaldilutionofprecision"),
     "sigma_x": ("sigmax", "stdx", "sigmaeast", "sde"), "sigma_y": ("sigmay", "stdy", "sigmanorth", "sdn"),
     "sigma_z": ("sigmaz", "stdz", "sigmaup", "sdu"),
-    "argos_class": ("argoslc", "lc", "locationclass"),
+    "argos_class": ("argoslc", "lc", "locationclass", "locquality"),
     "semi_major": ("argossemimajor", "errorsemimajoraxis", "smaj"),
     "semi_minor": ("argossemiminor", "errorsemiminoraxis", "smin"),
     "orientation": ("argosorientation", "errorellipseorientation", "eor"),
@@ -79,7 +84,7 @@ _IN_FRONT = {
     "geographische", "gps", "gnss", "pos", "position", "location", "field", "coord", "coords", "coordinate", "utm",
     "enu", "pose", "point", "transform", "translation", "header", "record", "sys", "str",
 }  # fmt: skip
-_BEHIND = {"utm", "enu"}
+_BEHIND = {"utm", "enu", "wgs84"}
 OTHER_ZONES = {
     "local", "lt", "mez", "mesz", "cet", "cest", "eet", "eest", "bst", "est", "edt",
     "cst", "cdt", "mst", "mdt", "pst", "pdt", "akst", "akdt", "jst", "ist", "msk", "aest", "aedt", "nzst", "nzdt",
@@ -114,23 +119,30 @@ PARTS = {"year", "month", "day", "hour", "hours", "minute", "minutes", "min", "s
 """Names of columns that may be parts of one time."""
 SINCE_1970 = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
 """Names of times that are a date too."""
-AIRCRAFT = {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude", "altbaro"}
 DEPTHS = {"down", "posd", "pd", "depth"}
 """Names of columns that grow downwards, as a drone's third of north, east and down does."""
-NGSIM = {"vehicleid", "frameid", "globaltime", "localx", "localy"}
-"""Names beside which positions are in feet: vehicles of the Next Generation Simulation program, from video."""
-AEROAPI = {"altitudechange", "updatetype"}
-"""Names beside which FlightAware has altitudes in hundreds of feet."""
+UNITS_BESIDE = (
+    ({"vehicleid", "frameid", "globaltime", "localx", "localy"}, "ft"),  # NGSIM, vehicles from video
+    ({"bank", "pitch", "gload"}, "ft"),  # ForeFlight
+    ({"altitudechange", "updatetype"}, "flight levels"),  # FlightAware
+    ({"gameid", "playid", "nflid"}, "yd"),  # the National Football League
+    ({"tagid", "success", "version"}, "mm"),  # Pozyx
+)
+"""Names of columns, and the unit of lengths that state none beside all of them."""
 FLIGHT_LEVELS = {"flightlevel", "fl", "modec", "modecaltitude"}
 """Names of altitudes in hundreds of feet."""
-SHIPS = {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"}
-"""Names of columns that only these have; ships have a callsign too."""
-ANIMALS = {
-    "bird": {"birdid", "bird"},
+TARGETS = {
+    "ship": {"mmsi", "imo", "shiptype", "vesseltype", "typeofmobile", "vesselname", "shipname"},
+    "aircraft": {"icao24", "icao", "hex", "callsign", "squawk", "lastposition", "lastposupdate", "baroaltitude",
+                 "altbaro"},
+    "drone": {"heightabovetakeoff", "homelatitude", "homelat", "uavid", "droneid"},
+    "bird": {"birdid", "bird", "solarima"},
     "animal": {"individuallocalidentifier", "individualtaxoncanonicalname", "taglocalidentifier", "argoslc", "animalid",
-               "animal", "collarid", "argossemimajor", "errorsemimajoraxis"},
+               "animal", "collarid", "argossemimajor", "errorsemimajoraxis", "locquality"},
 }  # fmt: skip
-"""Names of columns that only files of animals have, by what the files call the animals."""
+"""What targets are, and names of columns that only files of them have; ships, which are first, have a callsign too."""
+ANIMALS = ("animal", "bird", "marine animal")
+"""What targets are that are animals."""
 MARKS = ("visible", "by_hand", "by_import", "by_rule")
 """Columns of Movebank that say whether a fix is right, and whether it is an outlier."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0}
@@ -144,7 +156,9 @@ def plain(name: str) -> str:
     words = name_words(name)
     while len(words) > 1 and (words[-1] in UNITS or _is_rarer(words)):
         words.pop()
-    if len(words) > 1 and words[-1] in _BEHIND and "".join(words[:-1]) in _KNOWN:
+        if len(words) > 1 and words[-1] == "in":  # as in "x in m"
+            words.pop()
+    if len(words) > 1 and words[-1] in _BEHIND and "".join(_bare(words[:-1])) in _KNOWN:
         words.pop()
     bare = "".join(_bare(words))
     if len(words) > 1 and words[-1] in _ZONES_BEHIND and bare not in _KNOWN and "".join(words[:-1]) in _TIMES:

@@ -4,34 +4,32 @@ from __future__ import annotations
 
 import gzip
 import io
-import json
 import re
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from torchfra.readers.arrow_files import arrow_sheet, is_arrow
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
-from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, is_missing, joined, numbers, text
+from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import UTF_8, csv_sheet
-from torchfra.readers.geometries import axes_of, point_of
+from torchfra.readers.geometries import Together, parted, together_in
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import is_json, json_sheet
-from torchfra.readers.mixed_files import fit_sheet, gnss_sheet, is_fit_csv, is_gnss_log
+from torchfra.readers.mixed_files import fit_sheet, is_fit_csv, is_log, log_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.npy_files import is_npy, npy_sheet
 from torchfra.readers.options import ReadOptions
 from torchfra.readers.plt_files import is_plt, plt_sheet
 from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.spelling import found, is_known, places_in, plain
+from torchfra.readers.spelling import is_known
 from torchfra.readers.vbo_files import is_vbo, vbo_sheet
 from torchfra.readers.xml_files import xml_sheet
 
@@ -67,11 +65,6 @@ _NO_TEXTS = (
 """How other files begin, after so many bytes, and what to do with them."""
 _BEGINNING = 4096
 """Bytes of a file by which the encoding of its text is told."""
-_PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location", "координаты"}
-"""Names of columns that may hold a latitude and a longitude."""
-_PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*(?:\([0-9]+\)\s*)?")
-"""Both in one cell, and perhaps the number of satellites in brackets."""
-_AXES = ("latitude", "longitude")
 
 
 class Table(NamedTuple):
@@ -138,8 +131,8 @@ def read_table(
             return nmea_sheet(file, max_bytes)
         if is_fit_csv(start):
             return fit_sheet(file, max_bytes, encoding)
-        if is_gnss_log(start):
-            return gnss_sheet(file, max_bytes)
+        if is_log(start):
+            return log_sheet(file, max_bytes)
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
@@ -195,7 +188,7 @@ def _known_otherwise(path: Path, max_bytes: int) -> str:
 
 def with_joined(sheet: Sheet, options: ReadOptions) -> Sheet:
     """A sheet with one more column for each option that names several, of the target or of the time, together."""
-    places = {name for role, name in options.columns().items() if role in ("x", *_AXES)}
+    places = {name for role, name in options.columns().items() if role in ("x", "latitude", "longitude")}
     sheet = sheet._replace(placed=bool(places & {*sheet.names}))
     asked = {name: name.split(",") for name in (options.id, options.time) if name and name not in sheet.names}
     several = {name: parts for name, parts in asked.items() if len(parts) > 1 and {*parts} <= {*sheet.names}}
@@ -231,7 +224,7 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
     texts: dict[str, list[str]] = {name: [] for name in wanted if name not in kinds}
     rows, known = 0, dict[Any, str]()
     for count, cells in chain([first] if first else [], parts):
-        cells = cells if together is None else _parted(cells, together)
+        cells = cells if together is None else parted(cells, together)
         for name in texts:
             texts[name] += text(cells(name), name, known, rows)
         for name, kind in kinds.items():
@@ -244,18 +237,20 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int) -> 
     return Table(sheet.names, rows, {name: np.concatenate(grown.pop(name)) for name in kinds}, texts)
 
 
-def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, _Together | None]:
+def head_of(sheet: Sheet, cells: Cells) -> tuple[Head, Together | None]:
     """How a sheet begins, by the cells of its first rows, and which column holds positions as a whole."""
     begin = cache(lambda name: cells(name)[:HEAD])
-    head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json)
-    together = None if sheet.placed else _together_in(head)
+    head = Head(sheet.names, begin, sheet.said, sheet.commas, sheet.json, sheet.word, cells)
+    together = None if sheet.placed else together_in(head)
     if together is not None:
         names = [*(name for name in sheet.names if name != together.column), *together.axes]
         said = (
             *sheet.said,
             f"{listed(together.axes)}: {'both' if len(together.axes) == 2 else 'all'} in {together.column}",
         )
-        head = head._replace(names=names, cells=_parted(head.cells, together), said=said)
+        head = head._replace(
+            names=names, cells=parted(head.cells, together), said=said, further=parted(cells, together)
+        )
     return head, together
 
 
@@ -266,75 +261,3 @@ def naming(path: Path | str) -> Iterator[None]:
         yield
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-# ---------------------------------------------------------------- a position in one cell
-
-
-class _Together(NamedTuple):
-    """A column whose cells hold several numbers."""
-
-    column: str
-    axes: tuple[str, ...]
-    """Names of the columns that are made of it."""
-    numbers: Callable[[str], Sequence[Any] | None]
-    """Those of a cell, or texts; None where it holds something else."""
-
-
-def _together_in(head: Head) -> _Together | None:
-    """The column that holds a position, as "47.1,8.2", a point or an object; None where none does, or names tell it."""
-    if any(found(head.names, axis) for axis in (*_AXES, "x")):
-        return None
-    for name in head.names:
-        cells = [cell for cell in head.cells(name) if isinstance(cell, str) and not is_missing(cell)]
-        if plain(name) in _PAIRS and any(map(_PAIR.fullmatch, cells)):
-            return _Together(name, _AXES, _pair)
-        points = [point for cell in cells if (point := point_of(cell))]
-        if points and len(points) == len(cells) and (axes := axes_of(points)):
-            return _Together(name, axes[:2] if axes[-1] in head.names else axes, _numbers_of_point)
-        objects = [one for cell in cells if (one := _object(cell))]
-        keys = list(dict.fromkeys(key for one in objects for key in one))
-        axes = tuple(f"{name}.{key}" if key in head.names else key for key in keys)
-        if objects and len(objects) == len(cells) and places_in(axes):
-            return _Together(name, axes, partial(_values_of, keys))
-    return None
-
-
-def _pair(cell: str) -> Sequence[str] | None:
-    match = _PAIR.fullmatch(cell)
-    return match.groups() if match else None
-
-
-def _numbers_of_point(cell: str) -> Sequence[float] | None:
-    point = point_of(cell)
-    return point and point.numbers
-
-
-def _object(cell: str) -> dict[str, Any]:
-    """An object of JSON with the values of objects in it beside its own; empty of other text."""
-    try:
-        parsed = json.loads(cell) if cell.lstrip().startswith("{") else {}
-    except (ValueError, RecursionError):
-        return {}
-    inner = [one for one in parsed.values() if isinstance(one, dict)]
-    return {key: value for one in (parsed, *inner) for key, value in one.items() if not isinstance(value, dict)}
-
-
-def _values_of(keys: Sequence[str], cell: str) -> Sequence[Any] | None:
-    found = _object(cell)
-    return [found.get(key) for key in keys] if found else None
-
-
-def _parted(cells: Cells, together: _Together) -> Cells:
-    """The cells of columns, with more: those of ``together``."""
-
-    def part(cell: Any, axis: int) -> Any:
-        numbers = together.numbers(cell) if isinstance(cell, str) else None
-        return cell if numbers is None or len(numbers) <= axis else numbers[axis]  # what is something else is refused
-
-    def of(name: str) -> Sequence[Any] | NDArray[Any]:
-        if name not in together.axes:
-            return cells(name)
-        return [part(cell, together.axes.index(name)) for cell in cells(together.column)]
-
-    return of

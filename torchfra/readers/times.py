@@ -49,8 +49,11 @@ _DIGITS, _SIZES = re.compile(r"[0-9]+(?:\.[0-9]*)?"), {"Y": 4, "j": 3}
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _ISO = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
-    r"(?P<gap> ?)(?P<zone>Z|UTC|GMT|[+-][0-9]{2}(?::?[0-9]{2})?)?"
+    r"(?P<gap> ?)(?P<zone>Z|UTC|GMT|(?:UTC|GMT)?[+-][0-9]{2}(?::?[0-9]{2})?)?"
 )
+_COMPACT = re.compile(r"[0-9]{8}(?P<between>[T_ -])[0-9]{6}(?P<zone>Z?)")
+_CLOCK_FIRST = re.compile(r"(?P<clock>[0-9]{1,2}:[0-9]{2}:[0-9]{2}(?:[.,][0-9]{1,6})?) (?P<date>[^ :]*[-/. ][^:]*)")
+"""A date of digits alone beside a clock of them, and a clock before its date."""
 _OTHER = re.compile(
     r"(?P<a>[0-9]{1,4})(?P<sign>[-/.])(?P<b>[0-9]{1,2})(?P=sign)(?P<c>[0-9]{4}|[0-9]{1,2})(?P<between>[T ])"
     r"[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2})?(?:[.,][0-9]{1,6})?(?P<half> ?[AaPp][Mm])?"
@@ -122,6 +125,14 @@ def form_of(cells: Sequence[Any], *, day_first: bool = False) -> tuple[str, str]
             return None
         clock = HALF_CLOCK + halves.pop() if halves != {""} else CLOCK
         return clock, clock
+    if all(swapped := [_CLOCK_FIRST.fullmatch(text) for text in texts]) and (
+        found := form_of([f"{of['date']} {of['clock']}" for of in swapped if of], day_first=day_first)
+    ):
+        form = " ".join(reversed(found[1].rsplit(" ", 1)))
+        return form, form
+    if all(compact := [_COMPACT.fullmatch(text) for text in texts]) and compact[0]:
+        form = f"%Y%m%d{compact[0]['between']}%H%M%S{compact[0]['zone']}"
+        return form, form
     first = _ISO.fullmatch(texts[0])
     if all(java := [_JAVA.fullmatch(text) for text in texts]):
         zones = [of["zone"] or "" for of in java if of]
@@ -319,7 +330,7 @@ def _plain_iso(text: str) -> str:
     part, zone = found["part"] or "", found["zone"] or ""
     if not (part or zone):
         return text
-    zone = "+00:00" if zone in ("Z", "UTC", "GMT") else zone.replace(":", "")
+    zone = "+00:00" if zone in ("Z", "UTC", "GMT") else zone.lstrip("UTCGM").replace(":", "")
     zone = f"{zone[:3]}:{zone[3:] or '00'}" if zone and zone[3:4] != ":" else zone
     return text[: found.start("part") if part else found.start("gap")] + (part and f".{part[1:7]:0<6}") + zone
 

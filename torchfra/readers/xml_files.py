@@ -13,7 +13,7 @@ from xml.parsers import expat
 
 from torchfra.readers.columns import DECIMAL, short
 from torchfra.readers.sheets import Sheet, points_sheet, whole_text
-from torchfra.readers.spelling import is_header
+from torchfra.readers.spelling import found, is_header
 from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
@@ -50,17 +50,25 @@ def _attributes_sheet(tree: ElementTree.Element) -> Sheet:
     """The elements whose attributes say where something was, with those of the elements around them.
 
     So simulated traffic is written (SUMO, floating car data): ``<timestep time="0"><vehicle id="a" x="1" y="2"/>``.
+    Where neither they nor those around them have an id and each has its time, the elements right around them are
+    targets, as of TrackMate, whose times are numbers of frames.
     """
-    records = list[dict[str, str]]()
+    records, parents = list[dict[str, str]](), Counter[str]()
 
-    def add(element: ElementTree.Element, outer: dict[str, str]) -> None:
+    def add(element: ElementTree.Element, outer: dict[str, str], parent: str) -> None:
         known = outer | {name: value for name, value in element.attrib.items() if not name.startswith("{")}
         if is_header(element.attrib):
-            records.append(known)
+            own = {"id": parent} if found(element.attrib, "time") and not found(known, "id") else {}
+            records.append(own | known)
+        parents[tag := _tag(element)] += 1
         for inner in element:
-            add(inner, known)
+            add(inner, known, f"{tag} {parents[tag]}")
 
-    add(tree, {})
+    add(tree, {}, "")
+    if "frameInterval" in tree.attrib:
+        unit, renamed = tree.get("spaceUnits", ""), {"t": "frame"}
+        renamed |= {axis: f"{axis} ({unit})" for axis in "xyz"}
+        records = [{renamed.get(name, name): value for name, value in record.items()} for record in records]
     if not records:
         raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
                          "time,lat,lon")  # fmt: skip
@@ -99,10 +107,10 @@ def _gpx_sheet(text: str) -> Sheet:
     gpxpy = optional("gpxpy", "GPX", "formats")
     if prefix := _PREFIX.search(text):  # gpxpy knows names without one
         text = re.sub(rf"(</?){re.escape(prefix[1])}:", r"\1", text)
-    for found in _NUMBERS.finditer(text):
-        value = found[2] if found[1] else found[4]
+    for match in _NUMBERS.finditer(text):
+        value = match[2] if match[1] else match[4]
         if (bare := value.strip()) and not DECIMAL.fullmatch(bare):
-            raise ValueError(f"expected a number as {found[1] or found[3]}, received {short(value)}")
+            raise ValueError(f"expected a number as {match[1] or match[3]}, received {short(value)}")
     try:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:

@@ -1,0 +1,69 @@
+"""Fixes in lists within lists, as services answer, are rows."""
+
+import json
+
+import pytest
+
+from torchfra.readers import read
+
+ROWS = 20
+
+
+def fixes(lat=47.0, **names):
+    time, one, other = names.get("time", "time"), names.get("lat", "latitude"), names.get("lon", "longitude")
+    return [{time: f"2024-05-06T10:31:{i:02}Z", one: lat + i / 1e4, other: 8.3} for i in range(ROWS)]
+
+
+@pytest.mark.parametrize(
+    "whole",
+    [
+        {"data": [{"id": "A", "gps": fixes()}, {"id": "B", "gps": fixes(48.0)}], "page": {"next": False}},
+        [{"id": "A", "way": {"points": fixes()}}, {"id": "B", "way": {"points": fixes(48.0)}}],
+    ],
+)
+def test_lists_of_fixes_of_several_targets_are_rows_with_their_names(write, whole):
+    one, two = read(write(json.dumps(whole), "a.json"))
+    assert [one.name, two.name] == ["A", "B"]
+    assert len(one.time) == len(two.time) == ROWS
+    assert any("a row for each record in" in note for note in one.source.notes)
+
+
+@pytest.mark.parametrize(
+    "whole",
+    [
+        {"name": "Run", "exercises": [{"samples": {"heart": [{"dateTime": "x", "value": 7}],
+                                                   "route": fixes(time="dateTime")}}]},
+        {"data": {"metrics": [], "workouts": [{"name": "Run", "route": fixes(time="timestamp")}]}},
+        {"timelineObjects": [{"activitySegment": {"startLocation": {"latitudeE7": 1, "longitudeE7": 2},
+            "waypointPath": {"waypoints": [{"latE7": 1, "lngE7": 2}]},
+            "simplifiedRawPath": {"points": [
+                {"latE7": round(1e7 * fix["latitude"]), "lngE7": 83000000, "timestamp": fix["time"]}
+                for fix in fixes()]}}}, {"placeVisit": {"duration": {"startTimestamp": "2024-05-06T10:31:00Z"}}}]},
+    ],
+)  # fmt: skip
+def test_the_only_list_with_times_and_places_is_taken_however_deep(write, whole):
+    (track,) = read(write(json.dumps(whole), "a.json"))
+    assert len(track.time) == ROWS
+    assert track.position[-1, 1] == pytest.approx(19e-4 * 111_170, rel=1e-3)
+
+
+def test_fixes_of_a_phone_in_json_are_no_aircraft_with_feet(write):
+    more = [{"timestamp": fix.pop("time"), "altitude": 430.5} | fix for fix in fixes()]
+    for whole in [fix | {"horizontalAccuracy": 5} for fix in more], {"data": [{"name": "Run", "route": more}]}:
+        (track,) = read(write(json.dumps(whole), "a.json"))
+        assert (track.source.word, track.source.unit) == ("target", 1)
+
+
+def test_two_lists_of_fixes_beside_each_other_are_refused_with_what_to_do(write):
+    frames = [{"wall": i, "home": fixes()[:2], "away": fixes()[:2]} for i in range(ROWS)]
+    with pytest.raises(ValueError, match=r"home holds several records, or places, in a cell: write a row for each"):
+        read(write(json.dumps(frames), "a.json"))
+
+
+def test_places_in_objects_of_objects_have_hints(write):
+    lines = [
+        json.dumps({"result": {"at": fix["time"], "up": {"payload": {"latitude": fix["latitude"], "longitude": 8.3}}}})
+        for fix in fixes()
+    ]
+    with pytest.raises(ValueError, match=r"--time result.at --lat result.up.payload.latitude --lon"):
+        read(write(lines, "a.json"))
