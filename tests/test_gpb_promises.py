@@ -7,7 +7,7 @@ import pytest
 import torch
 from short_tracks import SMALL_GPB
 from test_compile import close
-from test_gpb import ANCHORS, FEWER, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
+from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
 from torch.testing import assert_close
 
 from torchfra import presets, scenarios, tree
@@ -123,13 +123,9 @@ def test_single_precision_is_close_to_double(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "motion", "options"), [
-    ("two ranges", ConstantVelocity(0.5), SMALL_GPB),
-    ("position", [ConstantVelocity(0.05), CoordinatedTurn(math.pi / 20, 0.1)], FEWER),
-], ids=["two ranges", "bank"])  # fmt: skip
-def test_compiled_kernels_give_the_same_and_the_same_gradients(name, motion, options):
-    f = presets.gpb(motion, SOME[name], **VALUES | options, learn="all")
-    z, prior = measured(name.removeprefix("two "), 3)[:, :9, :2], (PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
+def test_compiled_kernels_of_ranges_give_the_same_and_the_same_gradients():
+    f = presets.gpb(ConstantVelocity(0.5), SOME["two ranges"], **VALUES | SMALL_GPB, learn="all")
+    z, prior = measured("ranges", 3)[:, :9, :2], (PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
     found = []
     for g in (f, copy.deepcopy(f).compile()):
         x, mean, root = (x.clone().requires_grad_() for x in (z, *prior))
@@ -139,18 +135,10 @@ def test_compiled_kernels_give_the_same_and_the_same_gradients(name, motion, opt
     close(*found, 1e-8)
 
 
-def short(name):
-    """Five steps with an outlier and a missing one, and all that learns of a filter."""
-    make, sensor = (bank, "position") if name == "bank" else (single, name)
-    z = measured(sensor.removeprefix("two "), 1)[0, 2:7, :2]
-    z[3] = torch.nan
-    return make(sensor, learn="all"), z
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two ranges", "bank"])
-def test_gradients_of_values_measurements_and_prior_are_those_of_finite_differences(name):
-    f, z = short(name)
+def test_gradients_of_values_measurements_and_prior_are_those_of_finite_differences():
+    f, z = single("two ranges", learn="all"), measured("ranges", 1)[0, 2:7, :2]  # with an outlier
+    z[3] = torch.nan
     paths, values = zip(*((p, v.detach().clone()) for p, v in f.named_parameters()), strict=True)
     prior = Gaussian(f(z[:1], PRIOR).mean[0], PRIOR.scale_tril / 5)
     missing = z.isnan()

@@ -20,9 +20,9 @@ def sees_one_graph(f, z, prior, u=None):
     close(graph(z, prior, u=u).mean, f(z, prior, u=u).mean, 1e-9)
 
 
-@pytest.mark.parametrize(("name", "options"), [("ekf", {}), ("iaukf", {}), ("fra", THREE)])
+@pytest.mark.parametrize(("name", "options"), [("ekf", {}), ("fra", THREE)])
 def test_a_filter_is_one_graph(name, options, make, tracks):
-    """Slopes, an estimated noise; points, weights of outliers, fading, branches that are decided between."""
+    """Slopes; points, weights of outliers, fading, branches that are decided between."""
     z = tracks.z[:, :1].clone()
     z[0, 0] += 0.4
     sees_one_graph(make(name, **options), z, tracks.prior, tracks.u[:1])
