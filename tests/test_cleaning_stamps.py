@@ -7,7 +7,7 @@ import pytest
 from cleaning.simulated import ship
 
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning.time_stamps import at_truncated_times, moved_along, stamps_are_truncated, stamps_are_wrong
+from torchfra.cleaning.time_stamps import moved_along, stamps_are_wrong
 from torchfra.readers.recording import Recording, Source
 
 TIME = np.arange(0.0, 600.0, 5.0)
@@ -146,68 +146,3 @@ def test_a_bus_that_stops_and_goes_has_right_stamps():
 
 
 # ---------------------------------------------------------------- times that are cut to whole seconds
-
-
-def reported(std, seed=0, word="ship", cut=np.floor):
-    """A ship that reports every 3 to 7 s, at times that are cut: the recording, and the truth at those times."""
-    rng = np.random.default_rng(seed)
-    route, time = 1.7 * ship(rng, 1300), 20.0 + np.cumsum(rng.uniform(3.0, 7.0, 240))
-
-    def at(seconds):
-        return np.stack([np.interp(seconds, np.arange(1301), axis) for axis in route.T], 1)
-
-    fixes = at(time) + std * rng.standard_normal((240, 2))
-    return Recording("ship", cut(time), fixes, None, {}, source=Source(word=word)), at(cut(time))
-
-
-@pytest.fixture(scope="module")
-def reports():
-    """Three such ships with fixes good to 1 m: their truths and what comes of them."""
-    several = [reported(1.0, seed) for seed in range(3)]
-    return [truth for _, truth in several], clean_tracks([recording for recording, _ in several])
-
-
-@pytest.fixture(scope="module")
-def plain():
-    """What comes of the first one as it is."""
-    (one,) = clean_tracks([reported(1.0)[0]], repair=False)
-    return one
-
-
-def test_bands_hold_where_times_are_cut(reports):
-    truths, done = reports
-    held = [np.abs(one.position - truth) < one.std for one, truth in zip(done, truths, strict=True)]
-    assert 0.6 < np.mean(held) < 0.9
-    assert all(
-        "Times are taken as truncated to whole seconds, not as rounded (--no-repair)" in " ".join(one.found.notes)
-        for one in done
-    )
-
-
-def test_path_and_fixes_are_half_a_second_apart_where_times_are_cut(reports, plain):
-    (truth, *_), (one, *_) = reports
-    course = one.velocity / np.linalg.norm(one.velocity, axis=1, keepdims=True)
-    speed = np.linalg.norm(one.velocity, axis=1).mean()
-    assert abs(((one.position - truth) * course).sum(1).mean()) < 0.1 * speed
-    assert ((plain.position - truth) * course).sum(1).mean() == pytest.approx(0.5 * speed, rel=0.2)
-    np.testing.assert_array_equal(one.raw, plain.raw)
-
-
-def test_distances_are_from_where_the_target_was_when_each_fix_was_made(plain):
-    np.testing.assert_allclose(at_truncated_times(plain).residual, plain.residual, rtol=1e-9)
-
-
-def test_cut_times_are_seen_of_any_target():
-    assert stamps_are_truncated(reported(1.0, word="target")[0])
-
-
-def test_times_with_fractions_regular_times_and_positions_that_are_where_they_should_be_are_not_cut():
-    recording, truth = reported(1.0)
-    rng = np.random.default_rng(3)
-    assert not stamps_are_truncated(replace(recording, time=recording.time + 0.25))
-    assert not stamps_are_truncated(voyage(0.2)[0])
-    assert not stamps_are_truncated(replace(recording, position=truth + 1.0 * rng.standard_normal(truth.shape)))
-
-
-def test_where_noise_hides_whether_times_are_truncated_they_are_taken_as_they_are():
-    assert not stamps_are_truncated(reported(8.0)[0])

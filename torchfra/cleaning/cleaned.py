@@ -99,8 +99,6 @@ class Cleaned:
     """Names of the regimes."""
     regime: Array = field(default_factory=lambda: np.empty((0, 0)))
     """``(T, R)`` probabilities of the regimes."""
-    behind: float = 0.0
-    """Seconds by which the path is behind the fixes, because times were truncated."""
     parameters: tuple[FilterParameters, ...] = ()
     """Those of the default filter: across the ground, and of the height where there is one."""
 
@@ -137,11 +135,8 @@ class Cleaned:
 
     @property
     def residual(self) -> Array:
-        """``(T,)`` distance of the fix from the cleaned position, m; NaN between fixes.  An altitude may be missing.
-
-        Where times were truncated, it is the position when the fix was made, which the path reaches later.
-        """
-        gap = self.raw - (self.position + self.behind * self.velocity)
+        """``(T,)`` distance of the fix from the cleaned position, m; NaN between fixes.  An altitude may be missing."""
+        gap = self.raw - self.position
         distance: Array = np.linalg.norm(np.column_stack([gap[:, :2], np.nan_to_num(gap[:, 2:])]), axis=1)
         return distance
 

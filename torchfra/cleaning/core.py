@@ -112,7 +112,7 @@ def _clean_group(
 ) -> list[Cleaned]:  # fmt: skip
     """Cleans recordings of one batch by the arguments of ``_clean_batch``; with ``repair``, also their time stamps."""
     measured = [_as_measured(recording) for recording in recordings]
-    moved, truncated = _stamps(measured, bank) if repair else ({}, [])
+    moved = _moved(measured, bank) if repair else {}
     placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
     coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
     work = partial(
@@ -127,25 +127,19 @@ def _clean_group(
         ]
     for i, (_, variance) in moved.items():
         done[i] = time_stamps.as_recorded(done[i], measured[i], variance)
-    for i in truncated:
-        done[i] = time_stamps.at_truncated_times(done[i])
     return done
 
 
-def _stamps(
-    recordings: Sequence[Recording], bank: str | Bank | None
-) -> tuple[dict[int, tuple[Recording, Array]], list[int]]:
-    """Results of ``moved_along`` for recordings with wrong stamps, by number; numbers of truncated ones."""
-    moved, truncated = {}, []
+def _moved(recordings: Sequence[Recording], bank: str | Bank | None) -> dict[int, tuple[Recording, Array]]:
+    """Results of ``moved_along`` for recordings with wrong stamps, by number."""
+    moved = {}
     for i, recording in enumerate(recordings):
         if np.isinf(recording.position).any():
             continue  # it fails later, with its reason
         kind, _ = _kind(recording, bank)
-        if time_stamps.stamps_are_truncated(recording):
-            truncated.append(i)
         if time_stamps.stamps_are_wrong(recording, kind):
             moved[i] = time_stamps.moved_along(recording, kind)
-    return moved, truncated
+    return moved
 
 
 def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:

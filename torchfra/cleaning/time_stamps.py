@@ -25,15 +25,6 @@ _GROWTH = 1.3
 or more."""
 _LEAST = 8, 60
 """Fewest fixes of ADS-B, and of other tracks, whose targets change their speed more often."""
-_HALF = 0.5
-"""Seconds from a time that was truncated to a whole second to the fix, in the mean."""
-_TRUNCATED = 0.2, 0.45
-"""Standard deviations of stamps, s, between which they may be truncated to whole seconds: uniform errors of 1 s have
-0.29."""
-_HIDDEN = 0.4
-"""Noise over speed, s, from which on noise hides whether times are truncated."""
-_REGULAR = 0.95
-"""Share of equal gaps from which on fixes came at whole seconds, and no time was truncated."""
 _ASIDE = 5.0
 """Standard deviations across the path from which on the position of a fix is wrong too."""
 
@@ -61,47 +52,6 @@ def stamps_are_wrong(recording: Recording, kind: str) -> bool:
     if reported:
         return True
     return _white(time, path)
-
-
-def stamps_are_truncated(recording: Recording) -> bool:
-    """Whether times were truncated to whole seconds, so that fixes are half a second late in the mean.
-
-    Then all times are whole though fixes come irregularly, and errors along the path exceed those across it by the
-    speed times such errors of stamps.  Where noise hides that, times are taken as they are: receivers of AIS truncate
-    them, and add the time until a message is heard.
-
-    Args:
-        recording: of a target.
-    """
-    there = np.isfinite(recording.position[:, :2]).all(1)
-    time, path = recording.time[there], recording.position[there, :2]
-    if len(time) < _LEAST[1] or _as_reported(recording) or (time != np.round(time)).any():
-        return False
-    gaps = np.diff(time)
-    if (gaps == np.median(gaps)).mean() > _REGULAR:
-        return False
-    along, across, ahead = _along_and_across(time, path)
-    speed = running_median(ahead / (time[2:] - time[:-2]), 7)
-    fast = speed >= np.median(speed)
-    one, other = (spread(x[fast] / speed[fast].clip(1e-9), 0.5) for x in (along, across))
-    seen = other <= _HIDDEN and bool(_TRUNCATED[0] ** 2 < one**2 - other**2 < _TRUNCATED[1] ** 2)
-    return seen and (recording.source.word == "ship" or _white(time, path))
-
-
-def at_truncated_times(one: Cleaned) -> Cleaned:
-    """The result at truncated time stamps, which are half a second before the fixes in the mean."""
-    if one.found.failure:
-        return one
-    d = one.raw.shape[1]
-    back = np.eye(2 * d)
-    back[:d, d:] = -_HALF * np.eye(d)
-    usual = metres(_HALF * float(np.nanmedian(np.linalg.norm(one.velocity[:, :2], axis=1))))
-    note = (
-        "Times are taken as truncated to whole seconds, not as rounded (--no-repair): "
-        f"the path is {_HALF:g} s behind the fixes ({usual} in the median)"
-    )
-    return replace(one, mean=one.mean @ back.T, covariance=back @ one.covariance @ back.T, behind=_HALF,
-                   found=replace(one.found, notes=(*one.found.notes, note)))  # fmt: skip
 
 
 def _as_reported(recording: Recording) -> bool:
