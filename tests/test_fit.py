@@ -386,6 +386,20 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
     assert resumed.rows == unbroken.rows
 
 
+def test_a_fit_goes_on_on_a_processor_that_rounds_otherwise(tmp_path):
+    options = {"learn": ("q",), "compile": False, "iterations": 2, "validate_every": 1, "batch": 4, "polish": False}
+    z, path = walks(6, 12, 5)[1], tmp_path / "fit.pt"
+    done = torchfra.fit(start(), z, checkpoint=path, **options)
+    rounded = z * (1 + 1e-15 * torch.randn(z.shape, dtype=z.dtype, generator=torch.Generator().manual_seed(0)))
+    resumed = torchfra.fit(start(), rounded, checkpoint=path, resume=True, **options)
+    assert resumed.rows == done.rows
+    missing = z.clone()
+    missing[4, 2] = torch.nan
+    for other in (z.flip(0), missing, z[:-1]):
+        with pytest.raises(ValueError, match="these differ: data"):
+            torchfra.fit(start(), other, checkpoint=path, resume=True, **options)
+
+
 @pytest.mark.slow
 def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(tmp_path, capsys):
     options = {"learn": ("q",), "compile": True, "iterations": 4, "validate_every": 2, "batch": 4}

@@ -139,7 +139,7 @@ class Descent:
         if not isinstance(state, dict) or not all(isinstance(state.get(name), kind) for name, kind in KINDS.items()):
             raise ValueError(f"expected {', '.join(KINDS)}, received something else")
         settings, rows = state["settings"], state["rows"]
-        other = [key for key, value in self.settings.items() if key not in settings or settings[key] != value]
+        other = [key for key, value in self.settings.items() if key not in settings or not _same(settings[key], value)]
         if other:
             raise checkpoints.OtherSettingsError(
                 f"resume: expected the settings of {path}, these differ: {', '.join(other)}"
@@ -156,6 +156,15 @@ class Descent:
             raise ValueError(f"expected the state of the optimiser, received something else ({error})") from None
         self.iteration, self.improved, self.rows = state["iteration"], state["improved"], rows
         self.best, self.scores = state["best"], state["scores"]
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two settings are the same but for rounding, which differs between processors."""
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-12) or (math.isnan(a) and math.isnan(b))
+    return bool(a == b)
 
 
 def bounded(losses: Tensor, gradients: Tensor, clip: float | Tensor) -> tuple[Tensor, Tensor]:

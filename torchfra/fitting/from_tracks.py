@@ -103,8 +103,8 @@ def fit(
     settings = settings.of(objective, errors)
 
     learner = Minibatches(objective, train, valid, starting_points(start, vector.directions, settings), settings)
-    first = float(objective.losses(start[None, None], valid.to(torch.float64)).mean())
-    same = {"learn": vector.names, "start": start.tolist(), "data": used.digest(), "loss at the start": f"{first:.6g}"}
+    first = float(objective.losses(start[None, None], valid.to(torch.float64)).median())
+    same = {"learn": vector.names, "start": start.tolist(), "data": used.sums(), "loss at the start": first}
     descent = Descent(learner, learner.values, learner.validation(), asdict(settings) | same)
     if path is not None and resume:
         descent.resume(path, "fit")

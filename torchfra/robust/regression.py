@@ -10,7 +10,7 @@ from torch.nn.functional import pad
 
 from torchfra.gaussian.update import correct, down_weight, repaired_root
 from torchfra.hyper import Hyper, Value, one_of
-from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.linalg.triangular import apply, eliminated, hstack, rounding, tria, whiten
 from torchfra.numbers import as_number, is_integer
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import MeasurementNoise
@@ -83,6 +83,7 @@ class HuberRegression(Robust):
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The belief after the measurement; the weights of the iterations take the place of ``weights``."""
+        belief, whitened = _with_unique_root(belief, whitened)
         linear = self._linear(whitened, belief.mean.shape[-1])
         error, iterations = self._iterate(linear, self._first(belief, whitened))
         solution, weights = linear.reweighted(error)
@@ -117,6 +118,21 @@ class HuberRegression(Robust):
             error, count = torch.where(active.unsqueeze(-1), new, error), count + active.to(count)
             active = active & moved
         return error, count
+
+
+def _with_unique_root(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Whitened]:
+    """The same with a root of the prediction that has a zero column for each component which those above it determine.
+
+    The lower root of a singular covariance is not unique: what rounding leaves on such a pivot decides how the rest of
+    that column is shared with those behind it.  Weights of the prediction's elements depend on that.
+    """
+    n, d = belief.mean.shape[-1], whitened.reads
+    slope = pad(whitened.slope, (0, n - d))
+    rows = torch.cat([belief.scale_tril.expand(*slope.shape[:-2], n, n), slope], -2)
+    root, slope, _, determined = eliminated(rows, n, rounding(n, rows.dtype))
+    root = root - torch.where(determined, 1.0, 0.0).diag_embed()
+    spread = torch.cat([whitened.rest, slope[..., :d]], -1)
+    return belief._replace(scale_tril=root), whitened._replace(spread=spread)
 
 
 def _huber_weights(residual: Tensor, threshold: Tensor) -> Tensor:
