@@ -89,3 +89,15 @@ def test_an_animal_that_wanders_on_is_still_smoothed():
     cleaned = torchfra.clean((time, fixes), bank="animal")
     error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
     assert np.sqrt((error**2).mean() / (raw**2).mean()) < 0.95
+
+
+def test_who_forgets_a_course_from_fix_to_fix_is_where_it_was_measured():
+    rng = np.random.default_rng(5)
+    velocity = np.zeros((1200, 2))
+    for k in range(1, 1200):  # every second; forgotten in 5 s
+        velocity[k] = np.exp(-1 / 5) * velocity[k - 1] + 0.6 * rng.standard_normal(2)
+    time, place = np.arange(0.0, 1200.0, 15.0), np.cumsum(velocity, 0)[::15]
+    fixes = place + 0.4 * rng.standard_normal(place.shape)
+    cleaned = torchfra.clean((time, fixes), bank="person")
+    error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
+    assert np.sqrt((error**2).mean() / (raw**2).mean()) < 1.05
