@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.circles import IN_A_ROW, off_circles
+from torchfra.cleaning.circles import IN_A_ROW, off_circles, off_lines
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
 from torchfra.cleaning.homes import log_odds_of_roughness
 from torchfra.cleaning.parts import SHORT, Part, summed
@@ -208,21 +208,28 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
     return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
-def most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
-    """The largest sigma ``(B,)`` of tracks that circle; infinite where fixes are rare or mostly unevenly spaced.
+def most_by_shapes(part: Part, owner: Tensor) -> Tensor:
+    """The largest sigma ``(B,)`` of tracks that circle, or go along lines; infinite where fixes are rare.
 
     A target that circles with a few fixes per turn looks like noise about a straight line to levels of process noise,
-    which model no turns.
+    which model no turns; so does one that stops and goes, but noise is the same along its course and across.
     """
+    fixes = part.fixes
     most = torch.full_like(fixes.gap[0], math.inf)
     if fixes.z.shape[1] != 2 or len(fixes.z) < IN_A_ROW:
         return most
     rows = _rows_for_sigma(fixes, owner)
-    part = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
-    off = off_circles(_in_usual(part), part.gap).where(part.period <= LONGEST, math.nan)
-    enough = summed((~off.isnan()).sum(0), owner[rows]) >= _STRETCHES
-    for i, median in zip(owner[rows][enough], _median(off, owner[rows])[enough], strict=True):
-        most[owner == i] = _OVER_CIRCLES * median
+    some = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
+    alike = (some.variance == 1).all(0) & part.stops[rows]  # of each axis too
+    several = [
+        (off_circles(_in_usual(some), some.gap), some.period <= LONGEST, _OVER_CIRCLES),
+        (off_lines(_in_usual(some)), (some.period <= LONGEST) & alike, _OVER_LINES),
+    ]
+    for off, asked, ratio in several:
+        off = off.where(asked, math.nan)
+        enough = summed((~off.isnan()).sum(0), owner[rows]) >= _STRETCHES
+        for i, median in zip(owner[rows][enough], _median(off, owner[rows])[enough], strict=True):
+            most[owner == i] = most[owner == i].clamp_max(ratio * median)
     return most
 
 
