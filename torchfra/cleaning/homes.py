@@ -34,7 +34,7 @@ class Fit(NamedTuple):
     """``(B,)`` number of these."""
 
 
-def log_odds_of_roughness(fixes: Fixes, owner: Tensor) -> Tensor:
+def log_odds_of_roughness(fixes: Fixes, owner: Tensor, one_size: Tensor) -> Tensor:
     """Log of how much likelier fixes ``(B,)`` are by a motion as rough as noise than with white noise.
 
     Without noise the target forgets its velocity within a fix; or, where fixes are rare, it returns within a few to a
@@ -47,6 +47,7 @@ def log_odds_of_roughness(fixes: Fixes, owner: Tensor) -> Tensor:
     Args:
         fixes: NaN where there is none, or an outlier.
         owner: ``(B,)`` numbers; rows of the same one have common values.
+        one_size: ``(B,)`` whether the motion is about as large at any time, so that it may forget its velocity.
     """
     z, gap, period = fixes.z, fixes.gap, fixes.period.nan_to_num(1.0)
     ratio = _RATIOS.to(z).unsqueeze(1)
@@ -60,7 +61,7 @@ def log_odds_of_roughness(fixes: Fixes, owner: Tensor) -> Tensor:
         return _likelihood(innovations(z, gap, scaled, *motion, velocity=velocity), owner)
 
     without = [
-        likelihood(none[:1], none[:1], one[:1] / period.square(), rough, velocity=True),
+        likelihood(none[:1], none[:1], one[:1] / period.square(), rough, velocity=True).where(one_size, -torch.inf),
         likelihood(none, ratio / period, one, soon).where(period > LONGEST, -torch.inf) - _SURE,
     ]
     beside = [

@@ -42,6 +42,8 @@ _CHANGED = 18000.0
 """Seconds between fixes from which on a track with levels of a random walk hardly determines these."""
 _HOME = 43200.0
 """Seconds between fixes from which on targets may have returned: then motion is as white as noise."""
+_ONE_SIZE = 0.78
+"""Least median size of third differences in units of their root mean square, if all have one size; 0.83 if normal."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is estimated."""
 _OVER_CIRCLES, _OVER_LINES, _STRETCHES = 1.3, 2.2, 20
@@ -133,7 +135,8 @@ def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
 def as_rough_as_noise(part: Part, owner: Tensor, outlier: Tensor, unsure: Tensor) -> Tensor:
     """Whether a motion without noise ``(B,)`` that is as rough as noise is about as likely as noise.
 
-    It is asked where sigma is ``unsure (B,)``, and where targets may stop between two fixes.
+    It is asked where sigma is ``unsure (B,)``, and where targets may stop between two fixes; but where fixes are not
+    rare, not of those whose motion has no one size, who rest and move: their rests tell the noise.
 
     Args:
         part: the axes.
@@ -147,7 +150,10 @@ def as_rough_as_noise(part: Part, owner: Tensor, outlier: Tensor, unsure: Tensor
     if len(rows):
         fixes = Fixes(*(x[:_STEPS, ..., rows] for x in part.fixes))
         inliers = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
-        likely = log_odds_of_roughness(fixes._replace(z=inliers), owner[rows]) > -_OPEN
+        third = _third_differences(inliers, fixes.gap).square().mean(1)
+        sums = summed(torch.stack([third.nan_to_num().sum(0), (~third.isnan()).sum(0).to(third)]), owner[rows])
+        one_size = _median(third, owner[rows]) > _ONE_SIZE**2 * sums[0] / sums[1]
+        likely = log_odds_of_roughness(fixes._replace(z=inliers), owner[rows], one_size) > -_OPEN
         for i in owner[rows][likely].unique():
             rough[owner == i] = True
     return rough
