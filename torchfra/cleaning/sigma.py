@@ -42,7 +42,7 @@ _CHANGED = 18000.0
 """Seconds between fixes from which on a track with levels of a random walk hardly determines these."""
 _HOME = 43200.0
 """Seconds between fixes from which on targets may have returned: then motion is as white as noise."""
-_ONE_SIZE = 0.78
+_ONE_SIZE = 0.75
 """Least median size of third differences in units of their root mean square, if all have one size; 0.83 if normal."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is estimated."""
@@ -226,10 +226,10 @@ def most_by_shapes(part: Part, owner: Tensor) -> Tensor:
         return most
     rows = _rows_for_sigma(fixes, owner)
     some = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
-    alike = (some.variance == 1).all(0) & part.stops[rows]  # of each axis too
+    walks = (part.levels.walk > 0).any(0)[rows] & (some.variance == 1).all(0)
     several = [
         (off_circles(_in_usual(some), some.gap), some.period <= LONGEST, _OVER_CIRCLES),
-        (off_lines(_in_usual(some)), (some.period <= LONGEST) & alike, _OVER_LINES),
+        (off_lines(_in_usual(some)), (some.period <= LONGEST) & walks, _OVER_LINES),
     ]
     for off, asked, ratio in several:
         off = off.where(asked, math.nan)
