@@ -89,3 +89,26 @@ def test_an_animal_that_wanders_on_is_still_smoothed():
     cleaned = torchfra.clean((time, fixes), bank="animal")
     error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
     assert np.sqrt((error**2).mean() / (raw**2).mean()) < 0.95
+
+
+def test_who_forgets_a_course_from_fix_to_fix_is_where_it_was_measured():
+    rng = np.random.default_rng(5)
+    velocity = np.zeros((1200, 2))
+    for k in range(1, 1200):  # every second; forgotten in 5 s
+        velocity[k] = np.exp(-1 / 5) * velocity[k - 1] + 0.6 * rng.standard_normal(2)
+    time, place = np.arange(0.0, 1200.0, 15.0), np.cumsum(velocity, 0)[::15]
+    fixes = place + 0.4 * rng.standard_normal(place.shape)
+    cleaned = torchfra.clean((time, fixes), bank="person")
+    error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
+    assert np.sqrt((error**2).mean() / (raw**2).mean()) < 1.05
+
+
+def test_a_bus_that_stops_and_goes_along_a_street_is_where_it_was_measured():
+    rng = np.random.default_rng(6)
+    speed = np.concatenate([np.repeat([rng.uniform(7, 13), 0.0], rng.integers((30, 15), (70, 45))) for _ in range(80)])
+    along = np.convolve(speed, np.ones(10) / 10, "same").cumsum()[::30]
+    place = np.stack([0.8 * along, 0.6 * along], 1)
+    fixes = place + 3.0 * rng.standard_normal(place.shape)
+    cleaned = torchfra.clean((30.0 * np.arange(len(place)), fixes), bank="vehicle")
+    error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
+    assert np.sqrt((error**2).mean() / (raw**2).mean()) < 1.05

@@ -1,4 +1,4 @@
-"""Targets that return to a home between rare fixes: their motion is not white noise about a slower one."""
+"""Motion as rough as noise: targets that return to a home, or change their course, between two fixes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import Fixes
+from torchfra.cleaning.process_noise import LONGEST
 
 _RATIOS = 2.0 ** torch.arange(-12.0, 5.0, dtype=torch.float64)
 """Variances that are tried of the home's drift between two fixes, and of slow returns, in units of the other one."""
 _SOON, _LATER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0), (8.0, 16.0, 32.0)
 """Correlation times of a deviation without white noise, and beside it, in units of the usual time between fixes."""
-_COURSE = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Correlation times of a velocity beside white noise, in the same unit."""
+_COURSE, _ROUGH = (0.5, 1.0, 2.0, 4.0, 8.0), (0.25, 0.5, 1.0)
+"""Correlation times of a velocity beside white noise, and of one without it, in the same unit."""
+_SURE = 6.0
+"""Log-likelihood by which a home without noise must be likelier: who returns at once is as white as noise."""
 _ANYWHERE = 1e12
 """Variance of the home before the first fix, in units of the noise or the deviation."""
 
@@ -31,11 +34,12 @@ class Fit(NamedTuple):
     """``(B,)`` number of these."""
 
 
-def log_odds_of_a_home(fixes: Fixes, owner: Tensor) -> Tensor:
-    """Log of how much likelier fixes ``(B,)`` are with a home to which a target returns than with white noise.
+def log_odds_of_roughness(fixes: Fixes, owner: Tensor, one_size: Tensor) -> Tensor:
+    """Log of how much likelier fixes ``(B,)`` are by a motion as rough as noise than with white noise.
 
-    Without noise the target returns within a few fixes to a home that drifts.  Beside white noise it drifts, returns
-    within many fixes, or keeps its velocity for some.  The largest likelihoods are compared.
+    Without noise the target forgets its velocity within a fix; or, where fixes are rare, it returns within a few to a
+    home that drifts.  Beside white noise it drifts, returns within many fixes, or keeps its velocity for some.  The
+    largest likelihoods are compared.
 
     Source: Dunn & Gipson (1977), Biometrics 33, 85, for the Ornstein-Uhlenbeck process about a home; Johnson et al.
     (2008), Ecology 89, 1208, for that of a velocity.
@@ -43,19 +47,29 @@ def log_odds_of_a_home(fixes: Fixes, owner: Tensor) -> Tensor:
     Args:
         fixes: NaN where there is none, or an outlier.
         owner: ``(B,)`` numbers; rows of the same one have common values.
+        one_size: ``(B,)`` whether the motion is about as large at any time, so that it may forget its velocity.
     """
     z, gap, period = fixes.z, fixes.gap, fixes.period.nan_to_num(1.0)
     ratio = _RATIOS.to(z).unsqueeze(1)
     one, none = torch.ones_like(ratio * period), torch.zeros_like(ratio * period)
-    soon, later, course = (torch.tensor(of).to(z)[:, None, None] * period for of in (_SOON, _LATER, _COURSE))
+    soon, later, course, rough = (
+        torch.tensor(of).to(z)[:, None, None] * period for of in (_SOON, _LATER, _COURSE, _ROUGH)
+    )
     scaled = fixes.variance / torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.nan_to_num(1.0)
-    returns = _likelihood(innovations(z, gap, scaled, none, ratio / period, one, soon), owner)
-    several = [
-        innovations(z, gap, scaled, one, ratio / period, none, one),
-        innovations(z, gap, scaled, one, none, ratio, later),
-        innovations(z, gap, scaled, one, none, 2.0**12 * ratio / period.square(), course, velocity=True),
+
+    def likelihood(*motion: Tensor, velocity: bool = False) -> Tensor:
+        return _likelihood(innovations(z, gap, scaled, *motion, velocity=velocity), owner)
+
+    without = [
+        likelihood(none[:1], none[:1], one[:1] / period.square(), rough, velocity=True).where(one_size, -torch.inf),
+        likelihood(none, ratio / period, one, soon).where(period > LONGEST, -torch.inf) - _SURE,
     ]
-    return returns - torch.stack([_likelihood(fit, owner) for fit in several]).amax(0)
+    beside = [
+        likelihood(one, ratio / period, none, one),
+        likelihood(one, none, ratio, later),
+        likelihood(one, none, 2.0**12 * ratio / period.square(), course, velocity=True),
+    ]
+    return torch.stack(without).amax(0) - torch.stack(beside).amax(0)
 
 
 def _likelihood(fit: Fit, owner: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT
 from torchfra.cleaning.parts import Part, summed
-from torchfra.cleaning.sigma import finer_sigma, little_gained, lowest_sigma
+from torchfra.cleaning.sigma import as_rough_as_noise, finer_sigma, little_gained, lowest_sigma
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
 _ROUNDS = 2
@@ -52,17 +52,18 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
     parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     # With the prior levels: the estimated ones fit the motion that the estimated sigma left.
     asked = [part._replace(levels=levels) for part, levels in zip(parts, before, strict=True)]
-    lowest = [_lowest_of(part, rows, owner, of.outlier) for part, rows, of in zip(asked, unsure, smoothed, strict=True)]
+    rough = [
+        as_rough_as_noise(part, owner, of.outlier, rows) for part, of, rows in zip(asked, smoothed, unsure, strict=True)
+    ]
+    lowest = [_lowest_of(part, rows, owner, of) for part, rows, of in zip(asked, unsure, rough, strict=True)]
     return [part._replace(lowest=sigma) for part, sigma in zip(parts, lowest, strict=True)]
 
 
-def _lowest_of(part: Part, chosen: Tensor, owner: Tensor, outlier: Tensor) -> Tensor:
-    """The lowest sigma ``(B,)`` of the ``chosen (B,)`` rows, bool, that is not ruled out; NaN of the others."""
-    rows = chosen.nonzero()[:, 0]
+def _lowest_of(part: Part, unsure: Tensor, owner: Tensor, rough: Tensor) -> Tensor:
+    """The lowest sigma ``(B,)`` that is not ruled out, of ``unsure`` or ``rough (B,)`` rows; NaN of the others."""
+    rows = (unsure | rough).nonzero()[:, 0]
     lowest = torch.full_like(part.sigma, math.nan)
-    return (
-        lowest.index_copy(0, rows, lowest_sigma(part.at(rows), owner[rows], outlier[:, rows])) if len(rows) else lowest
-    )
+    return lowest.index_copy(0, rows, lowest_sigma(part.at(rows), owner[rows], rough[rows])) if len(rows) else lowest
 
 
 def _with_shares(part: Part, smoothed: Smoothed, owner: Tensor) -> Part:

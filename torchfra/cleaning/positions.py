@@ -19,7 +19,7 @@ from torchfra.cleaning.kinds import KINDS, USUAL
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
 from torchfra.cleaning.process_noise import levels_up_to, may_stop
-from torchfra.cleaning.sigma import first_sigma, most_by_circles
+from torchfra.cleaning.sigma import first_sigma, most_by_shapes
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 
@@ -129,7 +129,7 @@ def _with_first_sigma(
     """Parts with sigma as given, or an initial one, and its least value by what is ``coarse`` of each row."""
     least, step = torch.tensor(coarse, dtype=torch.float64).T
     if given is None:
-        parts = [part._replace(most=most_by_circles(part.fixes, owner)) for part in parts]
+        parts = [part._replace(most=most_by_shapes(part, owner)) for part in parts]
         several = [first_sigma(part, owner) for part in parts]
     else:
         several, least = [torch.full_like(least, given)] * len(parts), torch.zeros_like(least)

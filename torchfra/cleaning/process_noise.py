@@ -25,8 +25,8 @@ _PERIODS = 3.0
 _WALKS, _WALKS_RARE, _APART = 5, 8, 2.5
 """Levels of a random walk between two fixes, the same where fixes are rarer than any level lasts, and the ratio of the
 ways by which they move a target."""
-_WALK_FIXES, _WALK_FIXES_RARE = 10.0, 3.0
-"""Duration of these levels, in fixes; and where fixes are rare, as a target that rests for hours moves now and then."""
+_WALK_FIXES = 3.0
+"""Duration of these levels, in fixes, as a target that rests moves now and then."""
 _DRIFT_FIXES = 10.0
 """Duration of the least process noise beside them, in fixes: a drifter goes straight on where a swimmer may stop."""
 _RARER = 3.0
@@ -112,9 +112,8 @@ def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor,
     size = walking * farthest / _APART ** torch.where(rare, number, number.clamp_max(_WALKS - 1))
     walks = torch.where(walking, period / (period + 4 * stops), math.exp(_NEVER))
     each = torch.where(there | ~walking, walks / torch.where(walking, there.sum(0), len(number)), math.exp(_NEVER))
-    fixes = torch.where(rare, _WALK_FIXES_RARE, _WALK_FIXES)
     usual = levels.duration[:1]
-    drift, walk = (usual.maximum(walking * count * period) for count in (_DRIFT_FIXES, fixes))
+    drift, walk = (usual.maximum(walking * count * period) for count in (_DRIFT_FIXES, _WALK_FIXES))
     return Levels(
         torch.cat([levels.q, levels.q[:1].expand_as(size)]),
         torch.cat([levels.log_share + torch.log1p(-walks), each.log()]),

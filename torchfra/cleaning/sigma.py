@@ -7,9 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.circles import IN_A_ROW, off_circles
+from torchfra.cleaning.circles import IN_A_ROW, off_circles, off_lines
 from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
-from torchfra.cleaning.homes import log_odds_of_a_home
+from torchfra.cleaning.homes import log_odds_of_roughness
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
 from torchfra.cleaning.two_filters import Smoothed
@@ -42,10 +42,12 @@ _CHANGED = 18000.0
 """Seconds between fixes from which on a track with levels of a random walk hardly determines these."""
 _HOME = 43200.0
 """Seconds between fixes from which on targets may have returned: then motion is as white as noise."""
+_ONE_SIZE = 0.75
+"""Least median size of third differences in units of their root mean square, if all have one size; 0.83 if normal."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is estimated."""
-_OVER_CIRCLES, _STRETCHES = 1.3, 20
-"""Largest ratio of sigma to the residuals of circles, and the fewest stretches of fixes for these."""
+_OVER_CIRCLES, _OVER_LINES, _STRETCHES = 1.3, 2.2, 20
+"""Largest ratios of sigma to the residuals of circles and of lines, and the fewest stretches of fixes for these."""
 
 
 def first_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -100,7 +102,7 @@ def little_gained(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
     return (several > 0.5 * every) | (pauses > _PAUSES * every) | (part.fixes.period > LONGEST)
 
 
-def lowest_sigma(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
+def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
     """The lowest standard deviations ``(B,)`` that tracks do not rule out.
 
     Where noise and motion can hardly be distinguished, too large a sigma costs far more than too small a one: with the
@@ -110,7 +112,7 @@ def lowest_sigma(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
     Args:
         part: with the prior levels.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
-        outlier: ``(T, B)`` probabilities of outliers.
+        rough: ``(B,)`` whether motion is as rough as noise, so that no sigma is ruled out.
     """
     tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
     several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
@@ -125,23 +127,36 @@ def lowest_sigma(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
     open_ = (fit >= fit.amax((0, 1)) + torch.stack(least)).any(0)
-    open_[-1] |= _returns_home(part, owner, outlier)
+    open_[-1] |= rough
     last = (open_ * torch.arange(len(tried)).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
 
 
-def _returns_home(part: Part, owner: Tensor, outlier: Tensor) -> Tensor:
-    """Whether what looks like white noise ``(B,)`` is rather the motion of a target that returns between rare fixes."""
+def as_rough_as_noise(part: Part, owner: Tensor, outlier: Tensor, unsure: Tensor) -> Tensor:
+    """Whether a motion without noise ``(B,)`` that is as rough as noise is about as likely as noise.
+
+    It is asked where sigma is ``unsure (B,)``, and where targets may stop between two fixes; but where fixes are not
+    rare, not of those whose motion has no one size, who rest and move: their rests tell the noise.
+
+    Args:
+        part: the axes.
+        owner: ``(B,)`` numbers; rows of the same one are of one track.
+        outlier: ``(T, B)`` probabilities of outliers.
+        unsure: ``(B,)``.
+    """
     rows = _rows_for_sigma(part.fixes, owner)
-    rows = rows[(part.fixes.period > LONGEST)[rows]]
-    returns = torch.zeros_like(part.sigma, dtype=torch.bool)
+    rows = rows[(unsure | part.stops)[rows]]
+    rough = torch.zeros_like(unsure)
     if len(rows):
         fixes = Fixes(*(x[:_STEPS, ..., rows] for x in part.fixes))
         inliers = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
-        likely = log_odds_of_a_home(fixes._replace(z=inliers), owner[rows]) > _OPEN
+        third = _third_differences(inliers, fixes.gap).square().mean(1)
+        sums = summed(torch.stack([third.nan_to_num().sum(0), (~third.isnan()).sum(0).to(third)]), owner[rows])
+        one_size = _median(third, owner[rows]) > _ONE_SIZE**2 * sums[0] / sums[1]
+        likely = log_odds_of_roughness(fixes._replace(z=inliers), owner[rows], one_size) > -_OPEN
         for i in owner[rows][likely].unique():
-            returns[owner == i] = True
-    return returns
+            rough[owner == i] = True
+    return rough
 
 
 def _misfit(levels: Levels, part: Part) -> Tensor:
@@ -199,21 +214,28 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
     return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
-def most_by_circles(fixes: Fixes, owner: Tensor) -> Tensor:
-    """The largest sigma ``(B,)`` of tracks that circle; infinite where fixes are rare or mostly unevenly spaced.
+def most_by_shapes(part: Part, owner: Tensor) -> Tensor:
+    """The largest sigma ``(B,)`` of tracks that circle, or go along lines; infinite where fixes are rare.
 
     A target that circles with a few fixes per turn looks like noise about a straight line to levels of process noise,
-    which model no turns.
+    which model no turns; so does one that stops and goes, but noise is the same along its course and across.
     """
+    fixes = part.fixes
     most = torch.full_like(fixes.gap[0], math.inf)
     if fixes.z.shape[1] != 2 or len(fixes.z) < IN_A_ROW:
         return most
     rows = _rows_for_sigma(fixes, owner)
-    part = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
-    off = off_circles(_in_usual(part), part.gap).where(part.period <= LONGEST, math.nan)
-    enough = summed((~off.isnan()).sum(0), owner[rows]) >= _STRETCHES
-    for i, median in zip(owner[rows][enough], _median(off, owner[rows])[enough], strict=True):
-        most[owner == i] = _OVER_CIRCLES * median
+    some = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
+    walks = (part.levels.walk > 0).any(0)[rows] & (some.variance == 1).all(0)
+    several = [
+        (off_circles(_in_usual(some), some.gap), some.period <= LONGEST, _OVER_CIRCLES),
+        (off_lines(_in_usual(some)), (some.period <= LONGEST) & walks, _OVER_LINES),
+    ]
+    for off, asked, ratio in several:
+        off = off.where(asked, math.nan)
+        enough = summed((~off.isnan()).sum(0), owner[rows]) >= _STRETCHES
+        for i, median in zip(owner[rows][enough], _median(off, owner[rows])[enough], strict=True):
+            most[owner == i] = most[owner == i].clamp_max(ratio * median)
     return most
 
 
