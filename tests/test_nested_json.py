@@ -28,6 +28,11 @@ def test_lists_of_fixes_of_several_targets_are_rows_with_their_names(write, whol
     assert any("a row for each record in" in note for note in one.source.notes)
 
 
+def test_a_fix_that_names_its_target_is_no_part_of_what_is_around_it(write):
+    whole = {"id": "request", "fixes": [fix | {"id": f"bus{i % 2}"} for i, fix in enumerate(fixes())]}
+    assert [track.name for track in read(write(json.dumps(whole), "a.json"))] == ["bus0", "bus1"]
+
+
 @pytest.mark.parametrize(
     "whole",
     [

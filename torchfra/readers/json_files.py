@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
 from typing import Any
 
 from torchfra.readers.columns import Cells, short
@@ -25,6 +24,8 @@ _RAW = {"time": "timestamp", "altitude": "altitudeMeters", "accuracy": "accuracy
 """Columns by what a fix of a phone calls them."""
 _MINUTES = "durationMinutesOffsetFromStartTime"
 """Of a place since its segment of a phone's timeline began."""
+_CALLED = 3
+"""Names of a target at most that its fixes are given, which may be many."""
 _TRACE = ("second", "lat", "lon", "alt_baro")
 """What a row of a trace begins with: seconds since the file's, degrees, and feet."""
 
@@ -92,7 +93,8 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells, tuple[str, ...]]:
     records = parsed if isinstance(parsed, list) else [parsed]
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    return _columns_of(*(_inner(records) or (_flat(records), "")))
+    records = _flat(records)
+    return _columns_of(*(_inner(records) or (records, "")))
 
 
 def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int, Cells, tuple[str, ...]]:
@@ -104,7 +106,7 @@ def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int,
 
 
 def _inner(records: list[dict[str, Any]], depth: int = 4) -> tuple[list[dict[str, Any]], str] | None:
-    """The records in the lists of one name that alone have times and places, with what stands beside the lists.
+    """The records in the lists of one name that alone have times and places, each with what its target is called.
 
     So services answer: the targets, and the fixes of each.  None where the records have places, or no such list is
     the only one.
@@ -113,30 +115,23 @@ def _inner(records: list[dict[str, Any]], depth: int = 4) -> tuple[list[dict[str
     names = dict.fromkeys(name for record in records for name in record)
     if not depth or is_header(names):
         return None
-    likely = list[tuple[list[dict[str, Any]], str]]()
+    likely, called = list[tuple[list[dict[str, Any]], str]](), found(names, "id")[:_CALLED]
     for name in names:
         several = [(record, record[name]) for record in records if record.get(name)]
         if not several or not all(
-            isinstance(one, list) and all(isinstance(i, dict) for i in one) for _, one in several
+            isinstance(ones, list) and all(isinstance(one, dict) for one in ones) for _, ones in several
         ):
             continue
+        outer = [{key: record[key] for key in called if key in record} for record, ones in several for _ in ones]
         inner = [
-            {key: value for key, value in record.items() if several[1:] and not isinstance(value, list | dict)}
-            | {key if record.get(key) is None or isinstance(record[key], list | dict) else f"{name}.{key}": value
-               for key, value in one.items()}
-            for record, ones in several for one in _flat(ones)
-        ]  # fmt: skip
-        if _tells_tracks(key for _, ones in several for one in ones for key in one):
-            likely.append((_flat(inner), name))
+            more | one for more, one in zip(outer, _flat([one for _, ones in several for one in ones]), strict=True)
+        ]
+        keys = {key for one in inner for key in one}
+        if is_header(keys) and found(keys, "time"):
+            likely.append((inner, name))
         elif deeper := _inner(inner, depth - 1):
             likely.append((deeper[0], f"{name}, {deeper[1]}"))
     return likely[0] if len(likely) == 1 else None
-
-
-def _tells_tracks(keys: Iterable[str]) -> bool:
-    """Whether names say when something was, and where."""
-    names = {*keys}
-    return is_header(names) and bool(found(names, "time"))
 
 
 def _flat(records: list[dict[str, Any]], depth: int = 4) -> list[dict[str, Any]]:
