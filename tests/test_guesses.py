@@ -194,3 +194,20 @@ def test_a_blank_line_above_a_header_is_left_out_where_spaces_are_stated(tmp_pat
     path.write_text("logger 1\n\nt x y\n0 1 2\n1 2 3\n2 3 4\n")
     (track,) = read(path, delimiter="space")
     assert track.time.tolist() == [0, 1, 2]
+
+
+# ---------------------------------------------------------------- what programs write
+
+
+def test_cells_of_an_address_with_commas_belong_together(write):
+    rows = [(f"2025-03-05 06:12:{i:02}", 45 + i / 1e4, 9.19, "1 Via Torino", " Milano", " IT", i) for i in range(9)]
+    (track,) = read(write(table("fixTime,latitude,longitude,address,sat", rows)))
+    assert len(track.time) == 9
+    assert track.repairs == {}
+
+
+def test_the_line_of_several_beneath_the_header_that_has_units_has_them(write):
+    rows = [("X", "Y", "T"), ("X", "Y", "T"), ("(mm)", "(mm)", "(min)"), *((i, 2 * i, i) for i in range(9))]
+    (track,) = read(write(table("POSITION_X,POSITION_Y,POSITION_T", rows)))
+    assert track.time[-1] - track.time[0] == 8 * 60
+    assert track.position[-1, 1] == pytest.approx(0.016)

@@ -72,3 +72,18 @@ def test_places_in_objects_of_objects_have_hints(write):
     ]
     with pytest.raises(ValueError, match=r"--time result.at --lat result.up.payload.latitude --lon"):
         read(write(lines, "a.json"))
+
+
+def test_fixes_of_vehicles_in_a_feed_have_hints_with_their_own_time(write):
+    feeds = [
+        {"header": {"timestamp": "1"}, "entity": [
+            {"id": name, "vehicle": {"trip": {"startTime": f"10:{k % 3}0:00"}, "vehicle": {"id": name},
+             "position": {"latitude": fix["latitude"], "longitude": k}, "timestamp": str(1715668200 + 10 * i)}}
+            for k, name in enumerate("AB")]}
+        for i, fix in enumerate(fixes())
+    ]  # fmt: skip
+    path = write([json.dumps(one) for one in [{"header": {"timestamp": "0"}, "entity": []}, *feeds]], "a.json")
+    with pytest.raises(ValueError, match=r"--time vehicle.timestamp --lat vehicle.position.latitude --lon"):
+        read(path)
+    words = {"time": "vehicle.timestamp", "lat": "vehicle.position.latitude", "lon": "vehicle.position.longitude"}
+    assert [track.name for track in read(path, **words)] == ["A", "B"]

@@ -84,7 +84,7 @@ def csv_sheet(
     in_comment = (
         units if sign != " " and len(units) == len(names) else []
     )  # a sentence may have as many words as columns
-    units = beneath[0] if beneath else in_comment
+    units = max(beneath, key=lambda line: len({*_with_units(names, line)} - {*names}), default=in_comment)
     bare, names = names, _with_units(names, units) if units else names
     if not beneath and names != bare:
         said.append("units in the comment before the header")
@@ -333,6 +333,9 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
             return []
         if len(row) > len(names) and not any(row[len(names) :]):
             return row[: len(names)]
+        if len(row) > len(names) and "address" in names:  # Traccar writes addresses with their commas, without quotes
+            at, more = names.index("address"), len(row) - len(names)
+            return [*row[:at], ",".join(row[at : at + more + 1]), *row[at + more + 1 :]]
         if repairs is None:
             doubt = "" if known else f"; or the header is another line than that of {listed(names)}"
             if names[0] == "Grid":  # as MapSource and BaseCamp write text, where a row has as many cells as it needs

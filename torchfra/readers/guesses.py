@@ -31,6 +31,8 @@ _RANGE, _BEARING = re.compile("(?:slant|ground)?range|distance|rho$|r$"), re.com
 """In the names of what a radar measures."""
 _TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp"}
 """Words in names of times."""
+_STARTS = {"start", "begin", "end", "scheduled", "planned"}
+"""Words in names of times that are not those of a fix."""
 _OF_THE_DAY = re.compile(r"[0-9]{1,2}:[0-9]{2}(?::[0-9]{2}(?:[.,][0-9]+)?)?(?: ?[AaPp][Mm])?")
 _SQUARE = re.compile(r"\s*(?:[0-9]{1,2}[C-HJ-NP-X])?\s*[A-HJ-Z]{2}\s*[0-9]{2,5}\s*[0-9]{2,5}\s*")
 """A square of a national grid, or of MGRS, and where in it."""
@@ -53,7 +55,8 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
         name: [cell for cell in head.cells(name) if cell is not None and not is_missing(str(cell))] for name in names
     }
     values = {name: column for name in names if len(column := _numbers(cells[name]))}
-    time = next((name for name in names if name not in values and _is_time(cells[name])), "")
+    times = [name for name in names if name not in values and _is_time(cells[name])]
+    time = next((name for name in times if not _STARTS & {*name_words(name)}), "")
     places = _by_names(values)
     likely = [name for name in values if plain(name) in FRAMES]  # each comes once for every target
     dated = [name for name, column in values.items() if YEAR_1980 < column.min() < column.max()]
@@ -62,7 +65,7 @@ def looks_like(head: Head, known: Collection[str] = ()) -> str:
     growing = [name for name in growing if not _is_other(name) and name not in places.values()]
     named = [name for name in values if {*name_words(name)} & _TIMES]
     sure = [name for name in named if name in dated or name in growing] or found(values, "time")
-    time = time or next(iter(sure or likely + growing + named), "")
+    time = time or next(iter(sure or likely + growing + named + times), "")
     asked = _with_date(time, [name for name in names if name not in values and name != time], head)
     weeks = found(head.names, "week") and time in values and values[time].max() <= _WEEK
     form = "gps" if weeks else days_of(values[time], time) if time in values else ""

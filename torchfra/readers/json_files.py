@@ -94,7 +94,7 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells, tuple[str, ...]]:
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
     records = _flat(records)
-    return _columns_of(*(_inner(records) or (records, "")))
+    return _columns_of(*(_inner(records, asked=True) or (records, "")))
 
 
 def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int, Cells, tuple[str, ...]]:
@@ -105,32 +105,42 @@ def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int,
     return names, len(records), lambda name: [record.get(name) for record in records], said
 
 
-def _inner(records: list[dict[str, Any]], depth: int = 4) -> tuple[list[dict[str, Any]], str] | None:
+def _inner(
+    records: list[dict[str, Any]], depth: int = 4, *, asked: bool = False
+) -> tuple[list[dict[str, Any]], str] | None:
     """The records in the lists of one name that alone have times and places, each with what its target is called.
 
     So services answer: the targets, and the fixes of each.  None where the records have places, or no such list is
-    the only one.
+    the only one.  Where it is ``asked``, the only list of all is one, as a person may name columns of its records.
     """
     records = _flat(records)
     names = dict.fromkeys(name for record in records for name in record)
     if not depth or is_header(names):
         return None
-    likely, called = list[tuple[list[dict[str, Any]], str]](), found(names, "id")[:_CALLED]
+    likely, every = list[tuple[list[dict[str, Any]], str]](), list[tuple[list[dict[str, Any]], str]]()
+    called = found(names, "id")[:_CALLED]
     for name in names:
         several = [(record, record[name]) for record in records if record.get(name)]
         if not several or not all(
             isinstance(ones, list) and all(isinstance(one, dict) for one in ones) for _, ones in several
         ):
             continue
-        outer = [{key: record[key] for key in called if key in record} for record, ones in several for _ in ones]
+        outer = [
+            {key: record[key] for key in called if not isinstance(record.get(key, []), list | dict)}
+            for record, ones in several
+            for _ in ones
+        ]
         inner = [
             more | one for more, one in zip(outer, _flat([one for _, ones in several for one in ones]), strict=True)
         ]
+        every.append((inner, name))
         keys = {key for one in inner for key in one}
         if is_header(keys) and found(keys, "time"):
             likely.append((inner, name))
         elif deeper := _inner(inner, depth - 1):
             likely.append((deeper[0], f"{name}, {deeper[1]}"))
+    if asked and not likely:
+        likely = every
     return likely[0] if len(likely) == 1 else None
 
 
