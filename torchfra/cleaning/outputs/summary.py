@@ -72,7 +72,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
         median, most = metres(of["median_correction"]), metres(of["largest_correction"])
         said.append(f"Fixes that were kept moved: {median} in the median, {most} at most")
     if math.isfinite(of["median_std"]):
-        said.append(f"The cleaned path has a standard deviation of {metres(of['median_std'])} per axis (median)")
+        lasting = "" if cleaned.recording.origin is None else f", {LASTING}"
+        said.append(f"Standard deviation of the path: {metres(of['median_std'])} per axis (median){lasting}")
     if math.isfinite(of["nis"]):
         said.append(f"Normalised innovation squared per axis (NIS): {of['nis']:.2f}; it is 1 if sigma and q are right")
     if of["sigma_unsure"]:
@@ -99,6 +100,10 @@ def headline(of: Mapping[str, Any]) -> str:
     if unclear:
         text += f", {unclear:,} unclear"
     return text + ("; FAILED: NaN or infinity" if of["failed"] else "")
+
+
+LASTING = "slowly varying errors not included"
+"""What the standard deviation of a track in degrees does not contain, as receivers of satellites have such errors."""
 
 
 UNLIKELY = (
@@ -149,7 +154,7 @@ COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", 
 """Columns of a table of several targets."""
 LEGEND = (
     "farthest: of the rejected fixes; moved: the others, in the median",
-    "std: of the cleaned path per axis, in the median",
+    f"std: of the cleaned path per axis, in the median, {LASTING}",
     "sigma: of a fix per axis, or a factor on what the file states",
 )
 """What some of these columns hold."""
