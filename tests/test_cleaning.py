@@ -1,6 +1,7 @@
 """Cleaning finds what tracks are made of, rejects what is wrong, and no track stops another."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import oracles
@@ -138,6 +139,13 @@ def test_tracks_too_short_for_a_sigma_of_their_own_have_one_together():
     done = clean_tracks(few)
     assert len({one.found.sigma for one in done}) == 1
     assert done[0].found.sigma == pytest.approx(SIGMA, rel=0.15)
+
+
+def test_what_repeats_its_position_tells_nothing_of_the_noise_of_other_short_tracks():
+    few = [recorded(seed, steps=25, outliers=0.0)[0] for seed in range(3)]
+    beacons = [replace(few[0], name=f"beacon {i}", position=np.zeros_like(few[0].position)) for i in range(4)]
+    alone, beside = clean_tracks(few), clean_tracks([*beacons, *few])
+    assert [one.found.sigma for one in beside[4:]] == pytest.approx([one.found.sigma for one in alone])
 
 
 @pytest.mark.slow

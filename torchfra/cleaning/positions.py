@@ -202,8 +202,18 @@ def _rows_of(track: int, steps: Steps) -> list[Row]:
 
 
 def _owners(rows: Sequence[Row], tracks: Sequence[Steps]) -> Tensor:
-    """Numbers ``(B,)`` that are equal for rows with common values: those of a track, and of all short tracks."""
-    return torch.tensor([SHORT if len(tracks[row.track].time) < _FEW else SHORT + 1 + row.track for row in rows])
+    """Numbers ``(B,)`` that are equal for rows with common values: those of a track, and of all short tracks.
+
+    What mostly repeats its position, as a beacon, tells nothing of the noise of others.
+    """
+    short = [len(steps.time) < _FEW and not _repeats(steps) for steps in tracks]
+    return torch.tensor([SHORT if short[row.track] else SHORT + 1 + row.track for row in rows])
+
+
+def _repeats(steps: Steps) -> bool:
+    """Whether half of the fixes or more are where the one before was."""
+    moved = np.diff(steps.raw[steps.measured], axis=0)
+    return len(moved) > 0 and bool((moved == 0).all(1).mean() >= 0.5)
 
 
 def _of_track(x: Tensor, rows: Sequence[Row], track: int) -> Array:
