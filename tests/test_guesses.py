@@ -211,3 +211,22 @@ def test_the_line_of_several_beneath_the_header_that_has_units_has_them(write):
     (track,) = read(write(table("POSITION_X,POSITION_Y,POSITION_T", rows)))
     assert track.time[-1] - track.time[0] == 8 * 60
     assert track.position[-1, 1] == pytest.approx(0.016)
+
+
+def test_fixes_are_valid_or_not_in_single_letters_too(write):
+    rows = [(i, 47 + i / 1e4, 8, "f" if 3 <= i < 5 else "t") for i in range(9)]
+    (track,) = read(write(table("time,lat,lon,valid", rows)))
+    assert track.repairs == {"rows marked as invalid dropped": 2}
+
+
+def test_a_column_gps_may_hold_both_coordinates_and_a_switch_is_no_standard_deviation(write):
+    rows = [(f"2025-08-02 15:22:{i:02}", f"{47 + i / 1e5:.6f} 8.300000", i % 3 - 1) for i in range(9)]
+    (track,) = read(write(table("Time,GPS,SD", rows)))
+    assert len(track.time) == 9
+    assert track.sigma is None
+
+
+def test_the_clock_of_a_game_counts_down_and_is_no_time(write):
+    path = write(table("game_clock,x,y", [(720 - i / 25, i / 10, 5) for i in range(50)]))
+    with pytest.raises(ValueError, match="column game_clock: expected times that go on, received a clock that counts"):
+        read(path, time="game_clock")

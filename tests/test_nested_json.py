@@ -87,3 +87,10 @@ def test_fixes_of_vehicles_in_a_feed_have_hints_with_their_own_time(write):
         read(path)
     words = {"time": "vehicle.timestamp", "lat": "vehicle.position.latitude", "lon": "vehicle.position.longitude"}
     assert [track.name for track in read(path, **words)] == ["A", "B"]
+
+
+def test_a_list_beside_a_position_without_any_of_its_own_is_no_table(write):
+    rows = [{"tag": "7", "at": fix["time"], "data": {"anchors": [{"rss": i}], "coordinates": {"x": i, "y": 0}}}
+            for i, fix in enumerate(fixes())]  # fmt: skip
+    (track,) = read(write(json.dumps(rows), "a.json"), time="at", x="data.coordinates.x", y="data.coordinates.y")
+    assert len(track.time) == ROWS

@@ -31,7 +31,17 @@ _FINEST = 1e-4
 """Degrees, of which positions without a grid have some more digits; most lie off 0, 0."""
 _NEAR = 2e-3
 """Degrees between neighbouring fixes at most; metres are more."""
-_PAIRS = {"position", "latlon", "latlng", "latlong", "latitudelongitude", "coordinates", "location", "координаты"}
+_PAIRS = {
+    "position",
+    "latlon",
+    "latlng",
+    "latlong",
+    "latitudelongitude",
+    "coordinates",
+    "location",
+    "gps",
+    "координаты",
+}
 """Names of columns that may hold a latitude and a longitude."""
 _PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*(?:\([0-9]+\)\s*)?")
 """Both in one cell, and perhaps the number of satellites in brackets."""

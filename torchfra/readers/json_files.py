@@ -133,8 +133,9 @@ def _inner(
         inner = [
             more | one for more, one in zip(outer, _flat([one for _, ones in several for one in ones]), strict=True)
         ]
-        every.append((inner, name))
         keys = {key for one in inner for key in one}
+        if is_header({key.rpartition(".")[2] for key in keys}):
+            every.append((inner, name))
         if is_header(keys) and found(keys, "time"):
             likely.append((inner, name))
         elif deeper := _inner(inner, depth - 1):

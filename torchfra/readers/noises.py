@@ -103,6 +103,8 @@ def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> 
         cells = head.cells(column)
         if len(cells) < HEAD and not any(word_of(cell).strip("0.,") for cell in cells):
             continue  # 0 everywhere says that nothing is known; a longer column may say it further on
+        if plain(column) == "sd" and any(word_of(cell).startswith("-") for cell in cells):
+            continue  # a switch of a remote control
         name = plain(column)
         if name in ("hdop", "horizontaldilutionofprecision"):
             factor = RANGE_ERROR * _PER_AXIS

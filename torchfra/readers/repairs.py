@@ -15,7 +15,7 @@ from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped, in_seconds
 from torchfra.readers.layouts import Layout
 from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
-from torchfra.readers.spelling import MARKS
+from torchfra.readers.spelling import MARKS, name_words
 from torchfra.readers.tables import Table
 from torchfra.readers.times import written
 
@@ -193,6 +193,7 @@ class _Columns:
             (self.carried[index] | (time != self.time[index])).sum()
         )
         self.time[index] = time
+        self._check_count_down(time)
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
@@ -268,6 +269,15 @@ class _Columns:
     def _usual_way(self, index: NDArray[np.intp]) -> float:
         """Median length of the ways between these rows, in the units of the file."""
         return float(np.median(np.hypot(np.diff(self.first[index]), np.diff(self.second[index]))))
+
+    def _check_count_down(self, time: Array) -> None:
+        """Refuses the clock of a game, which counts down, as times: velocities would point backwards."""
+        words = {"clock", "remaining", "left", "countdown"} & {*name_words(self.clock.column)}
+        if words and not self.dated and (np.diff(time) < 0).sum() > 2 * (np.diff(time) > 0).sum():
+            raise ValueError(
+                f"column {self.clock.column}: expected times that go on, received a clock that counts down: name "
+                "another column by --time, or write seconds since the start"
+            )
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
         """Refuses rows of several targets in one: many have the time of another row and another position."""

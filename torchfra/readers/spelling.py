@@ -145,7 +145,7 @@ ANIMALS = ("animal", "bird", "marine animal")
 """What targets are that are animals."""
 MARKS = ("visible", "by_hand", "by_import", "by_rule")
 """Columns of Movebank that say whether a fix is right, and whether it is an outlier."""
-WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0}
+WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 0.0, "yes": 1.0, "no": 0.0}
 """What they say, in small letters."""
 COUNTERS = {"id", "name", "objectid", "target", "object", "trip", "tripid", "uuid", "entityid", "user", "userid", "tn"}
 """Names that may number the rows instead of the targets."""
