@@ -61,7 +61,9 @@ class SensorViews:
             check_models(f.motion, sensor)
             parts = f.parts_for(sensor)
             view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
-            view.__dict__.update(viewed=f, around=sensor, replaced={name: f._modules[name] for name in parts if name != "sensor"})
+            view.__dict__.update(
+                viewed=f, around=sensor, replaced={name: f._modules[name] for name in parts if name != "sensor"}
+            )
             if len(self._views) == _VIEWS:  # the one that was used least recently goes
                 self._views.pop(next(iter(self._views)))
         self._views[id(sensor)] = view
