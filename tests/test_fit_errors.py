@@ -1,7 +1,5 @@
 """What a fit says of its own certainty is so: exact Hessians, intervals that cover, values that tracks do not tell."""
 
-import math
-
 import pytest
 import torch
 from test_fit import PRIOR, QUICK, STD, Q, start, walks

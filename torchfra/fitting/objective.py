@@ -59,13 +59,9 @@ class Objective:
         self.skip, self.convert, self.truncate = skip, convert, truncate
         if loss == "smoothed" and f.scans:
             raise ValueError("loss: expected another than 'smoothed' for scans of several targets")
-        clutter = [
-            path
-            for path, hyper in vector.hypers.items()
-            if loss == "likelihood" and f.scans and any(hyper is part for part in f.clutter.modules())
-        ]  # type: ignore[operator]  # of scans
+        clutter = [path for path in vector.hypers if path.startswith("clutter.")] if loss == "likelihood" else []
         if clutter:
-            expected = "another loss than 'likelihood', which is over that of false measurements alone"
+            expected = "another than 'likelihood', which is over that of false measurements alone,"
             raise ValueError(f"loss: expected {expected}, to learn {', '.join(clutter)}")
         self.call = _Call(f, loss == "smoothed")
 
