@@ -451,6 +451,13 @@ def test_another_filter_has_one_loss_for_each_scene_of_several_targets(loss):
     torch.testing.assert_close(objective.of_filter(f, tracks), own)
 
 
+def test_clutter_is_not_learned_by_a_likelihood_that_is_relative_to_it():
+    scenario = scenarios.clutter_straight(counts="poisson")
+    f = scenario_filter("iaukf_jpda", scenario)
+    with pytest.raises(ValueError, match=r"loss: expected another than 'likelihood'.*to learn clutter\.rate"):
+        torchfra.fit(f, scenario, learn=("rate",), loss="likelihood", runs=4, quiet=True)
+
+
 def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of():
     before = torch.linspace(1.0, 2.0, 30).double()
     after = before - 0.5

@@ -1,7 +1,5 @@
 """What a fit says of its own certainty is so: exact Hessians, intervals that cover, values that tracks do not tell."""
 
-import math
-
 import pytest
 import torch
 from test_fit import PRIOR, QUICK, STD, Q, start, walks
@@ -13,7 +11,7 @@ from torchfra.fitting.data import batch_of
 from torchfra.fitting.descent import bounded
 from torchfra.fitting.newton import Sums, median_of_nonzero, minimised
 from torchfra.fitting.objective import Objective
-from torchfra.fitting.vector import NORMAL_95, Vector
+from torchfra.fitting.vector import NORMAL_95, Vector, copied
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
 from torchfra.sensors import Position
 
@@ -110,9 +108,14 @@ def test_rows_of_probabilities_have_a_standard_error_and_intervals_inside_zero_a
         ends = [found.learned[f"transition[{row},{j}]"] for j in (0, 1)]
         assert sum(ends) == pytest.approx(1)
         errors = [found.errors[f"transition[{row},{j}]"] for j in (0, 1)]
-        assert errors[0] == pytest.approx(errors[1], nan_ok=True)
+        assert errors[0] == pytest.approx(errors[1])
         low, high = found.intervals[f"transition[{row},0]"]
-        assert math.isnan(low) or 0 <= low <= ends[0] <= high <= 1
+        assert 0 <= low <= ends[0] <= high <= 1
+
+
+def test_the_copy_that_is_fitted_has_probabilities_that_sum_to_one_too():
+    f = copied(presets.imm_srckf([ConstantVelocity(0.5), ConstantVelocity(9.0)], Position(STD)), ("transition",))
+    assert Vector(f).directions.shape == (4, 2)
 
 
 def test_a_value_that_tracks_do_not_tell_is_named():

@@ -1,6 +1,8 @@
 """Targets come and go in streams and batches, around any filter of scans; clusters change nothing."""
 
+import copy
 import math
+import pickle
 import sys
 
 import pytest
@@ -318,6 +320,18 @@ def test_a_sensor_like_the_filters_own_says_the_same(make):
     assert len(own[-1].track.identity) == 4
     for a, b in zip(tree.flatten(own[-1]), tree.flatten(other[-1]), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("make", [presets.srckf, presets.gpb])
+def test_a_copy_of_a_manager_with_several_sensors_goes_on_like_it(make, copied):
+    _, z = moving(FOUR, 6)
+    f = presets.jpda(ConstantVelocity(0.5), Position(2.0), clutter=Clutter(1e4, rate=2.0), detection=0.9, inner=make)
+    targets = Targets(f, birth=TwoPoint(10.0), sensors={"other": f})
+    state, other = run(targets, z)[-1], copied(targets)
+    for name in (None, "other"):
+        for a, b in zip(*(tree.flatten(x.step(state, z[-1], sensor=name)) for x in (targets, other)), strict=True):
+            torch.testing.assert_close(a, b, rtol=0, atol=0)
 
 
 def test_sensors_that_cannot_have_the_same_targets_are_named():

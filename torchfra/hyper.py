@@ -163,6 +163,11 @@ class Hyper(nn.Module):
         return bool(self.raw.isfinite().all())
 
     @property
+    def sums_to_one(self) -> bool:
+        """Whether the value is rows of probabilities."""
+        return isinstance(self.constraint, type(constraints.simplex))  # a copy has a constraint of its own
+
+    @property
     def batch_rank(self) -> int:
         """Number of batch dimensions of the value."""
         return self.raw.dim() - self.event_dim

@@ -24,6 +24,11 @@ class View:
     """
 
     viewed: Any = None
+    around: Any = None
+    """The sensor that it was asked for."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _view, (self.viewed, self.around)  # its class has no name that pickle would find
 
     def begin(self, belief: Gaussian) -> Any:
         """The state of a belief."""
@@ -56,7 +61,9 @@ class SensorViews:
             check_models(f.motion, sensor)
             parts = f.parts_for(sensor)
             view = sharing(f, mixed(View, f.__class__), engine=f.engine.another(), **parts)
-            view.__dict__.update(viewed=f, replaced={name: f._modules[name] for name in parts if name != "sensor"})
+            view.__dict__.update(
+                viewed=f, around=sensor, replaced={name: f._modules[name] for name in parts if name != "sensor"}
+            )
             if len(self._views) == _VIEWS:  # the one that was used least recently goes
                 self._views.pop(next(iter(self._views)))
         self._views[id(sensor)] = view
@@ -69,6 +76,11 @@ class SensorViews:
         if type(f.engine) is not type(view.engine):
             view.engine = f.engine.another()
         return view
+
+
+def _view(f: Any, sensor: Sensor) -> Any:
+    """A copy of a view, of a copy of its filter."""
+    return f.with_sensor(sensor)
 
 
 @lru_cache(maxsize=64)

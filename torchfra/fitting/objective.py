@@ -46,7 +46,7 @@ class Objective:
         truncate: steps after which backpropagation through time is cut; None for never.
 
     Raises:
-        ValueError: an unknown loss.
+        ValueError: an unknown loss, or one that does not tell what is to be learned.
     """
 
     def __init__(
@@ -59,6 +59,10 @@ class Objective:
         self.skip, self.convert, self.truncate = skip, convert, truncate
         if loss == "smoothed" and f.scans:
             raise ValueError("loss: expected another than 'smoothed' for scans of several targets")
+        clutter = [path for path in vector.hypers if path.startswith("clutter.")] if loss == "likelihood" else []
+        if clutter:
+            expected = "another than 'likelihood', which is over that of false measurements alone,"
+            raise ValueError(f"loss: expected {expected}, to learn {', '.join(clutter)}")
         self.call = _Call(f, loss == "smoothed")
 
     def compile(self) -> None:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
-from torch.distributions import constraints, transform_to
+from torch.distributions import transform_to
 
 from torchfra.filters import Filter
 from torchfra.hyper import Hyper, element_names, hypers, named, provide
@@ -89,8 +89,8 @@ class Vector:
             ValueError: an unknown name, a probability of several that sum to one, or a value out of its range.
         """
         path = name.partition("[")[0]
-        if name not in self.names or self.hypers[path].constraint is constraints.simplex:
-            free = [n for n in self.names if self.hypers[n.partition("[")[0]].constraint is not constraints.simplex]
+        if name not in self.names or self.hypers[path].sums_to_one:
+            free = [n for n in self.names if not self.hypers[n.partition("[")[0]].sums_to_one]
             raise ValueError(f"name: expected one of {free}, received {name!r}")
         raw: Tensor = Hyper(torch.tensor(values, dtype=torch.float64), self.hypers[path].constraint, name=name).raw
         return raw
@@ -110,7 +110,7 @@ class Vector:
         logit = torch.logit(shares)
         odds = torch.sigmoid(logit - wide), torch.sigmoid(logit + wide)
         summing = torch.cat([
-            torch.full((hyper.raw.numel(),), hyper.constraint is constraints.simplex) for hyper in self.hypers.values()
+            torch.full((hyper.raw.numel(),), hyper.sums_to_one) for hyper in self.hypers.values()
         ])  # fmt: skip
         low, high = (torch.where(summing, a, b) for a, b in zip(odds, ends, strict=True))
         return low, high
@@ -144,7 +144,7 @@ def copied(f: F, learn: Collection[str] | None) -> F:
 def _directions(hyper: Hyper) -> Tensor:
     """Directions ``(k, q)`` in which the unconstrained numbers of a hyperparameter change its value."""
     count = hyper.raw.numel()
-    if hyper.constraint is not constraints.simplex:
+    if not hyper.sums_to_one:
         return torch.eye(count, dtype=torch.float64)
     size = hyper.raw.shape[-1]
     contrasts = torch.zeros(size, size - 1, dtype=torch.float64)  # Helmert's
