@@ -494,6 +494,35 @@ def test_modes_and_parameters_that_come_later_are_noticed():
         close(f(z, prior), fast(z, prior))
 
 
+def test_an_attribute_that_is_gone_is_noticed():
+    f = SRCKF(ConstantVelocity(0.1), Scaled(1.0))
+    f.sensor.bias = 3.0
+    fast = copy.deepcopy(f).compile()
+    prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    z = torch.ones(3, 2, dtype=torch.float64)
+    biased = fast(z, prior).mean
+    for g in (f, fast):
+        del g.sensor.bias
+    assert not torch.equal(fast(z, prior).mean, biased)
+    close(f(z, prior), fast(z, prior))
+
+
+def test_a_value_that_learns_from_now_on_needs_no_new_kernel_and_has_its_gradient(monkeypatch):
+    f = SRCKF(ConstantVelocity(0.1), Position(1.0))
+    fast = copy.deepcopy(f).compile()
+    prior = Gaussian(torch.ones(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
+    z = torch.zeros(3, 2, dtype=torch.float64)
+    before = fast(z, prior)
+    for g in (f, fast):
+        g.motion.q.learn()
+    with torch.no_grad(), monkeypatch.context() as patch:
+        patch.setattr(jit, "load", None)
+        assert torch.equal(fast(z, prior).mean, before.mean)
+    for g in (f, fast):
+        g(z, prior).mean.sum().backward()
+    close(f.motion.q.raw.grad, fast.motion.q.raw.grad)
+
+
 def test_a_noise_that_learns_has_its_gradient():
     root = torch.tensor([[1.0, 0.0], [0.5, 2.0]], dtype=torch.float64, requires_grad=True)
     f = SRCKF(ConstantVelocity(0.1), Position(noise=torch.eye(2, dtype=torch.float64)))

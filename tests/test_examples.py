@@ -132,7 +132,7 @@ def test_ten_targets_are_followed_without_a_switch(capsys):
     assert len(lives) == 40
     assert sum(lives[1::4]) > 0.9 * sum(lives[::4])
     assert sum(lives[3::4]) == 0
-    assert output.count("comes") >= 10
+    assert output.count("confirmed") >= 10
     assert numbers(r"GOSPA ([\d.]+) m", output)[0] < 60
 
 

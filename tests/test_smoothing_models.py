@@ -144,7 +144,7 @@ def test_where_nothing_is_measured_any_more_it_is_as_filtered():
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "lag"), [("imm_fra", 3), ("vsimm_srckf", 1)])
 def test_with_a_lag_each_step_is_that_of_the_track_up_to_so_many_later(name, lag):
-    f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD)), turning()
+    f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD)), turning(8)
     lagged = f.smooth(z, prior, lag=lag)
     for k in range(z.shape[-2]):
         whole = f.smooth(z[:, : k + lag + 1], prior)

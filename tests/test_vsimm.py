@@ -104,14 +104,13 @@ def test_every_track_has_a_set_of_its_own(inner):
     assert (whole.info.active.sum(-1) == 3).all()
     same(whole.info.probabilities.sum(-1), torch.ones(3, 30, dtype=torch.float64))
     for i in range(3):
-        own = prior._replace(mean=prior.mean[i])
-        one = f(z[i], own, dt=DT)
+        one = f(z[i], prior._replace(mean=prior.mean[i]), dt=DT)
         assert torch.equal(one.info.active, whole.info.active[i])
         same(one.mean, whole.mean[i])
-        state = f.init(own)
-        for k in range(30):
-            state, _ = f.step(state, z[i, k], dt=DT)
-        same(state.belief.mean, whole.mean[i, -1])
+    state = f.init(prior)
+    for k in range(30):
+        state, _ = f.step(state, z[:, k], dt=DT)
+    same(state.belief.mean, whole.mean[:, -1])
 
 
 @pytest.mark.slow
