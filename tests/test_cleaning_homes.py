@@ -112,3 +112,17 @@ def test_a_bus_that_stops_and_goes_along_a_street_is_where_it_was_measured():
     cleaned = torchfra.clean((30.0 * np.arange(len(place)), fixes), bank="vehicle")
     error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
     assert np.sqrt((error**2).mean() / (raw**2).mean()) < 1.05
+
+
+def test_a_bus_that_turns_at_corners_is_where_it_was_measured():
+    rng = np.random.default_rng(9)
+    speed = np.concatenate([np.repeat([rng.uniform(8, 13), 0.0], rng.integers((30, 10), (50, 45))) for _ in range(90)])
+    speed = np.convolve(speed, np.ones(10) / 10, "same")
+    corners = np.cumsum(rng.uniform(150, 450, 400))  # m along its streets, most of them a quarter turn
+    turn = rng.choice([0.0, 0.5, -0.5], 401, p=[0.3, 0.35, 0.35]).cumsum() * np.pi
+    course = turn[np.searchsorted(corners, speed.cumsum())]
+    place = np.cumsum(speed[:, None] * np.stack([np.cos(course), np.sin(course)], 1), 0)[::15]
+    fixes = place + 4.0 * rng.standard_normal(place.shape)
+    cleaned = torchfra.clean((15.0 * np.arange(len(place)), fixes), bank="vehicle")
+    error, raw = (np.linalg.norm(of - place, axis=1) for of in (cleaned.position, fixes))
+    assert np.sqrt((error**2).mean() / (raw**2).mean()) < 1.05

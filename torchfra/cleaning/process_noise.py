@@ -62,7 +62,7 @@ def levels_up_to(
     share = _log_shares(rarer, period / duration)
     levels = Levels(density, share, duration.maximum(_PERIODS * (period - LONGEST)), torch.zeros_like(density))
     stops = fastest / acceleration  # seconds in which a target stops
-    walking = may_stop(acceleration, fastest, period, steady) & (period > _SHORTEST)
+    walking = may_stop(acceleration, fastest, period, steady) & (period >= _SHORTEST)
     return _with_walks(levels, fastest * period, period, stops, walking) if q is None and walking.any() else levels
 
 

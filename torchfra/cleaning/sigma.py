@@ -46,8 +46,10 @@ _ONE_SIZE = 0.75
 """Least median size of third differences in units of their root mean square, if all have one size; 0.83 if normal."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is estimated."""
-_OVER_CIRCLES, _OVER_LINES, _STRETCHES = 1.3, 2.2, 20
+_OVER_CIRCLES, _OVER_LINES, _STRETCHES = 1.3, 4.0, 20
 """Largest ratios of sigma to the residuals of circles and of lines, and the fewest stretches of fixes for these."""
+_STRAIGHT = 0.2
+"""Share of the stretches along a street that has no corner there, whatever the time between fixes: the straightest."""
 
 
 def first_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -152,7 +154,7 @@ def as_rough_as_noise(part: Part, owner: Tensor, outlier: Tensor, unsure: Tensor
         inliers = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
         third = _third_differences(inliers, fixes.gap).square().mean(1)
         sums = summed(torch.stack([third.nan_to_num().sum(0), (~third.isnan()).sum(0).to(third)]), owner[rows])
-        one_size = _median(third, owner[rows]) > _ONE_SIZE**2 * sums[0] / sums[1]
+        one_size = _quantile(third, owner[rows]) > _ONE_SIZE**2 * sums[0] / sums[1]
         likely = log_odds_of_roughness(fixes._replace(z=inliers), owner[rows], one_size) > -_OPEN
         for i in owner[rows][likely].unique():
             rough[owner == i] = True
@@ -210,7 +212,7 @@ def _largest_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
     It is in units of the usual standard deviation that the file states, if it states one.
     """
     third = _third_differences(_in_usual(fixes), fixes.gap).square().mean(1).sqrt()
-    most = 2 * _median(third, owner).nan_to_num(0.5)
+    most = 2 * _quantile(third, owner).nan_to_num(0.5)
     return most.clamp_min(_LEAST_SIGMA * 2.0**_COARSE / 4)
 
 
@@ -226,16 +228,16 @@ def most_by_shapes(part: Part, owner: Tensor) -> Tensor:
         return most
     rows = _rows_for_sigma(fixes, owner)
     some = Fixes(*(x[:_STEPS, ..., rows] for x in fixes))
-    walks = (part.levels.walk > 0).any(0)[rows] & (some.variance == 1).all(0)
+    often, alike = some.period <= LONGEST, (some.variance == 1).all(0)
     several = [
-        (off_circles(_in_usual(some), some.gap), some.period <= LONGEST, _OVER_CIRCLES),
-        (off_lines(_in_usual(some)), (some.period <= LONGEST) & walks, _OVER_LINES),
+        (off_circles(_in_usual(some), some.gap), often, 0.5, _OVER_CIRCLES),
+        (off_lines(_in_usual(some)), often & part.stops[rows] & alike, _STRAIGHT, _OVER_LINES),
     ]
-    for off, asked, ratio in several:
+    for off, asked, share, ratio in several:
         off = off.where(asked, math.nan)
         enough = summed((~off.isnan()).sum(0), owner[rows]) >= _STRETCHES
-        for i, median in zip(owner[rows][enough], _median(off, owner[rows])[enough], strict=True):
-            most[owner == i] = most[owner == i].clamp_max(ratio * median)
+        for i, usual in zip(owner[rows][enough], _quantile(off, owner[rows], share)[enough], strict=True):
+            most[owner == i] = most[owner == i].clamp_max(ratio * usual)
     return most
 
 
@@ -244,12 +246,12 @@ def _in_usual(fixes: Fixes) -> Tensor:
     return fixes.z / torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
 
 
-def _median(values: Tensor, owner: Tensor) -> Tensor:
-    """The median ``(B,)`` of values ``(T, B)`` over all rows of the same ``owner (B,)``; NaN where there are none."""
-    medians = torch.full_like(values[0], math.nan) if len(values) else values.new_full(owner.shape, math.nan)
-    for i in owner.unique():
-        medians[owner == i] = values[:, owner == i].nanmedian()
-    return medians
+def _quantile(values: Tensor, owner: Tensor, share: float = 0.5) -> Tensor:
+    """The quantile ``(B,)`` of values ``(T, B)`` over all rows of the same ``owner (B,)``; NaN where there are none."""
+    quantiles = values.new_full(owner.shape, math.nan)
+    for i in owner.unique() if len(values) else []:
+        quantiles[owner == i] = values[:, owner == i].flatten().nanquantile(share, interpolation="lower")
+    return quantiles
 
 
 def _third_differences(z: Tensor, gap: Tensor) -> Tensor:
