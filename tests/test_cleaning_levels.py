@@ -95,12 +95,18 @@ def test_no_process_noise_changes_a_velocity_by_more_than_a_target_can(period, c
 
 
 @pytest.mark.parametrize(
-    ("period", "walks"), [(1.0, False), (14.9, False), (15.0, True), (1000.0, True), (1001.0, False)]
+    ("period", "walks"), [(1.0, False), (15.0, False), (15.1, True), (1000.0, True), (1001.0, False)]
 )
 def test_targets_walk_at_random_up_to_their_speed_between_fixes_that_are_rare_but_not_too_rare(period, walks):
     acceleration, fastest, period = (torch.tensor([x], dtype=torch.float64) for x in (3.0, 6.0, period))
     ways = (levels_up_to(acceleration, fastest, period, 8, steady=1000.0).walk * period).sqrt()
     assert ways.max().item() == pytest.approx(walks * 6.0 * period.item())
+
+
+@pytest.mark.parametrize(("period", "walks"), [(14.9, False), (15.0, True)])
+def test_vehicles_whose_corners_take_as_long_walk_from_15_s_on(period, walks):
+    acceleration, fastest, period = (torch.tensor([x], dtype=torch.float64) for x in (6.0, 60.0, period))
+    assert bool((levels_up_to(acceleration, fastest, period, 8).walk > 0).any()) == walks
 
 
 @pytest.mark.parametrize(("begins", "lasts"), [(0.1, 0.0), (0.03, 0.6), (0.0, 0.0)])

@@ -62,7 +62,9 @@ def levels_up_to(
     share = _log_shares(rarer, period / duration)
     levels = Levels(density, share, duration.maximum(_PERIODS * (period - LONGEST)), torch.zeros_like(density))
     stops = fastest / acceleration  # seconds in which a target stops
-    walking = may_stop(acceleration, fastest, period, steady) & (period >= _SHORTEST)
+    # Every 15 s, as many devices write, corners of a street take a vehicle as long; a walker is smooth yet.
+    long = (period > _SHORTEST) | ((period == _SHORTEST) & (stops > _SHORTEST / 2))
+    walking = may_stop(acceleration, fastest, period, steady) & long
     return _with_walks(levels, fastest * period, period, stops, walking) if q is None and walking.any() else levels
 
 
