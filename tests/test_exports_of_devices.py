@@ -140,6 +140,24 @@ def test_logs_of_autopilots_have_fixes_of_one_receiver_among_other_messages(writ
     assert (len(track.time), track.time[0]) == (ROWS, 1714991460)
 
 
+def test_the_last_line_of_a_log_may_be_cut(write):
+    head = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+            "FMT, 130, 50, GPS, QBIHffBf, TimeUS,Status,GMS,GWk,Lat,Lng,I,Alt"]  # fmt: skip
+    rows = (f"GPS, {i}, 3, {124278000 + 1000 * i}, 2313, {lat(i)}, 8.3, 1, 430" for i in range(ROWS))
+    (track,) = read(write([*head, *rows, "GPS, 99, 3, 12"], "1.log"))
+    assert len(track.time) == ROWS
+
+
+def test_a_column_called_msg_is_no_message_of_a_receiver(write):
+    (track,) = read(write(["MSG,time,lat,lon", *(f"fix,{i},{lat(i)},8.3" for i in range(ROWS))]))
+    assert len(track.time) == ROWS
+
+
+def test_columns_without_names_may_hold_units(write):
+    (track,) = read(write(["time,lat,,lon,,", *(f"{i},{lat(i)},N,8.3,E," for i in range(ROWS))]))
+    assert len(track.time) == ROWS
+
+
 def test_messages_of_receivers_of_aircraft_without_a_header_have_feet_and_targets(write):
     day = "2024/05/06"
     rows = (f"MSG,3,1,1,4B180{k},1,{day},10:31:{i:02}.123,{day},10:31:{i:02}.2,,{3000 + i},,,{lat(i)},8.3,,,0,0,0,0"
