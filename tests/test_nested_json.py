@@ -87,3 +87,9 @@ def test_fixes_of_vehicles_in_a_feed_have_hints_with_their_own_time(write):
         read(path)
     words = {"time": "vehicle.timestamp", "lat": "vehicle.position.latitude", "lon": "vehicle.position.longitude"}
     assert [track.name for track in read(path, **words)] == ["A", "B"]
+
+
+def test_fixes_of_other_names_are_read_beside_a_list_of_theirs(write):
+    whole = [{"t0": i, "north_south": 47 + i / 1e4, "east_west": 8.3, "satellites": [{"prn": 3}]} for i in range(ROWS)]
+    (track,) = read(write(json.dumps(whole), "a.json"), time="t0", lat="north_south", lon="east_west")
+    assert len(track.time) == ROWS
