@@ -56,7 +56,7 @@ def test_a_third_word_behind_the_first_thousand_rows_marks_nothing_either(write)
 
 def test_points_without_a_grid_whose_steps_are_metres_are_refused_however_many_digits_they_have(write):
     lines = table("t,geom", lambda i: f"{i},POINT({20.123456 + 0.3456789 * i:.7f} {30 + 0.2345678 * i:.7f})")
-    with pytest.raises(ValueError, match="they may be degrees or metres"):
+    with pytest.raises(ValueError, match="expected speeds below 5 km/s"):
         read(write(lines))
 
 
@@ -138,6 +138,24 @@ def test_logs_of_autopilots_have_fixes_of_one_receiver_among_other_messages(writ
             for i in range(ROWS) for k in range(2))  # fmt: skip
     (track,) = read(write([*head, *rows], "1.log"))
     assert (len(track.time), track.time[0]) == (ROWS, 1714991460)
+
+
+def test_the_last_line_of_a_log_may_be_cut(write):
+    head = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+            "FMT, 130, 50, GPS, QBIHffBf, TimeUS,Status,GMS,GWk,Lat,Lng,I,Alt"]  # fmt: skip
+    rows = (f"GPS, {i}, 3, {124278000 + 1000 * i}, 2313, {lat(i)}, 8.3, 1, 430" for i in range(ROWS))
+    (track,) = read(write([*head, *rows, "GPS, 99, 3, 12"], "1.log"))
+    assert len(track.time) == ROWS
+
+
+def test_a_column_called_msg_is_no_message_of_a_receiver(write):
+    (track,) = read(write(["MSG,time,lat,lon", *(f"fix,{i},{lat(i)},8.3" for i in range(ROWS))]))
+    assert len(track.time) == ROWS
+
+
+def test_columns_without_names_may_hold_units(write):
+    (track,) = read(write(["time,lat,,lon,,", *(f"{i},{lat(i)},N,8.3,E," for i in range(ROWS))]))
+    assert len(track.time) == ROWS
 
 
 def test_messages_of_receivers_of_aircraft_without_a_header_have_feet_and_targets(write):

@@ -388,14 +388,16 @@ def test_a_fit_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
 
 def test_a_fit_goes_on_on_a_processor_that_rounds_otherwise(tmp_path):
     options = {"learn": ("q",), "compile": False, "iterations": 2, "validate_every": 1, "batch": 4, "polish": False}
-    z, path = walks(6, 12, 5)[1], tmp_path / "fit.pt"
+    z, path = walks(6, 12, 5)[1] + 5e6, tmp_path / "fit.pt"
     done = torchfra.fit(start(), z, checkpoint=path, **options)
     rounded = z * (1 + 1e-15 * torch.randn(z.shape, dtype=z.dtype, generator=torch.Generator().manual_seed(0)))
     resumed = torchfra.fit(start(), rounded, checkpoint=path, resume=True, **options)
     assert resumed.rows == done.rows
     missing = z.clone()
     missing[4, 2] = torch.nan
-    for other in (z.flip(0), missing, z[:-1]):
+    moved = z.clone()
+    moved[3, 2] += 1.0
+    for other in (z.flip(0), missing, moved, z[:-1]):
         with pytest.raises(ValueError, match="these differ: data"):
             torchfra.fit(start(), other, checkpoint=path, resume=True, **options)
 

@@ -94,3 +94,9 @@ def test_a_list_beside_a_position_without_any_of_its_own_is_no_table(write):
             for i, fix in enumerate(fixes())]  # fmt: skip
     (track,) = read(write(json.dumps(rows), "a.json"), time="at", x="data.coordinates.x", y="data.coordinates.y")
     assert len(track.time) == ROWS
+
+
+def test_fixes_of_other_names_are_read_beside_a_list_of_theirs(write):
+    whole = [{"t0": i, "north_south": 47 + i / 1e4, "east_west": 8.3, "satellites": [{"prn": 3}]} for i in range(ROWS)]
+    (track,) = read(write(json.dumps(whole), "a.json"), time="t0", lat="north_south", lon="east_west")
+    assert len(track.time) == ROWS

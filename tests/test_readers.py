@@ -183,6 +183,13 @@ def test_a_way_around_the_earth_without_altitudes_is_about_its_middle(write: Wri
     np.testing.assert_allclose(to_geodetic(track.position, track.origin)[1], range(0, 121, 10), atol=1e-8)
 
 
+def test_an_outlier_on_the_other_side_of_the_earth_is_no_way_there(write: Write) -> None:
+    places = [(-33.8, 151.2 + k / 1e4) if k != 2 else (60.1, 1.5) for k in range(5)]
+    track = only(write("p.csv", "t,lat,lon\n" + "".join(f"{k},{lat},{lon}\n" for k, (lat, lon) in enumerate(places))))
+    assert track.origin is not None
+    np.testing.assert_allclose(track.origin[:2], places[0])
+
+
 def test_a_way_around_the_earth_that_no_place_sees_is_refused(write: Write) -> None:
     path = write("p.csv", "t,lat,lon\n" + "".join(f"{k},1,{k - 180}\n" for k in range(0, 360, 10)))
     with pytest.raises(ValueError, match="expected positions without altitudes within 85 degrees"):

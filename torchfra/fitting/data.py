@@ -83,16 +83,25 @@ class Batch(NamedTuple):
         step = self.prior.step
         return self._replace(prior=self.prior._replace(speed=_uncertain(others.prior.step).expand_as(step)))
 
-    def sums(self) -> list[float]:
-        """A weighted sum of what was given of each track, by which a resumed fit knows the tracks.
+    def sums(self) -> list[list[float]]:
+        """Weighted sums of what was given of each track, by which a resumed fit knows the tracks.
 
-        On another processor they differ by rounding, as computed coordinates do.
+        They are of means over time, and of deviations from these, which large coordinates would hide.  On another
+        processor they differ by rounding, as computed coordinates do.
         """
         given = flatten((self.z, self.prior[:2], self.dt, self.u, self.truth))  # a ``First`` has more, which z says
-        parts = torch.cat([x.flatten(1).to("cpu", torch.float64) for x in given], 1).nan_to_num(math.pi)
-        weights = torch.linspace(1.0, 2.0, parts.shape[1], dtype=torch.float64)
-        sums: list[float] = (parts.detach() * weights).sum(1).tolist()
+        parts = torch.cat([_means_and_deviations(x.detach().to("cpu", torch.float64)) for x in given], -1)
+        weights = torch.linspace(1.0, 2.0, parts.shape[-1], dtype=torch.float64)
+        sums: list[list[float]] = (parts.nan_to_num(math.pi) * weights).sum(-1).T.tolist()
         return sums
+
+
+def _means_and_deviations(x: Tensor) -> Tensor:
+    """``(2, N, K)``: means over time of tracks ``(N, T, ...)``, and the deviations from them."""
+    mean = x.nanmean(1, keepdim=True).expand_as(x)
+    deviation = x - mean
+    deviation = torch.where(deviation.abs() < 1e-9 * mean.abs(), 0.0, deviation)  # rounding of what is constant
+    return torch.stack([mean, deviation]).flatten(2)
 
 
 def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:

@@ -63,7 +63,7 @@ def csv_sheet(
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
     rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
-    if rows.head.startswith("MSG,"):
+    if re.match("MSG,[1-8],", rows.head):
         rows.head = _SBS + rows.head
     y_up = "Coordinate Space," in rows.head[: rows.head.find("\n")]
     above = _leave_out_above(rows, options) if options else 0
@@ -260,7 +260,7 @@ def _check_pairs(lines: list[str], sign: str, above: int) -> None:
     """Refuses headers in which every second column has no name, behind that of a target, as Metrica writes them."""
     for row, line in enumerate(lines):
         names = _split(line, sign)
-        times = [name for name in names if name in found(names, "time")]
+        times = [] if is_header(names) else [name for name in names if name in found(names, "time")]
         first = names.index("") - 1 if "" in names[1:] else -1
         blank = [name == "" for name in names[first:]]
         if times and first > 0 and len(blank) > 3 and blank == [i % 2 == 1 for i in range(len(blank))]:

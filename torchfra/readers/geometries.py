@@ -7,7 +7,6 @@ import re
 import struct
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
@@ -29,8 +28,6 @@ _STRETCHED = {3857, 900913, 3785}
 """Grids of maps in the web, whose metres grow with the latitude."""
 _FINEST = 1e-4
 """Degrees, of which positions without a grid have some more digits; most lie off 0, 0."""
-_NEAR = 2e-3
-"""Degrees between neighbouring fixes at most; metres are more."""
 _PAIRS = {
     "position",
     "latlon",
@@ -102,17 +99,14 @@ def axes_of(points: Sequence[Point]) -> tuple[str, ...]:
 def _look_like_degrees(points: Sequence[Point]) -> bool:
     """Whether all are within the earth's, most have more digits than metres need, and they are not about 0, 0.
 
-    Nor do neighbours lie as far apart as metres of anything that moves.
-
     Raises:
-        ValueError: all but their digits or these ways are those of degrees.
+        ValueError: all but their digits are those of degrees.
     """
     places = [point.numbers[:2] for point in points]
     if any(abs(x) > 180 or abs(y) > 90 for x, y in places) or max(max(map(abs, place)) for place in places) < 1:
         return False
     fine = sum(any(abs(value / _FINEST - round(value / _FINEST)) > 1e-6 for value in place) for place in places)
-    ways = sorted(max(abs(a - b), abs(c - d)) for (a, c), (b, d) in pairwise(places))
-    if 2 * fine <= len(places) or (ways and ways[len(ways) // 2] > _NEAR):
+    if 2 * fine <= len(places):
         x, y = places[-1]
         raise ValueError(
             f"expected points with a grid, as in SRID=4326;POINT({x:g} {y:g}) or by ST_SetSRID(geom, 4326), received "

@@ -58,7 +58,7 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
     if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
         return sheet
     names, rows, cells, said = _columns(parsed)
-    return Sheet(names, [(rows, cells)] if names else [], said, json=not said)
+    return Sheet(names, [(rows, cells)] if names else [], said, json=not said or said[0].endswith(" aircraft"))
 
 
 def _parsed(content: str) -> Any:
@@ -111,16 +111,20 @@ def _inner(
     """The records in the lists of one name that alone have times and places, each with what its target is called.
 
     So services answer: the targets, and the fixes of each.  None where the records have places, or no such list is
-    the only one.  Where it is ``asked``, the only list of all is one, as a person may name columns of its records.
+    the only one.  Where it is ``asked`` and the records have no numbers of their own, the only list of all is one, as a
+    person may name columns of its records.
     """
     records = _flat(records)
-    names = dict.fromkeys(name for record in records for name in record)
+    names = dict[str, list[dict[str, Any]]]()
+    for record in records:
+        for name, value in record.items():
+            names.setdefault(name, []).extend([record] if value else [])
     if not depth or is_header(names):
         return None
     likely, every = list[tuple[list[dict[str, Any]], str]](), list[tuple[list[dict[str, Any]], str]]()
     called = found(names, "id")[:_CALLED]
-    for name in names:
-        several = [(record, record[name]) for record in records if record.get(name)]
+    for name, there in names.items():
+        several = [(record, record[name]) for record in there]
         if not several or not all(
             isinstance(ones, list) and all(isinstance(one, dict) for one in ones) for _, ones in several
         ):
@@ -140,7 +144,10 @@ def _inner(
             likely.append((inner, name))
         elif deeper := _inner(inner, depth - 1):
             likely.append((deeper[0], f"{name}, {deeper[1]}"))
-    if asked and not likely:
+    numbers = asked and any(
+        map(_is_number, (cell for one in records for key, cell in one.items() if key not in called))
+    )
+    if asked and not likely and not numbers:
         likely = every
     return likely[0] if len(likely) == 1 else None
 

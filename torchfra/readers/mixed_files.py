@@ -75,10 +75,9 @@ def log_sheet(file: Any, max_bytes: int) -> Sheet:
             "positions from its raw measurements, such as with RTKLIB"
         )
     if of == "GPS":
-        own, said = (
-            [row for row in rows if row[names.index("I")] == "0"] if "I" in names else rows,
-            "ArduPilot: messages GPS",
-        )
+        instance = names.index("I") if "I" in names else 0
+        own = [row for row in rows if row[instance : instance + 1] == rows[0][instance : instance + 1]]
+        said = "ArduPilot: messages GPS"
     else:
         own = [row for row in rows if row[1].upper() not in _FUSED] or rows
         fused = f"; {len(rows) - len(own):,} fused ones left out" if len(own) < len(rows) else ""

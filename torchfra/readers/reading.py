@@ -186,9 +186,9 @@ def _origin(first: Target, origin: Origin | None) -> Origin:
 
 
 def _beyond(target: Target, origin: Origin, degrees: float) -> bool:
-    """Whether a tenth of a target's fixes or more, which are more than some outliers, are as far from the origin."""
+    """Whether several of a target's fixes, and a tenth or more, are as far: so many are no outliers."""
     near = cosine(target.place[:, 0], target.place[:, 1], origin) > math.cos(math.radians(degrees))
-    return bool(near.mean() <= 0.9)
+    return bool(near.mean() <= 0.9 and (~near).sum() > 1)
 
 
 def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recording:
@@ -198,7 +198,8 @@ def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recordi
         if height is None and _beyond(target, origin, 85):
             raise ValueError(
                 f"{target.name!r}: expected positions without altitudes within 85 degrees (9400 km) of the origin, "
-                f"{origin[0]:.4g}, {origin[1]:.4g}, received a tenth or more beyond: split the track"
+                f"{origin[0]:.4g}, {origin[1]:.4g}, received a tenth or more beyond: split the track, or write "
+                "targets on other sides of the earth into other files"
             )
         position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)
         position = position if height is not None else position[:, :2]
