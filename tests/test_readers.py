@@ -190,6 +190,14 @@ def test_an_outlier_on_the_other_side_of_the_earth_is_no_way_there(write: Write)
     np.testing.assert_allclose(track.origin[:2], places[0])
 
 
+def test_targets_without_altitudes_on_other_sides_of_the_earth_have_origins_of_their_own(write: Write) -> None:
+    places = [("a", 10, 20), ("b", 11, 21), ("c", -10, -160)]
+    rows = "".join(f"{k},{name},{lat + k / 100},{lon}\n" for k in range(9) for name, lat, lon in places)
+    one, other, far = read(write("p.csv", "t,id,lat,lon\n" + rows))
+    assert one.origin == other.origin == (10, 20, 0)
+    assert far.origin == (-10, -160, 0)
+
+
 def test_a_way_around_the_earth_that_no_place_sees_is_refused(write: Write) -> None:
     path = write("p.csv", "t,lat,lon\n" + "".join(f"{k},1,{k - 180}\n" for k in range(0, 360, 10)))
     with pytest.raises(ValueError, match="expected positions without altitudes within 85 degrees"):

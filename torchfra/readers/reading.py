@@ -44,7 +44,8 @@ def read(
         words: what the file does not say or says wrongly: see ``ReadOptions``.
 
     Returns:
-        The recordings, sorted by name, all about the same origin.
+        The recordings, sorted by name, all about the same origin; without altitudes, those more than 85 degrees
+        from it are each about their own.
 
     Raises:
         ValueError: the file is empty, broken, too large or of another format, no target has 2 fixes left, or nothing
@@ -144,9 +145,9 @@ def _recordings(
     if not apart:
         layout = _without_constant_z(table, layout, chosen.options)
     targets = repaired_targets(table, layout, stem)
-    if layout.degrees and not apart:
-        origin = _origin(targets[0], origin)
-    origins = [_origin(target, None) if layout.degrees and apart else origin for target in targets]
+    shared = _origin(targets[0], origin) if layout.degrees and not apart else None
+    own = [layout.degrees and (shared is None or (origin is None and _hidden(target, shared))) for target in targets]
+    origins = [_origin(target, None) if alone else shared for target, alone in zip(targets, own, strict=True)]
     recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
     if not layout.degrees and not chosen.options.units:
         check_metres(recordings, layout)
@@ -191,15 +192,19 @@ def _beyond(target: Target, origin: Origin, degrees: float) -> bool:
     return bool(near.mean() <= 0.9 and (~near).sum() > 1)
 
 
+def _hidden(target: Target, origin: Origin) -> bool:
+    """Whether a target without altitudes goes where no plane about the origin shows it."""
+    return target.height is None and _beyond(target, origin, 85)
+
+
 def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recording:
     """A target in metres."""
     place, height = target.place, target.height
     if origin is not None:
-        if height is None and _beyond(target, origin, 85):
+        if _hidden(target, origin):
             raise ValueError(
                 f"{target.name!r}: expected positions without altitudes within 85 degrees (9400 km) of the origin, "
-                f"{origin[0]:.4g}, {origin[1]:.4g}, received a tenth or more beyond: split the track, or write "
-                "targets on other sides of the earth into other files"
+                f"{origin[0]:.4g}, {origin[1]:.4g}, received a tenth or more beyond: split the track"
             )
         position = to_enu(place[:, 0], place[:, 1], origin[2] if height is None else height, origin)
         position = position if height is not None else position[:, :2]
