@@ -24,7 +24,8 @@ from torchfra.types import Gaussian, Prediction, Whitened
 def repairs(prediction: Prediction, whitened: Whitened, rule: Rule) -> Tensor | None:
     """Number ``(...)`` of covariances of a step that were repaired; None for a ``rule`` without negative weights.
 
-    It is 0 where the rule of a few components that a sensor reads has none, so that all sensors of a filter count.
+    It is 0, not None, if only the rule of the components that the sensor reads has no negative weights: then all
+    sensors of a filter have a number.
     """
     measured = None if whitened.subtracted is None else repaired_root(whitened)[1]
     if rule.signed and measured is None and prediction.repaired is None:

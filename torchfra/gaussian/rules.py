@@ -4,9 +4,9 @@ Each rule is a statistical linearisation.  For ``x ~ N(mean, S S^T)``
 
     f(x) ~ value + slope S^-1 (x - mean) + e,
 
-where ``e`` is uncorrelated with ``x`` and has the covariance ``rest rest^T``, or ``rest rest^T - subtracted
-subtracted^T`` where weights are negative.  All Gaussian filters of this package are the same square-root algebra around
-such a rule.
+so ``slope`` is ``H S``: the slope ``H`` in ``x`` times the root.  The error ``e`` is uncorrelated with ``x`` and has
+the covariance ``rest rest^T``, or ``rest rest^T - subtracted subtracted^T`` where weights are negative.  All Gaussian
+filters of this package are the same square-root algebra around such a rule.
 """
 
 from __future__ import annotations
