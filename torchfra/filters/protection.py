@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.filters.base import Filter
 from torchfra.types import Estimate
 
-_HALVINGS = 60
+_BISECTIONS = 60
 """Number of bisections of a bracket around the radius, after which it is narrower than rounding."""
 
 
@@ -59,7 +59,7 @@ def protection_level(
     beyond = _TAILS[centre[..., where].shape[-1]]
     one = std.new_ones(())
     # No tail is left in double precision beyond 100 standard deviations.
-    k = _halved(lambda r: beyond(r) > risk, 0 * one, 100 * one)
+    k = _bisected(lambda r: beyond(r) > risk, 0 * one, 100 * one)
     # At the radius that the widest hypothesis needs alone, no hypothesis exceeds the risk.
     widest = torch.where(weight > 0, away + k * std, 0.0).amax(-1)
 
@@ -67,13 +67,13 @@ def protection_level(
         normalised = ((radius.unsqueeze(-1) - away) / std).clamp_min(0.0)
         return (torch.where(weight > 0, weight * beyond(normalised), 0.0)).sum(-1) > risk
 
-    level = _halved(too_small, torch.zeros_like(widest), widest)
+    level = _bisected(too_small, torch.zeros_like(widest), widest)
     return torch.where(centre.isfinite().all(-1), level, torch.nan)
 
 
-def _halved(too_small: Callable[[Tensor], Tensor], low: Tensor, high: Tensor) -> Tensor:
+def _bisected(too_small: Callable[[Tensor], Tensor], low: Tensor, high: Tensor) -> Tensor:
     """The smallest value that is large enough, by bisection."""
-    for _ in range(_HALVINGS):
+    for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         small = too_small(middle)
         low, high = torch.where(small, middle, low), torch.where(small, high, middle)
