@@ -318,8 +318,8 @@ class FRA(Soft, Filter[FRAState]):
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``, else ``default``.
 
-        Traced code computes it for all tracks; so does, unless ``mask`` is empty, a filter whose hyperparameters have a
-        batch, or whose models are functions of their own, which a choice of tracks alone would not fit.
+        Traced code computes it for all tracks.  Unless ``mask`` is empty, so does a filter whose hyperparameters have a
+        batch, or whose models are functions of their own: these do not fit a choice of tracks.
         """
         if self.soft:
             return function(*arguments)

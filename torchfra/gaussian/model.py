@@ -35,8 +35,8 @@ def repairs(prediction: Prediction, whitened: Whitened, rule: Rule) -> Tensor | 
 
 def add_counts(*counts: Tensor | None) -> Tensor | None:
     """The sum of the counts, or truth values, that are not None; None if all are."""
-    there = [x.to(torch.int64) for x in counts if x is not None]
-    return sum(there[1:], there[0]) if there else None
+    given = [x.to(torch.int64) for x in counts if x is not None]
+    return sum(given[1:], given[0]) if given else None
 
 
 @event_ranks(mean=1, spread=2, process_noise=2, subtracted=2)

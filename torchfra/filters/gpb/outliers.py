@@ -366,8 +366,8 @@ def sequential(
         std = (f.square().sum(0) + sizes).sqrt()
         factor = 1 / (std * (std + noise))
         inverse = (std + noise) * factor  # of std, by the same division
-        off = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
-        normalised = (off - (mean * rows[i]).sum(0)) * inverse
+        centred = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
+        normalised = (centred - (mean * rows[i]).sum(0)) * inverse
         covariance = (root * f).sum(1)
         mean = mean + covariance * (normalised * inverse)
         root = root - covariance.unsqueeze(1) * (f * factor)
