@@ -453,7 +453,7 @@ class Filter(nn.Module, Generic[S]):
 
         It has the arguments of ``forward``, ``past`` excepted, and these:
 
-        - ``truncate``: steps after which gradients of the forward pass flow no further back; nor do those of
+        - ``truncate``: steps after which gradients flow no further back: those of the forward pass, and those of
           predictions in the backward pass.
         - ``checkpoint``: steps between states that are kept for gradients, in both passes.
         - ``lag``: number of later steps whose measurements count for the estimate of a step; None for all.

@@ -108,15 +108,15 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         """Why ``inner`` takes no other sensor."""
         return self.inner.one_sensor
 
-    def own(self, tree: Any) -> Any:
-        """A tree whose beliefs have the target's components alone: the leading block of a lower root is their root."""
-        if isinstance(tree, Gaussian):
+    def of_target(self, trees: Any) -> Any:
+        """Trees whose beliefs have the target's components alone: the leading block of a lower root is their root."""
+        if isinstance(trees, Gaussian):
             n = self.inner.motion.size - sum(error.size for error in self.errors)
-            return Gaussian(tree.mean[..., :n], tree.scale_tril[..., :n, :n])
-        if isinstance(tree, tuple):
-            parts = [self.own(part) for part in tree]
-            return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
-        return tree
+            return Gaussian(trees.mean[..., :n], trees.scale_tril[..., :n, :n])
+        if isinstance(trees, tuple):
+            parts = [self.of_target(part) for part in trees]
+            return type(trees)(*parts) if hasattr(trees, "_fields") else tuple(parts)
+        return trees
 
     # ------------------------------------------------------------ steps
 
@@ -131,26 +131,26 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         """One step of the inner filter."""
         inner, record = self.inner.advance(state.inner, frame)
         past = WithCorrelatedErrorsPast(record.belief, record.info, record.past)
-        record = record._replace(belief=self.own(record.belief), info=self.own(record.info), past=past)
-        return WithCorrelatedErrorsState(self.own(inner.belief), inner), record
+        record = record._replace(belief=self.of_target(record.belief), info=self.of_target(record.info), past=past)
+        return WithCorrelatedErrorsState(self.of_target(inner.belief), inner), record
 
     def finish(self, state: WithCorrelatedErrorsState, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
         """The estimates of the inner filter, with the target's components alone."""
-        return self.inner.finish(self.own(state.inner), belief, info)
+        return self.inner.finish(self.of_target(state.inner), belief, info)
 
     def predict(
         self, state: WithCorrelatedErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None
     ) -> Forecast:
         """The prediction after ``dt`` seconds: of the target, and of a measurement with its errors."""
         forecast = self.with_sensor(sensor).inner.predict(state.inner, dt, u=u)
-        return forecast._replace(belief=self.own(forecast.belief))
+        return forecast._replace(belief=self.of_target(forecast.belief))
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
         """The hypotheses of the inner filter, with the target's components alone."""
         beliefs, log_weights = self.inner.hypotheses(
             source.inner if isinstance(source, WithCorrelatedErrorsState) else source
         )
-        return self.own(beliefs), log_weights
+        return self.of_target(beliefs), log_weights
 
     # ------------------------------------------------------------ other sensors
 
@@ -198,12 +198,12 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
     def last(self, past: Any) -> tuple[Any, Smoothed]:
         """Where the backward pass begins: the last step of the inner filter."""
         state, smoothed = self.inner.last(past)
-        return state, self.own(smoothed)
+        return state, self.of_target(smoothed)
 
     def retreat(self, step: BackwardStep, after: Any) -> tuple[Any, Smoothed]:
         """One step of the backward pass of the inner filter."""
         state, smoothed = self.inner.retreat(step, after)
-        return state, self.own(smoothed)
+        return state, self.of_target(smoothed)
 
 
 def with_errors(preset: P, takes: bool = True) -> P:

@@ -74,7 +74,7 @@ def without_failed_gradients(
         return estimate
     good = int((~failed).flatten().to(torch.int8).argmax())
 
-    def over(event: int) -> Tensor:
+    def failed_with(event: int) -> Tensor:
         """``failed`` with as many dimensions of an event behind it."""
         return failed.reshape(*failed.shape, *[1] * event)
 
@@ -82,12 +82,12 @@ def without_failed_gradients(
         if not isinstance(x, Tensor) or x.shape[: x.dim() - event].numel() <= 1:
             return x  # all tracks share it
         every = x.expand(*failed.shape, *x.shape[x.dim() - event :])
-        return torch.where(over(event), every.flatten(0, -event - 1)[good].detach(), every)
+        return torch.where(failed_with(event), every.flatten(0, -event - 1)[good].detach(), every)
 
     def chosen(x: Tensor, other: Tensor) -> Tensor:
         if x.shape[: failed.dim()] != failed.shape:
             return other
-        return torch.where(over(x.dim() - failed.dim()), x.detach(), other)
+        return torch.where(failed_with(x.dim() - failed.dim()), x.detach(), other)
 
     z, dt, u, std, noise = measurements
     data = Measurements(replaced(z, 2), replaced(dt, 1), replaced(u, 2), replaced(std, 2), replaced(noise, 3))

@@ -1,4 +1,7 @@
-"""FRA: an abnormal step forks into robust, adaptive and plain branches, and the next measurement chooses one."""
+"""FRA: an abnormal step forks into robust, adaptive and plain branches, and the next measurement chooses one.
+
+Equation numbers are those of Wang et al. (2021).
+"""
 
 from __future__ import annotations
 
@@ -215,7 +218,7 @@ class FRA(Soft, Filter[FRAState]):
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
-        # Interacting models alone, which give a ``mix``, weigh a step by it.
+        # Only interacting models, which give a ``mix``, weigh their models by this evidence.
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
 
@@ -258,17 +261,17 @@ class FRA(Soft, Filter[FRAState]):
     def undecided(self, branch: str, excess: Tensor, branches: Branches) -> Gaussian:
         """The estimate of a step before the next measurement: the named ``branch``, or the likeliest."""
         if branch != "likeliest":
-            return self.mix(excess, branches[-1], branches[UNDECIDED.index(branch)])
+            return self.estimate(excess, branches[-1], branches[UNDECIDED.index(branch)])
         odds = self.odds(excess)
         return self.weighted(odds, excess, branches) if self.soft else chosen(best(odds), branches)
 
     def weighted(self, scores: Tensor, excess: Tensor, branches: Branches) -> Gaussian:
         """For a soft decision: the moments of all branches, weighted by their ``scores (branches, ...)``."""
         shares = torch.log_softmax(scores / self.temperature, 0)
-        return self.mix(excess, branches[-1], *branches[: len(scores)], shares=shares)
+        return self.estimate(excess, branches[-1], *branches[: len(scores)], shares=shares)
 
-    def mix(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
-        """The estimate of a step that is normal or abnormal: a choice, or their moments if the decision is soft.
+    def estimate(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
+        """The estimate of a step that is normal or abnormal: by a hard decision the only branch, by a soft one moments.
 
         Args:
             excess: ``(...)`` normalised innovation squared less the gate.
@@ -315,8 +318,8 @@ class FRA(Soft, Filter[FRAState]):
     def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
         """``function`` for the tracks in ``mask``, else ``default``.
 
-        Traced code computes it for all tracks; so does, unless ``mask`` is empty, a filter whose hyperparameters have a
-        batch, or whose models are functions of their own, which a choice of tracks alone would not fit.
+        Traced code computes it for all tracks.  Unless ``mask`` is empty, so does a filter whose hyperparameters have a
+        batch, or whose models are functions of their own: these do not fit a choice of tracks.
         """
         if self.soft:
             return function(*arguments)

@@ -67,8 +67,8 @@ class Fused:
         return [frames[step] for step in range(len(self.which))], None
 
     def _of_each(self, measurements: Measurements) -> list[tuple[int, list[int], Measurements]]:
-        """Number, steps and measurements of each sensor that measures."""
-        every = {k: [step for step, number in enumerate(self.which) if number == k] for k in sorted(set(self.which))}
+        """Index, steps and measurements of each sensor that measures."""
+        every = {k: [step for step, index in enumerate(self.which) if index == k] for k in sorted(set(self.which))}
         parts = (_part(measurements, steps, self.views[k].sensor.size) for k, steps in every.items())
         return [(*each, part) for each, part in zip(every.items(), parts, strict=True)]
 

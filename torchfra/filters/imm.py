@@ -205,7 +205,7 @@ class IMM(Filter[IMMState]):
     def matrix(self, like: Tensor | None = None) -> Tensor:
         """The transition ``(..., K, K)``, ``[was, now]``, with the dtype and on the device of ``like`` if not None.
 
-        Beside ``durations`` it is that at the end of a sojourn time, whose diagonal is 0.
+        With ``durations`` it is the transition at the end of a sojourn time, whose diagonal is 0.
         """
         if self.transition is not None:
             return self.transition(like)  # type: ignore[no-any-return]

@@ -10,7 +10,7 @@ from torchfra.linalg.safe import safe_divide
 from torchfra.numbers import as_numbers
 
 DOUBLINGS = 20
-"""Number of times that a step is halved.  Steps are cut at two million of the shortest mean sojourn time."""
+"""Number of times that a step is halved.  A step counts as two million of the shortest mean sojourn times at most."""
 
 
 def sojourn_times(value: Value, event_dim: int, name: str) -> Hyper:

@@ -105,7 +105,7 @@ def sharing(module: nn.Module, cls: type, **own: Any) -> Any:
 def share(module: nn.Module, new: Any) -> None:
     """Updates a module made by ``sharing`` with the current parts and values of the original."""
     if "_own" not in new.__dict__:
-        return  # ``sharing`` has not made it: it is a rule
+        return  # a rule of points, which ``parts_for`` has made for the other sensor, shares nothing
     own: frozenset[str] = new._own | {"_modules"}
     new.__dict__.update({name: x for name, x in module.__dict__.items() if name not in own})
     new._modules.update({name: x for name, x in module._modules.items() if name not in own})

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.filters.base import Filter
 from torchfra.types import Estimate
 
-_HALVINGS = 60
+_BISECTIONS = 60
 """Number of bisections of a bracket around the radius, after which it is narrower than rounding."""
 
 
@@ -48,32 +48,32 @@ def protection_level(
     beliefs, log_weights = f.hypotheses(_past_or_state(estimate))
     centre = estimate.mean if isinstance(estimate, Estimate) else estimate.belief.mean  # type: ignore[attr-defined]  # a state
     where = f.motion.position
-    away = (beliefs.mean - centre.unsqueeze(-2))[..., where].norm(dim=-1)
+    distance = (beliefs.mean - centre.unsqueeze(-2))[..., where].norm(dim=-1)
     std = torch.linalg.matrix_norm(beliefs.scale_tril[..., where, :], ord=2)
     weight = log_weights.exp()
     if fault is not None:
         share, size = fault
         std = torch.cat([std, (std.square() + size**2).sqrt()], -1)
         weight = torch.cat([(1 - share) * weight, share * weight], -1)
-        away = torch.cat([away, away], -1)
+        distance = torch.cat([distance, distance], -1)
     beyond = _TAILS[centre[..., where].shape[-1]]
     one = std.new_ones(())
     # No tail is left in double precision beyond 100 standard deviations.
-    k = _halved(lambda r: beyond(r) > risk, 0 * one, 100 * one)
+    k = _bisected(lambda r: beyond(r) > risk, 0 * one, 100 * one)
     # At the radius that the widest hypothesis needs alone, no hypothesis exceeds the risk.
-    widest = torch.where(weight > 0, away + k * std, 0.0).amax(-1)
+    widest = torch.where(weight > 0, distance + k * std, 0.0).amax(-1)
 
     def too_small(radius: Tensor) -> Tensor:
-        normalised = ((radius.unsqueeze(-1) - away) / std).clamp_min(0.0)
+        normalised = ((radius.unsqueeze(-1) - distance) / std).clamp_min(0.0)
         return (torch.where(weight > 0, weight * beyond(normalised), 0.0)).sum(-1) > risk
 
-    level = _halved(too_small, torch.zeros_like(widest), widest)
+    level = _bisected(too_small, torch.zeros_like(widest), widest)
     return torch.where(centre.isfinite().all(-1), level, torch.nan)
 
 
-def _halved(too_small: Callable[[Tensor], Tensor], low: Tensor, high: Tensor) -> Tensor:
+def _bisected(too_small: Callable[[Tensor], Tensor], low: Tensor, high: Tensor) -> Tensor:
     """The smallest value that is large enough, by bisection."""
-    for _ in range(_HALVINGS):
+    for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         small = too_small(middle)
         low, high = torch.where(small, middle, low), torch.where(small, high, middle)

@@ -62,12 +62,12 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
         (one, other), (first, second) = root.unbind(), mean.unbind()
         between = second - first
         middle = first + other.square() * between
-        apart = [(one * other * between).unsqueeze(-1)]
+        of_means = [(one * other * between).unsqueeze(-1)]
     else:
         middle = (root.square() * mean).sum(0)
-        apart = list((root * (mean - middle)).unsqueeze(-1).unbind())
+        of_means = list((root * (mean - middle)).unsqueeze(-1).unbind())
     spread = root.unsqueeze(-1) * torch.where(nonzero.unsqueeze(-1), beliefs.scale_tril, 0.0)
-    return middle, [*spread.unbind(), *apart]
+    return middle, [*spread.unbind(), *of_means]
 
 
 def share_roots(log_weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,8 @@ from torchfra.types import Gaussian, Prediction, Whitened
 def repairs(prediction: Prediction, whitened: Whitened, rule: Rule) -> Tensor | None:
     """Number ``(...)`` of covariances of a step that were repaired; None for a ``rule`` without negative weights.
 
-    It is 0 where the rule of a few components that a sensor reads has none, so that all sensors of a filter count.
+    It is 0, not None, if only the rule of the components that the sensor reads has no negative weights: then all
+    sensors of a filter have a number.
     """
     measured = None if whitened.subtracted is None else repaired_root(whitened)[1]
     if rule.signed and measured is None and prediction.repaired is None:
@@ -34,8 +35,8 @@ def repairs(prediction: Prediction, whitened: Whitened, rule: Rule) -> Tensor | 
 
 def add_counts(*counts: Tensor | None) -> Tensor | None:
     """The sum of the counts, or truth values, that are not None; None if all are."""
-    there = [x.to(torch.int64) for x in counts if x is not None]
-    return sum(there[1:], there[0]) if there else None
+    given = [x.to(torch.int64) for x in counts if x is not None]
+    return sum(given[1:], given[0]) if given else None
 
 
 @event_ranks(mean=1, spread=2, process_noise=2, subtracted=2)

@@ -4,9 +4,9 @@ Each rule is a statistical linearisation.  For ``x ~ N(mean, S S^T)``
 
     f(x) ~ value + slope S^-1 (x - mean) + e,
 
-where ``e`` is uncorrelated with ``x`` and has the covariance ``rest rest^T``, or ``rest rest^T - subtracted
-subtracted^T`` where weights are negative.  All Gaussian filters of this package are the same square-root algebra around
-such a rule.
+so ``slope`` is ``H S``: the slope ``H`` in ``x`` times the root.  The error ``e`` is uncorrelated with ``x`` and has
+the covariance ``rest rest^T``, or ``rest rest^T - subtracted subtracted^T`` where weights are negative.  All Gaussian
+filters of this package are the same square-root algebra around such a rule.
 """
 
 from __future__ import annotations
@@ -99,11 +99,11 @@ class SigmaPoints(nn.Module):
                 "weights: expected a centre whose weight leaves the covariance a real root, received one that is too "
                 "negative: take beta >= alpha^2, or a larger kappa"
             )
-        there = eigenvalues > 1e-12 * eigenvalues[-1]  # equal weights that sum to one leave nothing in one direction
-        root = basis[:, there] * eigenvalues[there].sqrt()
+        positive = eigenvalues > 1e-12 * eigenvalues[-1]  # equal weights that sum to one leave nothing in one direction
+        root = basis[:, positive] * eigenvalues[positive].sqrt()
         # Of all roots, one whose first n columns are the slope: they correlate with the points, the others do not.
-        turn = torch.linalg.qr((points @ root).mT, mode="complete").Q
-        root = root @ turn
+        rotation = torch.linalg.qr((points @ root).mT, mode="complete").Q
+        root = root @ rotation
         root[:, : len(points)] *= (points @ root).diagonal().sign()  # QR leaves the signs open: the slope of x is +I
         root = torch.where(root.abs() < 1e-14 * root.abs().max(), 0.0, root)  # rounding: exactly zero
         ordered: Tensor = root.roll(-len(points), 1)

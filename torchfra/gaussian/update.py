@@ -1,4 +1,7 @@
-"""The measurement update in array form, on a measurement in units of its noise: see ``types.Whitened``."""
+"""The measurement update in array form, on a measurement in units of its noise: see ``types.Whitened``.
+
+Equation numbers are those of Wang et al. (2021).
+"""
 
 from __future__ import annotations
 

@@ -203,8 +203,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
             for steps that hardly differ.
         confirm: whether a start or restart from two measurements needs a third one that the target can reach from them
-            by ``max_acceleration`` and ``margin``.  Without it, a start uses the newest measurement at a velocity of
-            0, and a track is not restarted.
+            by ``max_acceleration`` and ``margin``.  Until such a one comes, a start uses the newest measurement at a
+            velocity of 0, and a track is not restarted.
 
     Raises:
         ValueError: gains that are not stable or whose levels do not slow down, or an argument out of its range.
@@ -489,8 +489,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
 
 def _info(vote: Vote, test: OutlierTest, level: Tensor) -> AlphaBetaInfo:
-    place = reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1])))
-    return AlphaBetaInfo(place, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.again > 0)
+    index = reduce(torch.add, (i * level[..., i] for i in range(level.shape[-1])))
+    return AlphaBetaInfo(index, vote.vote > 0.5, vote.manoeuvre > 0.5, test.rejected > 0.5, test.again > 0)
 
 
 def _polar(z: Tensor, predicted: Tensor, std: Tensor) -> Tensor:
@@ -525,9 +525,9 @@ def _lost_root(state: AlphaBetaBankState, innovation: AxisInnovation) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*entries), -2)
 
 
-def one_level(place: int, level: Tensor) -> Tensor:
-    """Shares ``(N,)`` with 1 for a single level."""
-    return torch.eye(level.shape[-1], dtype=level.dtype, device=level.device)[place]
+def one_level(index: int, level: Tensor) -> Tensor:
+    """Shares ``(N,)`` with 1 for the level of this index."""
+    return torch.eye(level.shape[-1], dtype=level.dtype, device=level.device)[index]
 
 
 def of_level(level: Tensor, values: Tensor) -> Tensor:

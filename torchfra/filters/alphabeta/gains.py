@@ -100,7 +100,7 @@ def critically_damped(theta: Value) -> Gains:
 
 
 def expanding_memory(k: Tensor) -> Gains:
-    """Gains of the k-th measurement, from 1, with which the estimate is the least-squares line through all of them."""
+    """Gains for measurement ``k = 1, 2, ...``, by which the estimate is the least-squares line through all so far."""
     return Gains(2 * (2 * k - 1) / (k * (k + 1)), torch.where(k > 1, 6 / (k * (k + 1)), 0.0))
 
 

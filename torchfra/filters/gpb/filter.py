@@ -217,7 +217,7 @@ class GPB(Filter[GPBState]):
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
     def predict_regimes(self, mixed: Gaussian, log_weight: Tensor, frame: Frame) -> tuple[Hypotheses, Tensor]:
-        """Predictions of all regimes, and the normalised innovation squared per element of the agile level.
+        """Predictions of all regimes, and the normalised innovation squared per element by the agile level.
 
         Args:
             mixed: ``(1, S, 2, ...)`` beliefs, of each motion and of separate levels.
@@ -231,7 +231,7 @@ class GPB(Filter[GPBState]):
         agile = self.regimes.agile_prediction(propagated)
         _, normalised = innovation(self.compare(self.read(agile), frame))
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
-        nis = torch.where(frame.dt == 0, 0.0, nis)  # no manoeuvre and no jump takes no time
+        nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
         predicted = self.regimes.predictions(propagated, nis, self.motion.position)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, nis)), nis
 

@@ -148,7 +148,7 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
         x = x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
         if not more:
             return x
-        # The first layer has the beliefs of the motions; of every other one the first motion counts.
+        # The first layer has the beliefs of the motions; in each other one only that by the first motion counts.
         layers = x.expand(more + 1, *x.shape[1:])
         return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
 
@@ -159,7 +159,7 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
 def by_layer(belief: Gaussian, count: int) -> Gaussian:
     """Beliefs ``(1, S, ...)`` as layers of ``count`` motions, ``(1 + S - count, count, ...)``.
 
-    The first layer has the beliefs of the motions, every other one of the rest, for each motion.
+    The first layer has the beliefs of the motions, each other layer one of the rest, repeated for each motion.
     """
     more = belief.mean.shape[MOTION] - count
     if not more:

@@ -281,11 +281,13 @@ class Outliers(nn.Module):
         self, rows: Tensor, residual: Tensor, missing: Tensor, prior: Tensor,
         noise: tuple[Tensor, Tensor, Tensor | None], change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None]:  # fmt: skip
-        """The update of unknowns by one block, without any outlier so far and with some, which are in front.
+        """The update of the unknowns of ``_in_space_of`` by one block.
+
+        The first dimension is whether the blocks so far, this one included, have an outlier: 0 for none, 1 for some.
 
         Args:
-            rows: ``(1 or 2, R, 2, ..., m, k)`` measurement matrix of the unknowns, ``N(0, I)`` before: before the first
-                block the two in front are one.
+            rows: ``(1 or 2, R, 2, ..., m, k)`` measurement matrix of the unknowns, ``N(0, I)`` before; its first
+                dimension is that of the blocks before this one, 1 for the first block.
             residual: ``(1 or 2, R, 2, ..., m)``.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             prior: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
@@ -364,8 +366,8 @@ def sequential(
         std = (f.square().sum(0) + sizes).sqrt()
         factor = 1 / (std * (std + noise))
         inverse = (std + noise) * factor  # of std, by the same division
-        off = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
-        normalised = (off - (mean * rows[i]).sum(0)) * inverse
+        centred = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
+        normalised = (centred - (mean * rows[i]).sum(0)) * inverse
         covariance = (root * f).sum(1)
         mean = mean + covariance * (normalised * inverse)
         root = root - covariance.unsqueeze(1) * (f * factor)

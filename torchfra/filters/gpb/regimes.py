@@ -43,13 +43,14 @@ class Regimes(nn.Module):
     """The Markov chain of a step's regime: levels of process noise, motions of a bank, climbs, manoeuvres and jumps.
 
     There are ``R = L + (K - 1) + C + M + J`` regimes, in this order.  The first motion has ``L`` levels of process
-    noise, each other motion of a bank is one regime, as are ``C`` climbs (below).  In each of ``M`` manoeuvres the
-    process noise of the first motion's last level is multiplied in proportion to the normalised innovation squared; in
-    each of ``J`` jumps the covariance of the predicted position is.  A regime continues with its self-transition
-    probability, or a mean sojourn time; then the next one is drawn from the restart distribution.  The chain starts
-    from its stationary distribution.  These values are given by kind, ``(..., L + 1 + M + J)``: each level, any other
-    motion, each manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime
-    instead, ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
+    noise, the last of which is called the agile level.  Each other motion of a bank is one regime, and so is each of
+    ``C`` climbs (below).  In each of ``M`` manoeuvres the process noise of the agile level is multiplied in proportion
+    to the normalised innovation squared; so is the covariance of the predicted position in each of ``J`` jumps.  A
+    regime continues with its self-transition probability, or a mean sojourn time; then the next one is drawn from the
+    restart distribution.  The chain starts from its stationary distribution.  Self-transition probabilities or sojourn
+    times and the restart distribution are given by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
+    manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
+    ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
 
     The levels of a motion share a belief, except for the lowest ``separate_levels``, which keep beliefs of their own:
     while a target moves as calmly as such a level states, the covariance of its belief shrinks accordingly.  So there
@@ -263,7 +264,7 @@ class Regimes(nn.Module):
 
         Args:
             log_weight: of the regimes by the Markov chain alone.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
         """
         manoeuvre, jump = ((nis / limit).clamp_min(1.0).log() for limit in (MANOEUVRE_NIS, JUMP_NIS))
         return log_weight - self._of_kinds(0.0, 2 * manoeuvre, jump)
@@ -288,7 +289,7 @@ class Regimes(nn.Module):
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element of the agile level.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
             position: components of a state that are its position.
         """
         root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)))

@@ -1,4 +1,7 @@
-"""Comparison of a measurement with a belief so wide that sigma points show no slope of the sensor."""
+"""Comparison of a measurement with a belief so wide that sigma points show no slope of the sensor.
+
+The slope is that of the statistical linearisation: see ``gaussian.rules``.
+"""
 
 from __future__ import annotations
 

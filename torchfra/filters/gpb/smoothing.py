@@ -90,7 +90,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
 def _prior(f: Any, past: GPBPast, after: GPBPast, nis: Tensor, dt: Tensor) -> Tensor:
     """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before.
 
-    An offset that outliers have in both steps is in no belief, so its likelihood comes with these.
+    No belief holds the offset that outliers may have in both steps, so its likelihood ratio is a factor here.
     """
     measured = after.measured > 0
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)

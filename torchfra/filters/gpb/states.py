@@ -80,8 +80,8 @@ class GPBPast(NamedTuple):
     outlier: Tensor
     """See ``GPBState``."""
     nis: Tensor
-    """``(..., 2)`` normalised innovation squared per element of the agile level, without and with an outlier in the
-    measurement before."""
+    """``(..., 2)`` normalised innovation squared per element, by the agile level of ``Regimes``, without and with an
+    outlier in the measurement before."""
     measured: Tensor
     """``(...)`` 1 where the step has a measurement, else 0."""
     relaxation: Tensor | None = None

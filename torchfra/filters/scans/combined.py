@@ -118,9 +118,9 @@ def moments_with_one_root(predicted: Gaussian, each: Gaussian, log_weights: Tens
 
 
 def gated(log_weights: Tensor, whitened: Whitened) -> tuple[Tensor, Whitened]:
-    """The measurements ``(..., N, K)`` in each gate, where K is the largest number of measurements in a gate.
+    """The measurements ``(..., N, K)`` in each gate.
 
-    While code is traced it is J.
+    K is the largest number of measurements in a gate; while code is traced it is J.
 
     Args:
         log_weights: ``(..., N, J + 1)`` of a miss, and of each measurement.

@@ -94,7 +94,7 @@ class JPDA(Soft, Filter[JPDAState]):
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations
     weighted by their probabilities, which is our reading; Chen & Tugnait (2001), "Tracking of Multiple Maneuvering
-    Targets in Clutter Using IMM/JPDA Filtering and Fixed-Lag Smoothing", of several models.
+    Targets in Clutter Using IMM/JPDA Filtering and Fixed-Lag Smoothing", for several models.
     """
 
     scans = True

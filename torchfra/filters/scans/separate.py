@@ -27,7 +27,7 @@ class Pairs(NamedTuple):
     """States ``(K, ..., N)`` of the filter."""
     info: Any
     """Info ``(K, ..., N)`` of the filter."""
-    number: Tensor
+    order: Tensor
     """``(..., N, K)`` index of each measurement in the scan."""
     log_density: Tensor
     """``(..., N, J)`` of each measurement of the scan if it is the target's; minus infinity outside the gate."""
@@ -50,19 +50,19 @@ def step_missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tupl
 
 def step_measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
     """The states after each measurement that is ``inside (..., N, J)`` a target's gate."""
-    number, rank = gated_first(inside), state.belief.mean.dim() - 1
-    frame = chosen(frame, number, inside.shape, only=("z", "measured", "measurement_noise"))
-    state, record = inner.advance(_with_rows(state, rank, number.shape[-1]), frame)
+    order, rank = gated_first(inside), state.belief.mean.dim() - 1
+    frame = chosen(frame, order, inside.shape, only=("z", "measured", "measurement_noise"))
+    state, record = inner.advance(_with_rows(state, rank, order.shape[-1]), frame)
     _, log_density = inner._scores(record, frame.measurement_noise.log_norm)
     nowhere = torch.full(inside.shape, -torch.inf, dtype=log_density.dtype, device=log_density.device)
-    states, info = _rows_first((state, record.info), rank, number.shape[-1])
-    return Pairs(states, info, number, nowhere.scatter(-1, number, log_density))
+    states, info = _rows_first((state, record.info), rank, order.shape[-1])
+    return Pairs(states, info, order, nowhere.scatter(-1, order, log_density))
 
 
 def merge_hypotheses(inner: Filter, none: tuple[Any, Any], each: Pairs, association: Association) -> tuple[Any, Any]:
     """One state and one info for each target, merged from a miss (``none``) and from ``each`` measurement."""
     missed, associated = association.log_weights[..., 0], association.log_weights[..., 1:]
-    log_weights = torch.cat([missed.unsqueeze(0), associated.gather(-1, each.number).movedim(-1, 0)])
+    log_weights = torch.cat([missed.unsqueeze(0), associated.gather(-1, each.order).movedim(-1, 0)])
     state, info = tree.map_tensors(lambda *xs: torch.cat(xs), none, (each.states, each.info))
     return merged(inner, state, log_weights), averaged(info, log_weights, inner.motion.angles)
 
