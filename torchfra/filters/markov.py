@@ -39,9 +39,10 @@ def generator(durations: Tensor, follows: Tensor) -> Tensor:
 def transition_over(generator: Tensor, dt: Tensor) -> Tensor:
     """Transition probabilities ``exp(G dt) (..., K, K)``, ``[was, now]``, over ``dt (...)`` seconds.
 
-    Two steps have the same probabilities as one step of their sum, and over 0 s they are the identity.  The exponential
-    of a step that is short beside all sojourn times is squared again and again; its difference to the identity is what
-    is squared, so that small probabilities keep their digits; what rounding leaves below 0 is 0.  All of it is elementary arithmetic with exact gradients.
+    Two steps have the same probabilities as one step of their sum, and over 0 s they are the identity.  The
+    exponential of a step that is short beside all sojourn times is squared again and again; its difference to the
+    identity is what is squared, so that small probabilities keep their digits; what rounding leaves below 0 is 0.
+    All of it is elementary arithmetic with exact gradients.
 
     Source: Moler & Van Loan (2003), "Nineteen dubious ways to compute the exponential of a matrix", method 3.
     """

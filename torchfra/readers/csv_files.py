@@ -260,14 +260,16 @@ def _check_pairs(lines: list[str], sign: str, above: int) -> None:
     """Refuses headers in which every second column has no name, behind that of a target, as Metrica writes them."""
     for row, line in enumerate(lines):
         names = _split(line, sign)
-        times = [] if is_header(names) else [name for name in names if name in found(names, "time")]
         first = names.index("") - 1 if "" in names[1:] else -1
         blank = [name == "" for name in names[first:]]
-        if times and first > 0 and len(blank) > 3 and blank == [i % 2 == 1 for i in range(len(blank))]:
+        if first <= 0 or len(blank) <= 3 or blank != [i % 2 == 1 for i in range(len(blank))] or is_header(names):
+            continue
+        if times := found(names, "time"):
             pairs = f"zip(t.columns[{first}::2], t.columns[{first + 1}::2])"
             more = f", sep={sign!r}" * (sign != ",") + f", header={row + above}" * (row + above > 0)
+            time = min(times, key=names.index)
             raise ValueError(
-                f"expected a name for every column: there are x and y of {side_by_side(times[0], pairs, more)}"
+                f"expected a name for every column: there are x and y of {side_by_side(time, pairs, more)}"
             )
 
 
