@@ -230,3 +230,11 @@ def test_the_clock_of_a_game_counts_down_and_is_no_time(write):
     path = write(table("game_clock,x,y", [(720 - i / 25, i / 10, 5) for i in range(50)]))
     with pytest.raises(ValueError, match="column game_clock: expected times that go on, received a clock that counts"):
         read(path, time="game_clock")
+
+
+def test_both_coordinates_of_a_cell_may_stand_in_brackets(write):
+    (track,) = read(
+        write(table("time,latlong,alt", [(i, f"[{47 + i / 1e5:.6f}; 8.300000]", 400 + i) for i in range(9)]))
+    )
+    assert len(track.time) == 9
+    assert track.position.shape[1] == 3

@@ -100,3 +100,8 @@ def test_fixes_of_other_names_are_read_beside_a_list_of_theirs(write):
     whole = [{"t0": i, "north_south": 47 + i / 1e4, "east_west": 8.3, "satellites": [{"prn": 3}]} for i in range(ROWS)]
     (track,) = read(write(json.dumps(whole), "a.json"), time="t0", lat="north_south", lon="east_west")
     assert len(track.time) == ROWS
+
+
+def test_records_may_come_in_parts(write):
+    (track,) = read(write(json.dumps([fixes()[:9], fixes()[9:]]), "a.json"))
+    assert len(track.time) == ROWS

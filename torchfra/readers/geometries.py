@@ -40,7 +40,7 @@ _PAIRS = {
     "координаты",
 }
 """Names of columns that may hold a latitude and a longitude."""
-_PAIR = re.compile(r"\s*\(?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*\)?\s*(?:\([0-9]+\)\s*)?")
+_PAIR = re.compile(r"\s*[(\[]?\s*([+-]?[0-9]+\.?[0-9]*)\s*[,; ]\s*([+-]?[0-9]+\.?[0-9]*)\s*[)\]]?\s*(?:\([0-9]+\)\s*)?")
 """Both in one cell, and perhaps the number of satellites in brackets."""
 
 

@@ -91,6 +91,8 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells, tuple[str, ...]]:
         keys = list(dict.fromkeys(key for column in columns.values() for key in column))
         return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys], ()
     records = parsed if isinstance(parsed, list) else [parsed]
+    if records and all(isinstance(one, list) for one in records):  # in parts
+        records = [record for part in records for record in part]
     if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
         raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
     records = _flat(records)
