@@ -37,7 +37,7 @@ def test_a_large_rho_parts_neighbours_that_a_small_one_brings_together():
 
 def test_how_far_back_an_estimate_looks_is_how_much_a_change_of_the_start_changes_it(tracks):
     f, h = gradients.made("srckf", 28.0, gradients.VALUES), 1e-5
-    found = gradients.looked(f, tracks, 6, 3)
+    found = gradients.reach_of(f, tracks, 6, 3)
     slopes = []
     for i in range(3):
         ends = []
