@@ -3,7 +3,7 @@
 import pytest
 
 from torchfra.cleaning.kinds import kind_of
-from torchfra.readers import read
+from torchfra.readers import read, species
 
 ROWS = 30
 
@@ -48,3 +48,8 @@ def test_gliders_are_aircraft_whose_altitudes_are_metres(tmp_path):
     (track,) = read(tmp_path / "flight.igc")
     assert (track.source.word, kind_of(track)[0]) == ("glider", "aircraft")
     assert track.position[-1, 2] - track.position[0, 2] == pytest.approx(ROWS - 1, abs=0.1)
+
+
+def test_the_last_word_of_a_name_says_what_an_animal_is():
+    names = ("Spotted eagle ray", "White stork", "Swift fox")
+    assert [species.kind_of([name]) for name in names] == ["marine animal", "bird", ""]

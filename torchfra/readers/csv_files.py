@@ -335,7 +335,9 @@ def _parts(rows: Rows, names: list[str], repairs: Counter[str] | None) -> Iterat
             return []
         if len(row) > len(names) and not any(row[len(names) :]):
             return row[: len(names)]
-        if len(row) > len(names) and "address" in names:  # Traccar writes addresses with their commas, without quotes
+        if len(row) > len(names) and {"fixTime", "address"} <= {
+            *names
+        }:  # Traccar writes addresses with their commas, without quotes
             at, more = names.index("address"), len(row) - len(names)
             return [*row[:at], ",".join(row[at : at + more + 1]), *row[at + more + 1 :]]
         if repairs is None:

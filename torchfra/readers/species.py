@@ -10,7 +10,7 @@ from torchfra.readers.spelling import name_words
 _BIRDS = """
 bird birds stork eagle gull goose geese swan duck mallard teal pintail crane heron egret ibis spoonbill flamingo
 pelican cormorant gannet booby albatross petrel shearwater fulmar frigatebird tern skua kittiwake puffin guillemot
-murre penguin falcon kestrel hawk buzzard kite harrier osprey vulture condor owl cuckoo dove pigeon swift swallow
+murre penguin falcon kestrel hawk buzzard kite harrier osprey vulture condor owl cuckoo dove pigeon swallow
 godwit curlew plover whimbrel sandpiper oystercatcher lapwing crow raven thrush starling lark bustard grouse
 capercaillie accipiter anas anser apus aquila ardea aythya branta bubo buteo calidris calonectris cathartes ciconia
 circus clanga columba corvus coragyps cuculus cygnus diomedea falco fregata fulmarus gavia geronticus grus antigone
@@ -28,7 +28,8 @@ phocoena phoca halichoerus mirounga leptonychotes hydrurga lobodon erignathus cy
 callorhinus zalophus eumetopias neophoca odobenus carcharodon carcharhinus rhincodon prionace galeocerdo isurus lamna
 sphyrna cetorhinus mobula thunnus makaira xiphias mola dugong trichechus anguilla salmo acipenser
 """
-_KINDS = {"bird": {*_BIRDS.split()}, "marine animal": {*_MARINE.split()}}
+_KINDS = dict.fromkeys(_BIRDS.split(), "bird") | dict.fromkeys(_MARINE.split(), "marine animal")
+"""Kinds by words of names."""
 COLUMNS = {
     "individualtaxoncanonicalname",
     "taxon",
@@ -43,10 +44,10 @@ COLUMNS = {
 
 def kind_of(names: Iterable[str]) -> str:
     """The kind that all of these mean, ``"bird"`` or ``"marine animal"``; "" where they differ, or one is not known."""
-    kinds = {next((kind for kind, words in _KINDS.items() if words & _words(name)), "") for name in names}
+    kinds = {next((_KINDS[word] for word in _words(name) if word in _KINDS), "") for name in names}
     return kinds.pop() if len(kinds) == 1 else ""
 
 
-def _words(name: str) -> set[str]:
-    """The words of a name without the numbers at their ends."""
-    return {re.sub("[0-9]+$", "", word) for word in name_words(name)}
+def _words(name: str) -> list[str]:
+    """The words of a name without the numbers at their ends, the last one first: an eagle ray is a ray."""
+    return [re.sub("[0-9]+$", "", word) for word in reversed(name_words(name))]
