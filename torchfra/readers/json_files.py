@@ -57,8 +57,9 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return sheet
     if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
         return sheet
-    names, rows, cells, said = _columns(parsed)
-    return Sheet(names, [(rows, cells)] if names else [], said, json=not said or said[0].endswith(" aircraft"))
+    names, rows, cells, of = _columns(parsed)
+    said = (f"JSON: a row for each record in {of}",) if of else ()
+    return Sheet(names, [(rows, cells)] if names else [], said, json=of in ("", "aircraft"))
 
 
 def _parsed(content: str) -> Any:
@@ -75,21 +76,21 @@ def _parsed(content: str) -> Any:
         return [record for one in several for record in (one if isinstance(one, list) else [one])]
 
 
-def _columns(parsed: Any) -> tuple[list[str], int, Cells, tuple[str, ...]]:
-    """Names of the columns, the number of rows, the cells of a column by its name, and what to say of them."""
+def _columns(parsed: Any) -> tuple[list[str], int, Cells, str]:
+    """Names of the columns, the number of rows, the cells of a column by its name, and the name of lists of rows."""
     if isinstance(parsed, dict):
         if inner := _inner([parsed]):
             return _columns_of(*inner)
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
-            return list(lists), len(next(iter(lists.values()))), lists.__getitem__, ()
+            return list(lists), len(next(iter(lists.values()))), lists.__getitem__, ""
         columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
         is_table = len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1
         records = next(iter(lists.values())) if len(lists) == 1 and not is_table else []
         if records and all(isinstance(one, dict) for one in records):
             return _columns(records)  # under one name, as "locations" of a phone
         keys = list(dict.fromkeys(key for column in columns.values() for key in column))
-        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys], ()
+        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys], ""
     records = parsed if isinstance(parsed, list) else [parsed]
     if records and all(isinstance(one, list) for one in records):  # in parts
         records = [record for part in records for record in part]
@@ -99,12 +100,11 @@ def _columns(parsed: Any) -> tuple[list[str], int, Cells, tuple[str, ...]]:
     return _columns_of(*(_inner(records, asked=True) or (records, "")))
 
 
-def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int, Cells, tuple[str, ...]]:
+def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int, Cells, str]:
     """Those of records, which stand in lists of that name."""
     records = [_parted(record) for record in records]
     names = list(dict.fromkeys(name for record in records for name in record))
-    said = (f"JSON: a row for each record in {of}",) if of else ()
-    return names, len(records), lambda name: [record.get(name) for record in records], said
+    return names, len(records), lambda name: [record.get(name) for record in records], of
 
 
 def _inner(
