@@ -13,6 +13,7 @@ from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
+from torchfra.numbers import NUMBERS, as_tensor
 from torchfra.types import Gaussian
 
 PRECISIONS = (torch.float32, torch.float64)
@@ -93,8 +94,9 @@ def check_kinds(measurements: Measurements) -> None:
             _check_tensor(name, x)
     if isinstance(dt, Tensor):
         _check_tensor("dt", dt)
-    elif not isinstance(dt, (int, float)):
-        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: take torch.as_tensor(dt)")
+    elif not isinstance(dt, NUMBERS):
+        hint = "take torch.as_tensor(dt, dtype=torch.float64)"
+        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: {hint}")
     if std is not None and noise is not None:
         raise ValueError("std, noise: expected at most one of the two, received both")
 
@@ -102,7 +104,8 @@ def check_kinds(measurements: Measurements) -> None:
 def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
     """Checks that ``x`` is a tensor of one of these precisions; if there are none, of real numbers."""
     if not isinstance(x, Tensor):
-        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: take torch.as_tensor({name})")
+        hint = f"take torch.as_tensor({name}, dtype=torch.float64)"  # without it a list would be rounded to float32
+        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
     if precisions and x.dtype not in precisions:
         raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}")
     if x.is_complex():
@@ -140,7 +143,7 @@ def check_seconds(dt: Time, dtype: torch.dtype, zero_dt: bool = True) -> None:
     Raises:
         ValueError: one is not.
     """
-    exact = dt if isinstance(dt, Tensor) else torch.tensor(dt, dtype=torch.float64)
+    exact = as_tensor(dt)
     seconds = exact.to(dtype)
     bad = ~((seconds > 0) & (seconds < torch.inf))
     if zero_dt:
