@@ -109,3 +109,38 @@ def test_no_number_is_rounded_to_single_precision_on_its_way_to_double():
         if "dtype=" not in found
     ]
     assert not rounded
+
+
+def northings(steps=5):
+    """A target that stands at UTM coordinates, in single precision: its northing is a multiple of half a metre."""
+    z = torch.tensor([5e5, 5.4e6]).expand(steps, 2)
+    return z, Gaussian(torch.tensor([5e5, 5.4e6, 0.0, 0.0]), torch.eye(4))
+
+
+@pytest.mark.parametrize("engine", ["eager", "compiled"])
+def test_measurements_that_have_lost_their_digits_bring_a_warning(engine):
+    f, (z, prior) = presets.srckf(ConstantVelocity(1.0), Position(0.1)), northings()
+    f = f if engine == "eager" else f.compile()
+    with pytest.warns(RuntimeWarning, match=r"z: float32 holds element 1 in steps of 0.5, .* deviation of 0.1"):
+        f(z, prior)
+    with pytest.warns(RuntimeWarning, match=r"z: float32 holds element 1"):
+        f.step(f.init(prior), z[0])
+    with pytest.warns(RuntimeWarning, match=r"z: float32 holds element 1"):
+        f.smooth(z, prior, std=torch.full_like(z, 0.1))
+
+
+def test_time_steps_of_unix_times_in_single_precision_bring_a_warning():
+    f, (z, prior) = presets.srckf(ConstantVelocity(1.0), Position(1.0)), northings()
+    times = torch.tensor([1.7e9 + k for k in range(6)])
+    with pytest.warns(RuntimeWarning, match=r"dt: all time steps are 0 in float32: take the differences .* in float64"):
+        f(z.double(), prior, dt=times.diff())
+
+
+def test_measurements_that_have_their_digits_bring_no_warning():
+    """Warnings are errors here."""
+    f, (z, prior) = presets.srckf(ConstantVelocity(1.0), Position(0.1)), northings()
+    f(z.double(), prior)
+    f(z - z[0], prior)
+    f(torch.where(torch.arange(5).unsqueeze(-1) == 2, 1e36, z - z[0]), prior)  # an outlier
+    f(torch.full_like(z, torch.nan), prior, dt=0.0)
+    presets.srckf(ConstantVelocity(1.0), Position(1.0))(z, prior, dt=torch.zeros(1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.numbers import NUMBERS, as_tensor
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 PRECISIONS = (torch.float32, torch.float64)
@@ -150,6 +152,31 @@ def check_seconds(dt: Time, dtype: torch.dtype, zero_dt: bool = True) -> None:
         bad = bad & (exact != 0)
     if bool(bad.any()):
         _refuse("dt", f"seconds above 0 {'(or just 0) ' * zero_dt}and finite in {dtype}", exact, bad)
+
+
+def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
+    """Warns of what single precision has rounded away before it came: nobody sees that in an estimate.
+
+    That are time steps that are all 0, as differences of Unix times are, and an element whose numbers half of the time
+    lie further apart than the standard deviation of its noise.  Nothing is checked while code is traced.
+    """
+    z, dt, _, std, noise = measurements
+    if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
+        return
+    if isinstance(dt, Tensor) and dt.dtype is torch.float32 and dt.numel() > 1 and not bool(dt.any()):
+        hint = "take the differences of times in float64 (float32 holds Unix times in steps of 128 s)"
+        warnings.warn(f"dt: all time steps are 0 in float32: {hint}", RuntimeWarning, stacklevel=2)
+    if z.dtype is torch.float32:
+        with torch.no_grad():
+            deviation = sensor.measurement_noise(z, std, noise).std.expand_as(z)
+            step = torch.nextafter(z.abs(), z.new_tensor(torch.inf)) - z.abs()
+            coarse = (step / deviation).reshape(-1, z.shape[-1]).nanmedian(0).values > 1
+        if bool(coarse.any()):
+            i = int(coarse.int().argmax())
+            apart, noise_of = (f"{float(x[..., i].nanmedian()):.2g}" for x in (step, deviation))
+            held = f"element {i} in steps of {apart}, and its noise has a standard deviation of {noise_of}"
+            hint = "take float64, or subtract an origin there"
+            warnings.warn(f"z: float32 holds {held}: {hint}", RuntimeWarning, stacklevel=2)
 
 
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:
