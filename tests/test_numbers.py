@@ -25,7 +25,7 @@ CALLS = {
     "smooth": lambda f, z, prior, dt: f.smooth(z, prior, dt=dt),
     "lag": lambda f, z, prior, dt: f.smooth(z, prior, dt=dt, lag=2),
     "step": lambda f, z, prior, dt: f.step(f.init(prior), z[0], dt=dt)[0].belief,
-    "step by a rough measurement": lambda f, z, prior, dt: f.step(f.init(prior), z[0].float(), dt=dt)[0].belief,
+    "step by a rough measurement": lambda f, z, prior, dt: f.step(f.init(prior), torch.zeros(2), dt=dt)[0].belief,
     "predict": lambda f, z, prior, dt: f.predict(f.init(prior), dt).belief,
 }
 
