@@ -202,7 +202,7 @@ def crowd(seed: int, scans: int, count: int = 200, width: float = 100e3) -> Worl
     """Targets of up to 300 m/s with accelerations of 1 m/s^2 in a square, all of them there from the first scan on."""
     rng, dt = np.random.default_rng([seed, 0]), 1.0
     motion = ConstantVelocity(1.0)
-    matrix = motion.transition(torch.tensor(dt).double()).numpy()
+    matrix = motion.transition(torch.tensor(dt, dtype=torch.float64)).numpy()
     speed, course = rng.uniform(50, 300, count), rng.uniform(0, 2 * np.pi, count)
     velocity = speed[:, None] * np.stack([np.sin(course), np.cos(course)], -1)
     state, rows = np.concatenate([rng.uniform(0, width, (count, 2)), velocity], -1), []

@@ -2,7 +2,6 @@
 
 import math
 
-import mpmath
 import pytest
 import torch
 
@@ -26,21 +25,6 @@ def tensor(*values):
     return torch.tensor(values, dtype=torch.float64)
 
 
-def exact_noise(alpha, dt):
-    """Covariance of one axis for an acceleration of variance 1, by integration with 60 digits."""
-    with mpmath.workdps(60):
-        a, end = mpmath.mpf(alpha), mpmath.mpf(dt)
-
-        def response(s):
-            e = mpmath.exp(-a * s)
-            return (a * s - 1 + e) / a**2, (1 - e) / a, e
-
-        parts = [end * k / 4 for k in range(5)]
-        rows = [[float(2 * a * mpmath.quad(lambda s, i=i, j=j: response(s)[i] * response(s)[j], parts))
-                 for j in range(3)] for i in range(3)]  # fmt: skip
-    return torch.tensor(rows, dtype=torch.float64)
-
-
 def test_the_current_statistical_model_has_its_known_values():
     motion = CurrentStatistical(1 / 20, 1.0, dims=1)
     torch.testing.assert_close(
@@ -54,13 +38,6 @@ def test_the_current_statistical_model_has_its_known_values():
     torch.testing.assert_close(root @ root.mT / spread, q, rtol=0, atol=1e-9)
     shift, _ = motion.adaptation(T)(tensor(0, 0, 1), None, root)
     torch.testing.assert_close(shift, tensor(0.0650327856, 0.0967483607, 0.095162582), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("product", [1e-6, 1e-3, 0.1, 1.0, 4.0, 16.0])
-def test_the_noise_is_exact_however_short_or_long_the_memory(product):
-    alpha = product / 2
-    root = Singer(1.0, alpha, dims=1).process_noise(T)
-    torch.testing.assert_close(root @ root.mT, exact_noise(alpha, 2.0), rtol=1e-12, atol=0)
 
 
 def test_an_acceleration_that_never_forgets_is_constant():

@@ -164,7 +164,7 @@ def test_the_direction_wanders_across_the_velocity_and_the_speed_along_it():
     assert torch.autograd.gradcheck(lambda m: at_rest.process_noise_at(at_rest.process_noise(dt), m, dt), x)
 
 
-@pytest.mark.parametrize("product", [1e-6, 0.1, 1.0, 16.0])
+@pytest.mark.parametrize("product", [1e-8, 0.1, 1.0, 16.0, 1e3, 1e8])
 def test_a_velocity_that_forgets_has_its_known_noise_however_short_or_long_the_memory(product):
     with mpmath.workdps(60):
         a, t = mpf(product) / mpf(STEP), mpf(STEP)

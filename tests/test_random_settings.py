@@ -8,6 +8,7 @@ import math
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
@@ -135,16 +136,35 @@ PAIRS = {
 }  # fmt: skip
 
 
+TIMES = {
+    "each": lambda dt: dt,
+    "a number": lambda dt: float(dt[0, 0]),
+    "of numpy": lambda dt: np.float64(dt[0, 0]),
+    "per step": lambda dt: dt[0],
+    "whole": lambda dt: math.ceil(dt[0, 0]),
+    "per track": lambda dt: dt[:, :1],
+    "of numpy, whole": lambda dt: np.int64(math.ceil(dt[0, 0])),
+    "of numpy, rough": lambda dt: np.float32(dt[0, 0]),
+    "0-d": lambda dt: dt[0, 0],
+}
+"""All that time steps may be given as, from ``(B, T)``."""
+
+
 class Tracks(NamedTuple):
     """What a filter is given."""
 
     z: torch.Tensor
     prior: Gaussian
-    dt: torch.Tensor
+    dt: object
     more: dict
 
+    def seconds(self, k):
+        """The time step of step ``k``, as ``step`` takes it."""
+        dt = self.dt
+        return dt[..., min(k, dt.shape[-1] - 1)] if isinstance(dt, torch.Tensor) and dt.dim() else dt
 
-def drawn(pair, f, number, *, batch, steps, missing, still, round_numbers, outliers):
+
+def drawn(pair, f, number, *, batch, steps, missing, still, round_numbers, outliers, time="each"):
     """Tracks of a filter's own motion, or of the first of its bank, drawn from a number."""
     generator = torch.Generator().manual_seed(number)
 
@@ -164,10 +184,12 @@ def drawn(pair, f, number, *, batch, steps, missing, still, round_numbers, outli
     dt = chance(batch, steps) + 0.1
     if still and f.zero_dt:
         dt = torch.where(chance(batch, steps) < 0.3, 0.0, dt)
+    dt = TIMES[time](dt)
+    each = torch.as_tensor(dt, dtype=torch.float64).expand(batch, steps)
     u = torch.tensor(pair.u).double() if pair.u else None
     seen = []
     for k in range(steps):
-        x = of_truth(x, dt[:, k], None if u is None else u.expand(batch, -1))
+        x = of_truth(x, each[:, k], None if u is None else u.expand(batch, -1))
         seen.append(f.sensor(x, None if u is None else u.expand(batch, -1)))
     z = torch.stack(seen, 1)
     deviations = f.sensor.measurement_noise(z).std.expand_as(z)
@@ -234,10 +256,10 @@ def filters_of(name):
 
 def stepped(f, tracks):
     """The beliefs after each step, ``(B, T, n)``."""
-    state, said, (z, _, dt, more) = f.init(tracks.prior), [], tracks
-    for k in range(z.shape[1]):
-        given = {key: x[k] if key == "u" else x[:, k] for key, x in more.items()}
-        state, _ = f.step(state, z[:, k], dt=dt[:, k], **given)
+    state, said = f.init(tracks.prior), []
+    for k in range(tracks.z.shape[1]):
+        given = {key: x[k] if key == "u" else x[:, k] for key, x in tracks.more.items()}
+        state, _ = f.step(state, tracks.z[:, k], dt=tracks.seconds(k), **given)
         said.append(state.belief)
     return Gaussian(*(torch.stack(x, 1) for x in zip(*said, strict=True)))
 
@@ -259,7 +281,8 @@ def check(name, number, options):
     found = run(compiled, tracks)
     expect_same(found, expected, amplified, "compiled and eager")
     order = torch.randperm(len(tracks.z), generator=torch.Generator().manual_seed(number))
-    shuffled = Tracks(tracks.z[order], Gaussian(*(x[order] for x in tracks.prior)), tracks.dt[order],
+    dt = tracks.dt[order] if getattr(tracks.dt, "ndim", 0) == 2 else tracks.dt
+    shuffled = Tracks(tracks.z[order], Gaussian(*(x[order] for x in tracks.prior)), dt,
                       {key: x if key == "u" else x[order] for key, x in tracks.more.items()})  # fmt: skip
     back = tree.map_tensors(lambda x: x[order.argsort()], run(compiled, shuffled))
     expect_same(back, expected, amplified, "in another order")
@@ -278,7 +301,7 @@ def check(name, number, options):
 
 OPTIONS = st.fixed_dictionaries({
     "batch": st.integers(1, 5), "steps": st.integers(1, 8), "missing": st.booleans(), "still": st.booleans(),
-    "round_numbers": st.booleans(), "outliers": st.booleans(),
+    "round_numbers": st.booleans(), "outliers": st.booleans(), "time": st.sampled_from([*TIMES]),
 })  # fmt: skip
 
 
@@ -288,6 +311,7 @@ def test_a_compiled_filter_says_what_the_filter_says(name, request):
     draws, place = request.config.getoption("--draws"), [*PAIRS].index(name)
     if not draws:
         few, more = {"batch": 1 + place % 3, "steps": 6}, {"still": place % 2 > 0, "round_numbers": place % 5 == 0}
+        few["time"] = [*TIMES][place % len(TIMES)]
         return check(name, place, few | more | {"missing": True, "outliers": place % 2 == 0})
     count, number = -(-draws // len(PAIRS)), st.integers(0, 2**31)
     of = settings(max_examples=count, deadline=None, database=None, suppress_health_check=list(HealthCheck))

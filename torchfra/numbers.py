@@ -6,8 +6,12 @@ import math
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
+
+NUMBERS = int, float, np.integer, np.floating
+"""Types of the numbers of Python and numpy that are real."""
 
 
 def as_number(value: Any) -> float:
@@ -44,6 +48,25 @@ def fraction(name: str, value: Any) -> float:
 def is_integer(value: object, least: int) -> bool:
     """Whether a value is a whole number of Python or numpy, ``least`` or more."""
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+
+
+def as_tensor(value: Any, like: Tensor | None = None) -> Tensor:
+    """Numbers of Python, numpy or torch as a tensor with all their digits.
+
+    ``torch.as_tensor`` rounds numbers of Python to torch's default precision, whatever they are for.
+
+    Args:
+        value: a number, several in a list or an array, or a tensor.
+        like: a tensor whose dtype and device the result gets, rounded once; None for double precision, but for arrays
+            and tensors their own.
+    """
+    if isinstance(value, Tensor):
+        return value if like is None else value.to(like)
+    if isinstance(value, np.generic):
+        value = float(value)  # torch takes no number of some types
+    if like is not None:
+        return torch.as_tensor(value, dtype=like.dtype, device=like.device)
+    return torch.as_tensor(value, dtype=None if hasattr(value, "dtype") else torch.float64)
 
 
 def as_numbers(value: Any, name: str) -> Tensor:

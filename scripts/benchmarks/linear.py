@@ -87,7 +87,7 @@ class Inertial(Motion):
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., 15, 15)``: gravity turns an error of attitude into acceleration."""
         eye, zero = torch.eye(3).to(dt), torch.zeros(3, 3).to(dt)
-        gravity = 9.81 * torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]]).to(dt)
+        gravity = 9.81 * dt.new_tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])
         rows = [
             [zero, eye, zero, zero, zero],
             [zero, zero, gravity, -eye, zero],
@@ -99,7 +99,7 @@ class Inertial(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """Root ``(..., 15, 15)``: white noise on all but positions."""
-        density = torch.tensor([0.0, 0.05, 1e-3, 1e-4, 1e-5]).to(dt).repeat_interleave(3)
+        density = dt.new_tensor([0.0, 0.05, 1e-3, 1e-4, 1e-5]).repeat_interleave(3)
         return dt.sqrt()[..., None, None] * density.diag()
 
 

@@ -37,8 +37,8 @@ class Weighted(nn.Module):
 def simulate(tracks: int, steps: int, seed: int) -> Data:
     """Targets some 10 km away at up to 100 m/s; every fifth measurement glints."""
     options = {"generator": torch.Generator().manual_seed(seed), "dtype": torch.float64}
-    second, spread = torch.ones((), dtype=torch.float64), torch.tensor([100.0, 100.0, 10.0, 10.0]).double()
-    mean = torch.tensor([6e3, 8e3, 50.0, -50.0]).double() + 50 * torch.randn(tracks, 4, **options)
+    second, spread = torch.ones((), dtype=torch.float64), torch.tensor([100.0, 100.0, 10.0, 10.0], dtype=torch.float64)
+    mean = torch.tensor([6e3, 8e3, 50.0, -50.0], dtype=torch.float64) + 50 * torch.randn(tracks, 4, **options)
     states = [mean + spread * torch.randn(tracks, 4, **options)]
     for shock in torch.randn(steps, tracks, 2, **options):
         states.append(states[-1] @ MOTION.transition(second).mT + shock @ MOTION.process_noise(second).mT)

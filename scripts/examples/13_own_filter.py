@@ -54,11 +54,11 @@ class Widening(Filter[State]):
 
 def main(arguments=None):
     """What comes from the three, on 100 targets that turn."""
-    motion, gps, radar = ConstantVelocity(0.1), Position(10.0), RangeBearing(torch.tensor([10.0, 0.01]).double())
+    motion, gps, radar = ConstantVelocity(0.1), Position(10.0), RangeBearing((10.0, 0.01))
     turn = 0.2 * ((torch.arange(60) - 37).abs() < 7).double().cumsum(0)
     truth = 1000 + 10 * torch.stack([turn.cos(), turn.sin()], -1).cumsum(0)
     z = truth + 10 * torch.randn(100, 60, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    prior = Gaussian(torch.tensor([1000.0, 1000, 10, 0]).double(), 5 * torch.eye(4).double())
+    prior = Gaussian(torch.tensor([1000.0, 1000, 10, 0], dtype=torch.float64), 5 * torch.eye(4).double())
     f, which = Widening(motion, gps), [0, 1] * 30
     both = torch.where(torch.tensor(which).bool()[:, None], radar(truth) + (z - truth) * radar.std() / 10, z)
     tracker, fixed = Tracker(f, prior), FixedLag(f, 5)

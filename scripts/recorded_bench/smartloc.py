@@ -159,7 +159,8 @@ def _start(late: Array, truth: Array, systems: int) -> tuple[Tensor, Tensor]:
     heading = math.atan2(away[1], away[0])
     mean = [0.0, 0.0, 0.0, heading, 0.0, 0.0, float(np.nanmedian(late)), 0.0, *[0.0] * (systems - 1)]
     names = ["position"] * 3 + ["heading", "scale", "bias", "clock", "drift"] + ["between"] * (systems - 1)
-    return torch.tensor(mean).double(), torch.tensor([START[name] for name in names]).double().diag()
+    deviations = [START[name] for name in names]
+    return torch.tensor(mean, dtype=torch.float64), torch.tensor(deviations, dtype=torch.float64).diag()
 
 
 class Driven(Odometry):

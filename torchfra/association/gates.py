@@ -12,7 +12,7 @@ from torch.nn.functional import logsigmoid
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log, safe_sqrt
-from torchfra.numbers import as_number, as_numbers
+from torchfra.numbers import as_number, as_numbers, as_tensor
 from torchfra.sensors.base import Sensor
 
 _LOWEST_MEMBERSHIP = -30.0
@@ -103,7 +103,7 @@ class Euclidean(Gate):
         beyond: Tensor = safe_sqrt(gap.square().sum(-1)) / self.size(gap) - 1
         if not self.probability:
             return beyond
-        return torch.minimum(beyond, _beyond_ellipsoid(candidates, torch.as_tensor(self.probability).to(beyond)))
+        return torch.minimum(beyond, _beyond_ellipsoid(candidates, as_tensor(self.probability, beyond)))
 
 
 class ChiSquare(Gate):

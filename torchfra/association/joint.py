@@ -14,6 +14,7 @@ from torchfra.association.messages import belief_propagation, each_alone, sum_by
 from torchfra.association.sets import check_sets, sum_over_sets
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_elementary, is_traced
+from torchfra.numbers import as_tensor
 
 Solve = Callable[[Tensor, Tensor, Tensor, bool], tuple[Tensor, Tensor]]
 """From ``log_ratio (K, n, j)``, ``log_miss (K, n)`` and ``weight (K,)`` of clusters, and whether they are diffuse, to
@@ -55,7 +56,7 @@ def associate(
     targets, count = log_ratio.shape[-2:]
     if min(targets, count) < 1:
         raise ValueError(f"log_ratio: expected (..., N, J) with N and J of 1 or more, received {targets, count}")
-    log_miss = torch.as_tensor(log_miss, dtype=log_ratio.dtype, device=log_ratio.device)
+    log_miss = as_tensor(log_miss, log_ratio)
     batch = broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
     scans = _gated_scans(log_ratio, log_miss, log_membership, batch, diffuse)
     log_weights, evidence = _associate(scans, exact)

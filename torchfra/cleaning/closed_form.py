@@ -19,6 +19,7 @@ from torch import Tensor
 from torchfra.filters import GPB, Outliers, Regimes
 from torchfra.motion.bank import Bank
 from torchfra.motion.polynomial import ConstantVelocity
+from torchfra.numbers import as_tensor
 from torchfra.sensors.position import Position
 
 _LOG_TWO_PI = math.log(2 * math.pi)
@@ -399,7 +400,7 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
     apart = (first - middle).abs().nanmean((0, 1)).nan_to_num()
     shape = (2, *levels.q.shape)
     position = middle.nan_to_num()[:, None, None].expand(-1, *shape)
-    pp = (1e8 + apart.square() + torch.as_tensor(model.least_offset).square()).expand(shape)
+    pp = (1e8 + apart.square() + as_tensor(model.least_offset).square()).expand(shape)
     vv = z.new_full(shape, 1e5)
     share = model.share(fixes.gap[0])
     log_mode = torch.stack([1 - share, share]).log().unsqueeze(1)

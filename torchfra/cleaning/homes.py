@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchfra.cleaning.closed_form import Fixes
 from torchfra.cleaning.process_noise import LONGEST
+from torchfra.numbers import as_tensor
 
 _RATIOS = 2.0 ** torch.arange(-12.0, 5.0, dtype=torch.float64)
 """Variances that are tried of the home's drift between two fixes, and of slow returns, in units of the other one."""
@@ -52,9 +53,7 @@ def log_odds_of_roughness(fixes: Fixes, owner: Tensor, one_size: Tensor) -> Tens
     z, gap, period = fixes.z, fixes.gap, fixes.period.nan_to_num(1.0)
     ratio = _RATIOS.to(z).unsqueeze(1)
     one, none = torch.ones_like(ratio * period), torch.zeros_like(ratio * period)
-    soon, later, course, rough = (
-        torch.tensor(of).to(z)[:, None, None] * period for of in (_SOON, _LATER, _COURSE, _ROUGH)
-    )
+    soon, later, course, rough = (as_tensor(of, z)[:, None, None] * period for of in (_SOON, _LATER, _COURSE, _ROUGH))
     scaled = fixes.variance / torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.nan_to_num(1.0)
 
     def likelihood(*motion: Tensor, velocity: bool = False) -> Tensor:

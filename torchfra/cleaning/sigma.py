@@ -13,6 +13,7 @@ from torchfra.cleaning.homes import log_odds_of_roughness
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
 from torchfra.cleaning.two_filters import Smoothed
+from torchfra.numbers import as_tensor
 
 _LEAST_SIGMA = 1e-4
 """Least standard deviation that is tried, m: fixes that repeat have none."""
@@ -116,11 +117,11 @@ def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
         rough: ``(B,)`` whether motion is as rough as noise, so that no sigma is ruled out.
     """
-    tried = part.sigma / 2.0 ** torch.tensor(_HALVINGS).to(part.sigma).unsqueeze(1)
+    tried = part.sigma / 2.0 ** as_tensor(_HALVINGS, part.sigma).unsqueeze(1)
     several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
     slow = (part.fixes.period > LONGEST) & (part.levels.walk == 0).all(0)
     if slow.any():
-        several.append(with_levels_of_walks(part.levels, torch.as_tensor(part.model.least_offset), part.fixes.period))
+        several.append(with_levels_of_walks(part.levels, as_tensor(part.model.least_offset), part.fixes.period))
         asked.append(slow)
     fits, least = [], []
     for levels, rows in zip(several, asked, strict=True):

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
+from torchfra.numbers import as_tensor
 from torchfra.types import Gaussian
 
 _AT_ONCE = 1 << 20
@@ -112,7 +113,7 @@ def backward_inputs(f: Any, past: Any, source: Any, measurements: Measurements, 
     source = None if source is None else f.last_past(source)
     following = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_of_next(past))
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
-    seconds = torch.as_tensor(measurements.dt if varying else measurements.common_dt).to(like)
+    seconds = as_tensor(measurements.dt if varying else measurements.common_dt, like)
     data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, following, source)))}
     events = {name: x.dim() - rank - 1 for name, x in data.items()} | {"last": 0, "dt": 0}
     batch, steps = data["past0"].shape[:rank], data["past0"].shape[rank]

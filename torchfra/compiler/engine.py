@@ -23,6 +23,7 @@ from torchfra.compiler.version import Task, Version
 from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
+from torchfra.numbers import NUMBERS
 from torchfra.tree import flatten, map_tensors, unflatten
 from torchfra.types import Estimate, Gaussian
 
@@ -221,10 +222,11 @@ class Compiled:
             interpreted: tuple[Any, Any] = self.otherwise.step(f, state, measurements, watched)
             return interpreted
         z, dt, u, std, noise = measurements
-        if not isinstance(dt, (Tensor, float, int)):
+        if not isinstance(dt, (Tensor, *NUMBERS)):
             f._frame(state, measurements)
-        now = self._now(f)
-        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, z.dtype, f.zero_dt), u, std, noise)
+        now, belief = self._now(f), getattr(state, "belief", None)
+        like = belief.mean if isinstance(belief, Gaussian) else z  # the state says the precision
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, like.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
         kind = _complete(f, measurements), watched
         done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)

@@ -17,6 +17,7 @@ from torchfra.compiler.track_kernel import TrackKernel
 from torchfra.gaussian.arguments import PRECISIONS, check_values
 from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.linalg.triangular import tria
+from torchfra.numbers import NUMBERS
 from torchfra.tree import flatten
 from torchfra.types import Estimate, Failure, Gaussian
 
@@ -113,7 +114,7 @@ def _kind(state: Any, data: Data) -> Hashable:
 def number(value: float, dtype: torch.dtype = torch.float64) -> Tensor:
     """A number as a tensor that nobody changes, and that may be saved for a gradient wherever it was first needed."""
     with torch.inference_mode(False):
-        return torch.tensor(value, dtype=dtype)
+        return torch.tensor(float(value), dtype=dtype)
 
 
 def check_changing(data: Data, zero_dt: bool) -> None:
@@ -131,7 +132,7 @@ def is_ordinary(x: Time, dtype: torch.dtype) -> bool:
     """Whether a few time steps or deviations are good beyond doubt, seen without arithmetic on tensors."""
     least, most = _RANGES[dtype]
     if not isinstance(x, Tensor):
-        return least <= x <= most
+        return least <= float(x) <= most
     if x.dim() > 1 or x.numel() > 16:
         return False
     return all(least <= value <= most for value in x.reshape(-1).tolist())
@@ -217,7 +218,7 @@ class AllReadyTracks:
         """
         known = self.known.get(form, ())
         z, dt, *rest = measurements
-        if not known or not isinstance(dt, (Tensor, float, int)):
+        if not known or not isinstance(dt, (Tensor, *NUMBERS)):
             return None
         seconds = seconds_of(measurements)
         tensors = (*prior, z, seconds, *(x for x in rest if x is not None), *values())

@@ -18,7 +18,7 @@ from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
 from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo
-from torchfra.gaussian.arguments import check, check_belief
+from torchfra.gaussian.arguments import check, check_belief, warn_of_lost_digits
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import (
     BackwardStep,
@@ -403,6 +403,9 @@ class Filter(nn.Module, Generic[S]):
         Returns:
             Estimates ``(..., T, n)``, or ``(..., N, T, n)`` for several targets.
 
+        Warns:
+            RuntimeWarning: ``z`` or ``dt`` in single precision has lost its digits before, as northings and Unix times.
+
         Raises:
             ValueError: a shape or a value that does not fit.
             NotImplementedError: ``past`` for a filter that cannot be smoothed.
@@ -620,6 +623,7 @@ class Filter(nn.Module, Generic[S]):
         batch = check(
             measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt
         )
+        warn_of_lost_digits(measurements, self.sensor)
         batch = torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
         return batch if self.scans else broadcast_with_values(self, batch)
 

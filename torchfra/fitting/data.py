@@ -20,6 +20,7 @@ from torch.utils.data import DataLoader, Dataset
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_tensor
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.sensors.base import Sensor
@@ -146,7 +147,7 @@ def _fields(item: Any) -> dict[str, Any]:
     if hasattr(item, "_asdict"):
         item = item._asdict()
     elif isinstance(item, Tensor | np.ndarray):
-        item = {"z": torch.as_tensor(item)}
+        item = {"z": as_tensor(item)}
     elif isinstance(item, list | tuple) and len(item) == 1:  # of a TensorDataset
         item = {"z": item[0]}
     if not isinstance(item, Mapping) or "z" not in item or not set(item) <= set(FIELDS):
@@ -179,7 +180,7 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
 
 def _batched(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
     """A track or a batch of them as a batch, whose tensors are all expanded to it."""
-    z, scans = torch.as_tensor(item["z"]), rank - 3
+    z, scans = as_tensor(item["z"]), rank - 3
     many = z.dim() == rank
     z = z if many else z.unsqueeze(0)
     count, steps = z.shape[:2]
@@ -189,9 +190,9 @@ def _batched(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
         each = many and dt.dim() == 1 and len(dt) == count  # a loader has put the numbers of its tracks together
         batch["dt"] = _expanded("dt", dt.unsqueeze(-1) if each else dt, (count, steps))
     if "u" in item:
-        batch["u"] = _expanded("u", torch.as_tensor(item["u"]), (count, steps, -1))
+        batch["u"] = _expanded("u", as_tensor(item["u"]), (count, steps, -1))
     if "truth" in item:
-        truth = torch.as_tensor(item["truth"])
+        truth = as_tensor(item["truth"])
         batch["truth"] = truth if many else truth.unsqueeze(0)
     if "prior" in item:
         mean, root = _belief(item["prior"])
@@ -222,7 +223,7 @@ def _belief(prior: Any) -> tuple[Tensor, Tensor]:
     """
     if not isinstance(prior, tuple) or len(prior) != 2:
         raise ValueError(f"prior: expected a Gaussian, received {type(prior).__name__}")
-    mean, root = (torch.as_tensor(x) for x in prior)
+    mean, root = map(as_tensor, prior)
     return mean, root
 
 
@@ -249,7 +250,7 @@ def _as_batch(f: Filter, fields: dict[str, Any]) -> Batch:
     Raises:
         ValueError: a shape that does not fit, or no prior where the sensor does not locate targets.
     """
-    z = torch.as_tensor(fields["z"]).to(next(chain(f.parameters(), f.buffers())).device)
+    z = as_tensor(fields["z"]).to(next(chain(f.parameters(), f.buffers())).device)
     rank = 3 + f.scans
     if z.dim() != rank or z.shape[-1] != f.sensor.size or not z.is_floating_point():
         letters = f"(N, T, J, {f.sensor.size})" if f.scans else f"(N, T, {f.sensor.size})"
@@ -259,11 +260,11 @@ def _as_batch(f: Filter, fields: dict[str, Any]) -> Batch:
         raise ValueError("data: expected one track or more, received none")
     if isinstance(fields.get("dt"), str):
         raise ValueError(f"dt: expected seconds, received {fields['dt']!r}")
-    dt = torch.as_tensor(fields.get("dt", 1.0), dtype=z.dtype, device=z.device)
+    dt = as_tensor(fields.get("dt", 1.0), z)
     dt = _expanded("dt", dt, (count, steps)).contiguous()
     u, truth = fields.get("u"), fields.get("truth")
-    u = None if u is None else _expanded("u", torch.as_tensor(u).to(z), (count, steps, -1))
-    truth = None if truth is None else torch.as_tensor(truth).to(z)
+    u = None if u is None else _expanded("u", as_tensor(u, z), (count, steps, -1))
+    truth = None if truth is None else as_tensor(truth, z)
     if truth is not None and (len(truth), truth.shape[1 + f.scans]) != (count, steps):
         raise ValueError(f"truth: expected {count} tracks of {steps} steps, received {tuple(truth.shape)}")
     if truth is not None and bool(truth.isnan().all()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,8 @@ from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
+from torchfra.numbers import NUMBERS, as_tensor
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 PRECISIONS = (torch.float32, torch.float64)
@@ -93,8 +96,9 @@ def check_kinds(measurements: Measurements) -> None:
             _check_tensor(name, x)
     if isinstance(dt, Tensor):
         _check_tensor("dt", dt)
-    elif not isinstance(dt, (int, float)):
-        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: take torch.as_tensor(dt)")
+    elif not isinstance(dt, NUMBERS):
+        hint = "take torch.as_tensor(dt, dtype=torch.float64)"
+        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: {hint}")
     if std is not None and noise is not None:
         raise ValueError("std, noise: expected at most one of the two, received both")
 
@@ -102,7 +106,8 @@ def check_kinds(measurements: Measurements) -> None:
 def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
     """Checks that ``x`` is a tensor of one of these precisions; if there are none, of real numbers."""
     if not isinstance(x, Tensor):
-        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: take torch.as_tensor({name})")
+        hint = f"take torch.as_tensor({name}, dtype=torch.float64)"  # without it a list would be rounded to float32
+        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
     if precisions and x.dtype not in precisions:
         raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}")
     if x.is_complex():
@@ -140,13 +145,38 @@ def check_seconds(dt: Time, dtype: torch.dtype, zero_dt: bool = True) -> None:
     Raises:
         ValueError: one is not.
     """
-    exact = dt if isinstance(dt, Tensor) else torch.tensor(dt, dtype=torch.float64)
+    exact = as_tensor(dt)
     seconds = exact.to(dtype)
     bad = ~((seconds > 0) & (seconds < torch.inf))
     if zero_dt:
         bad = bad & (exact != 0)
     if bool(bad.any()):
         _refuse("dt", f"seconds above 0 {'(or just 0) ' * zero_dt}and finite in {dtype}", exact, bad)
+
+
+def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
+    """Warns of what single precision has rounded away before it came: nobody sees that in an estimate.
+
+    That are time steps that are all 0, as differences of Unix times are, and an element whose numbers half of the time
+    lie further apart than the standard deviation of its noise.  Nothing is checked while code is traced.
+    """
+    z, dt, _, std, noise = measurements
+    if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
+        return
+    if isinstance(dt, Tensor) and dt.dtype is torch.float32 and dt.numel() > 1 and not bool(dt.any()):
+        hint = "take the differences of times in float64 (float32 holds Unix times in steps of 128 s)"
+        warnings.warn(f"dt: all time steps are 0 in float32: {hint}", RuntimeWarning, stacklevel=2)
+    if z.dtype is torch.float32:
+        with torch.no_grad():
+            deviation = sensor.measurement_noise(z, std, noise).std.expand_as(z)
+            step = torch.nextafter(z.abs(), z.new_tensor(torch.inf)) - z.abs()
+            coarse = (step / deviation).reshape(-1, z.shape[-1]).nanmedian(0).values > 1
+        if bool(coarse.any()):
+            i = int(coarse.int().argmax())
+            apart, noise_of = (f"{float(x[..., i].nanmedian()):.2g}" for x in (step, deviation))
+            held = f"element {i} in steps of {apart}, and its noise has a standard deviation of {noise_of}"
+            hint = "take float64, or subtract an origin there"
+            warnings.warn(f"z: float32 holds {held}: {hint}", RuntimeWarning, stacklevel=2)
 
 
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from torchfra import tree
 from torchfra.hyper import hypers
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.motion.base import Adaptation, Motion
+from torchfra.numbers import as_tensor
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.tree import event_ranks
 
@@ -122,7 +123,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     timed = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # one dt for all
     z, dt, u, std, noise = tree.map_ranked(time_first, timed)
     z = z.contiguous()
-    dt = dt if varying else torch.as_tensor(measurements.common_dt, dtype=z.dtype, device=z.device)
+    dt = dt if varying else as_tensor(measurements.common_dt, z)
     missing = z.isnan()
     measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)

@@ -60,7 +60,7 @@ def white_root(dt: Tensor, density: Tensor, orders: int, dims: int) -> Tensor:
     return per_axis(scale.unsqueeze(-1) * unit, dims)
 
 
-def gauss_legendre(like: Tensor, points: int = 20) -> tuple[Tensor, Tensor]:
+def gauss_legendre(like: Tensor, points: int) -> tuple[Tensor, Tensor]:
     """Nodes and weights of Gauss-Legendre quadrature on [0, 1]."""
     at, weight = (torch.tensor(x, dtype=like.dtype, device=like.device) for x in _gauss_legendre(points))
     return at, weight
@@ -104,9 +104,13 @@ def arc(angle: Tensor) -> tuple[Tensor, Tensor]:
 
 def arc_of_rate(angle: Tensor) -> tuple[Tensor, Tensor]:
     """``(a - sin(a)) / a^2`` and ``(1 - cos(a)) / a^2``, smooth at 0: the derivative of an arc by its turn rate."""
+    return angle * arc_and_chord(angle), sinc(angle / 2).square() / 2
+
+
+def arc_and_chord(angle: Tensor) -> Tensor:
+    """``(a - sin(a)) / a^3``, smooth at 0."""
     small, near, safe = _near_zero(angle)
-    along = torch.where(small, angle * _series(near, 3), (safe - safe.sin()) / safe.square())
-    return along, sinc(angle / 2).square() / 2
+    return torch.where(small, _series(near, 3), (1 - safe.sin() / safe) / safe.square())
 
 
 def _near_zero(angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:

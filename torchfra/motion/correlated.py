@@ -11,6 +11,7 @@ import math
 import torch
 from torch import Tensor
 from torch.distributions import constraints
+from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import tria
@@ -44,8 +45,7 @@ class Singer(Motion):
         alpha: rate at which the correlation decays, 1/s; towards 0 the acceleration is constant.
         dims: dimensions of space.
 
-    The root of the process noise comes from its integral by Gauss-Legendre quadrature, which has no cancellation for
-    small ``alpha dt``; it is exact to rounding for ``alpha dt`` up to 16.
+    The process noise is exact to rounding, however short or long a step is beside ``1 / alpha``.
 
     Raises:
         ValueError: a value out of its range.
@@ -146,8 +146,7 @@ class CurrentStatistical(Singer):
 
     def adaptation(self, dt: Tensor) -> Adaptation:
         """The estimated acceleration shifts the state and scales the process noise, axis by axis."""
-        rows = _response(self.alpha(dt), dt)
-        moved = torch.stack([dt**2 / 2 - rows[0], dt - rows[1], 1 - rows[2]], -1)
+        moved = torch.stack(_level_response(self.alpha(dt), dt), -1)
         limits = (limit(dt) for limit in (self.limit, self.negative_limit or self.limit))
         positive, negative, _ = torch.broadcast_tensors(*limits, dt)
         scale = torch.stack([positive / positive, negative / positive], -1)
@@ -188,33 +187,70 @@ class GaussMarkov(Motion):
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)``: ``std sqrt(1 - exp(-2 dt / time)) I``, which keeps the standard deviation constant."""
-        grown, _ = _exponential_quotients(-2 * dt / self.time(dt))
+        grown, _, _ = _exponential_quotients(-2 * dt / self.time(dt))
         root = self.std(dt) * (2 / self.time(dt) * grown).sqrt() * dt.sqrt()
         return per_axis(root[..., None, None], self.size)
 
 
+_FORGETTING = 4.0
+"""``alpha dt`` from which on the process noise is in closed form: below it digits would cancel."""
+
+
 def white_noise_root(alpha: Tensor, dt: Tensor, orders: int = 3) -> Tensor:
-    """Root of the process noise of one axis, ``(..., orders, orders)``, for white noise of density 1 on the highest."""
-    at, weight = gauss_legendre(dt)
+    """Root of the process noise of one axis, ``(..., orders, orders)``, for white noise of density 1 on the highest.
+
+    The covariance is the integral over the step of the products of the responses.  Over a step that is short beside the
+    memory it is that of Gauss-Legendre quadrature, which has no cancellation.  Over a long one the responses are sums
+    of ``1``, ``s`` and ``exp(-alpha s)``, in an orthonormal basis of these three.  Both are exact to rounding.
+    """
     alpha, dt = torch.broadcast_tensors(alpha, dt)
-    columns = torch.stack(_response(alpha.unsqueeze(-1), dt.unsqueeze(-1) * at)[-orders:], -2)
-    return tria(columns * dt.sqrt()[..., None, None] * weight.sqrt())
+    at, weight = gauss_legendre(dt, 13)
+    short, x = alpha * dt < _FORGETTING, alpha * dt
+    near = torch.stack(_response(torch.where(short, alpha, 0.0).unsqueeze(-1), dt.unsqueeze(-1) * at), -2)
+    far = _far_response(torch.where(short, _FORGETTING, x), dt)
+    columns = torch.where(short[..., None, None], near * weight.sqrt(), pad(far, (0, len(weight) - 3)))
+    return tria(columns[..., -orders:, :] * dt.sqrt()[..., None, None])
+
+
+def _far_response(x: Tensor, dt: Tensor) -> Tensor:
+    """Position, velocity and acceleration as functions of time over a step with ``x = alpha dt`` above 1.
+
+    ``(..., 3, 3)`` coefficients of orthonormal functions on the step: the first two Legendre polynomials, and what is
+    left of ``exp(-alpha s)`` beside them.
+    """
+    forgotten = -torch.expm1(-x)
+    mean = forgotten / x  # of exp(-x t) over t from 0 to 1, and then its products with 2 t - 1 and itself
+    slope = math.sqrt(3) * (2 * (mean - (-x).exp()) / x - mean)
+    rest = (-torch.expm1(-2 * x) / (2 * x) - mean.square() - slope.square()).sqrt()
+    position = torch.stack([mean - 1 + x / 2, slope + x / math.sqrt(12), rest], -1)
+    velocity, acceleration = torch.stack([1 - mean, -slope, -rest], -1), torch.stack([mean, slope, rest], -1)
+    moved = (dt / x).unsqueeze(-1)
+    return torch.stack([moved.square() * position, moved * velocity, acceleration], -2)
 
 
 def _response(alpha: Tensor, dt: Tensor) -> list[Tensor]:
     """Position, velocity and acceleration ``dt`` seconds after an acceleration of 1."""
     x = -alpha * dt
-    one, two = _exponential_quotients(x)
+    one, two, _ = _exponential_quotients(x)
     return [dt**2 * two, dt * one, x.exp()]
 
 
-def _exponential_quotients(x: Tensor) -> tuple[Tensor, Tensor]:
-    """``(e^x - 1) / x`` and ``(e^x - 1 - x) / x^2``, smooth at 0."""
-    small = x.abs() < 0.5
+def _level_response(alpha: Tensor, dt: Tensor) -> list[Tensor]:
+    """Position, velocity and acceleration after ``dt`` seconds that were drawn to a level of 1, from 0."""
+    x = alpha * dt
+    one, two, three = _exponential_quotients(-x)
+    return [dt**2 * x * three, dt * x * two, x * one]
+
+
+def _exponential_quotients(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """``(e^x - 1) / x``, ``(e^x - 1 - x) / x^2`` and ``(e^x - 1 - x - x^2 / 2) / x^3``, smooth at 0."""
+    small = x.abs() < 1
     safe = torch.where(small, -1.0, x)
-    one = torch.expm1(safe) / safe
-    series = [torch.zeros_like(x), torch.zeros_like(x)]
-    near = torch.where(small, x, 0.0)
-    for k in range(15, -1, -1):
-        series = [s * near + 1 / math.factorial(k + order) for s, order in zip(series, (1, 2), strict=True)]
-    return torch.where(small, series[0], one), torch.where(small, series[1], (one - 1) / safe)
+    far = [torch.expm1(safe) / safe]
+    for k in (1, 2):
+        far.append((far[-1] - 1 / k) / safe)
+    series, near = [torch.zeros_like(x)] * 3, torch.where(small, x, 0.0)
+    for k in range(17, -1, -1):
+        series = [s * near + 1 / math.factorial(k + order) for s, order in zip(series, (1, 2, 3), strict=True)]
+    one, two, three = (torch.where(small, a, b) for a, b in zip(series, far, strict=True))
+    return one, two, three

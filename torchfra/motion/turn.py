@@ -11,14 +11,13 @@ from torch.nn.functional import pad
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.batches import broadcast_shapes
-from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion, axis_name
 from torchfra.motion.blocks import (
     acceleration_gain,
     arc,
+    arc_and_chord,
     arc_of_rate,
     driven,
-    gauss_legendre,
     white_root,
     zero_padded,
 )
@@ -36,7 +35,7 @@ class CoordinatedTurn(Motion):
         dims: dimensions of space, 2 or more.
         orders: 3 for states with an acceleration, which after each step is that of the turn.
         continuous: whether the acceleration is white noise in time, so that two short steps are the same as a long one;
-            the process noise is by Gauss-Legendre quadrature, exact to rounding for steps of up to two turns.
+            the process noise is exact to rounding, however many turns a step has.
 
     Raises:
         ValueError: ``dims`` below 2, ``rate`` NaN or infinite, ``q`` below 0, ``orders`` neither 2 nor 3.
@@ -73,11 +72,28 @@ class CoordinatedTurn(Motion):
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, r)``: ``sqrt(q) [dt^2/2; dt]`` with ``r = dims``; with ``continuous`` along the turn."""
         if self.continuous:
-            at, weight = gauss_legendre(dt)
-            moved = self._moved(dt.unsqueeze(-1) * at, self.rate(dt).unsqueeze(-1))[..., self.dims :]
-            columns = moved * (self.q(dt).sqrt() * dt.sqrt())[..., None, None, None] * weight.sqrt()[:, None, None]
-            return self._with_acceleration(tria(columns.movedim(-3, -2).flatten(-2)))
+            return self._with_acceleration(self._white_root(dt, self.q(dt).sqrt() * dt.sqrt()))
         return self._with_acceleration(acceleration_gain(dt, self.q(dt), (2, 1), self.dims))
+
+    def _white_root(self, dt: Tensor, scale: Tensor) -> Tensor:
+        """Lower root of the process noise of white accelerations whose integral over the step has this deviation.
+
+        With places and velocities of the plane as complex numbers, ``(exp(i a) - 1) / (i rate)`` and ``exp(i a)``
+        answer to a unit of velocity before a turn by ``a``; the covariance is the integral of their products.
+        """
+        dt, angle, scale = torch.broadcast_tensors(dt, self.rate(dt) * dt, scale)
+        along, across = arc_of_rate(angle)
+        place = (2 * arc_and_chord(angle)).sqrt()  # 1 / sqrt(3) in a straight step
+        velocity = (1 - (along / place).square() - (across / place).square()).sqrt()
+
+        def axes(turned: Tensor, straight: float) -> Tensor:
+            others = [torch.full_like(turned, straight)] * (self.dims - 2)
+            return torch.diag_embed(torch.stack([turned, turned, *others], -1))
+
+        places, velocities = dt[..., None, None] * axes(place, 3**-0.5), axes(velocity, 0.5)
+        shared = axes(torch.ones_like(place), 3**0.5 / 2) @ _plane(self.dims, across / place, along / place)
+        top, bottom = torch.cat([places, torch.zeros_like(shared)], -1), torch.cat([shared, velocities], -1)
+        return scale[..., None, None] * torch.cat([top, bottom], -2)
 
     def _with_acceleration(self, matrix: Tensor) -> Tensor:
         """The rows of position and velocity, and below them those of the acceleration if the state has it."""

@@ -101,7 +101,7 @@ def srckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRC
     Example:
         >>> motion, sensor = torchfra.motion.ConstantVelocity(q=1.0, dims=1), torchfra.sensors.Position(std=1.0, dims=1)
         >>> prior = torchfra.Gaussian(torch.zeros(2).double(), torch.eye(2).double())
-        >>> torchfra.presets.srckf(motion, sensor)(torch.tensor([[1.0], [2.0]]).double(), prior).mean
+        >>> torchfra.presets.srckf(motion, sensor)(torch.tensor([[1.0], [2.0]], dtype=torch.float64), prior).mean
         tensor([[0.6923, 0.4615],
                 [1.7972, 0.9217]], dtype=torch.float64)
     """

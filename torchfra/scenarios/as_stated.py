@@ -82,8 +82,9 @@ def as_stated(
     truths, stated = _motions(motion, variance, dt), _motions(motion, q * variance, dt)
     real, sensed = _sensor(sensor, STD), _sensor(sensor, std * STD)
     speed, size = STD / dt, truths[0].size
-    spread = torch.tensor([3 * STD, speed, 0.1 * speed / dt][: truths[0].orders]).double().repeat_interleave(2)
-    mean = torch.tensor([0.0, 0.0, 16 * speed, 12 * speed, 0.0, 0.0]).double()[:size]
+    orders = [3 * STD, speed, 0.1 * speed / dt][: truths[0].orders]
+    spread = torch.tensor(orders, dtype=torch.float64).repeat_interleave(2)
+    mean = torch.tensor([0.0, 0.0, 16 * speed, 12 * speed, 0.0, 0.0], dtype=torch.float64)[:size]
     seconds, root = torch.tensor(dt, dtype=torch.float64), spread.diag()
     moves, pushes = (torch.stack([getattr(m, of)(seconds) for m in truths]) for of in ("transition", "process_noise"))
 

@@ -15,14 +15,15 @@ from torchfra.sensors import Position
 dt, std = 4.0, 10.0
 time = dt * torch.arange(1, 26).double()
 course = torch.stack([120 * time, 40 * time], -1)
-aside = torch.tensor([-0.32, 0.95]).double()
+aside = torch.tensor([-0.32, 0.95], dtype=torch.float64)
 turn = aside * (6 * (time - 76).clamp_min(0) ** 2).unsqueeze(-1)  # 12 m/s^2
 truth = {"outlier": course, "manoeuvre": course + turn}
 jump = torch.where((time == 80).unsqueeze(-1), turn, 0.0)
 noise = std * torch.randn(25, 2, generator=torch.Generator().manual_seed(3)).double()
 z = {"outlier": course + jump + noise, "manoeuvre": course + turn + noise}
 
-prior = Gaussian(torch.tensor([0.0, 0, 120, 40]).double(), torch.tensor([20.0, 20, 5, 5]).double().diag())
+mean, deviations = torch.tensor([[0.0, 0, 120, 40], [20.0, 20, 5, 5]], dtype=torch.float64)
+prior = Gaussian(mean, deviations.diag())
 srckf = presets.srckf(ConstantVelocity(q=1.0), Position(std=std))
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")

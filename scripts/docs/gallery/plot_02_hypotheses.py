@@ -15,11 +15,12 @@ from torchfra.sensors import Position
 dt, std = 4.0, 10.0
 time = dt * torch.arange(1, 26).double()
 course = torch.stack([120 * time, 40 * time], -1)
-aside = torch.tensor([-0.32, 0.95]).double()
+aside = torch.tensor([-0.32, 0.95], dtype=torch.float64)
 turn = aside * (6 * (time - 76).clamp_min(0) ** 2).unsqueeze(-1)
 jump = torch.where((time == 80).unsqueeze(-1), turn, 0.0)
 noise = std * torch.randn(25, 2, generator=torch.Generator().manual_seed(3)).double()
-prior = Gaussian(torch.tensor([0.0, 0, 120, 40]).double(), torch.tensor([20.0, 20, 5, 5]).double().diag())
+mean, deviations = torch.tensor([[0.0, 0, 120, 40], [20.0, 20, 5, 5]], dtype=torch.float64)
+prior = Gaussian(mean, deviations.diag())
 gpb = presets.gpb(ConstantVelocity(q=25.0), Position(std=std))
 
 

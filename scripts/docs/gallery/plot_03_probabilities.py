@@ -16,9 +16,10 @@ time = dt * torch.arange(1, 101).double()
 heading = 0.03 * (time - 160).clamp(0, 80)
 truth = 120 * dt * torch.stack([heading.cos(), heading.sin()], -1).cumsum(0)
 z = truth + 30 * torch.randn(100, 2, generator=rng).double()
-z[[14, 47, 79]] += torch.tensor([[400.0, -250], [-300, 300], [0, 600]]).double()
+z[[14, 47, 79]] += torch.tensor([[400.0, -250], [-300, 300], [0, 600]], dtype=torch.float64)
 
-prior = Gaussian(torch.tensor([0.0, 0, 120, 0]).double(), torch.tensor([50.0, 50, 5, 5]).double().diag())
+mean, deviations = torch.tensor([[0.0, 0, 120, 0], [50.0, 50, 5, 5]], dtype=torch.float64)
+prior = Gaussian(mean, deviations.diag())
 estimate = presets.gpb(ConstantVelocity(q=9.0), Position(std=30.0)).smooth(z, prior, dt=dt, lag=1)
 info = estimate.info
 

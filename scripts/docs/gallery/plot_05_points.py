@@ -12,7 +12,8 @@ import torch
 from torchfra.gaussian import fifth_degree, first_order, third_degree
 from torchfra.types import Gaussian
 
-belief = Gaussian(torch.tensor([100.0, 0.5]).double(), torch.tensor([[2.0, 0], [0, 0.35]]).double())
+mean, deviations = torch.tensor([[100.0, 0.5], [2.0, 0.35]], dtype=torch.float64)
+belief = Gaussian(mean, deviations.diag())
 
 
 def place(x):

@@ -18,7 +18,7 @@ speed = kicks.cumsum(0)
 truth = speed.cumsum(0)
 z = (truth + 4 * torch.randn(60, generator=rng).double()).unsqueeze(-1)
 z[24:36] = torch.nan
-prior = Gaussian(torch.zeros(2).double(), torch.tensor([4.0, 2.0]).double().diag())
+prior = Gaussian(torch.zeros(2).double(), torch.tensor([4.0, 2.0], dtype=torch.float64).diag())
 srckf = presets.srckf(motion, Position(std=4.0, dims=1))
 
 figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")

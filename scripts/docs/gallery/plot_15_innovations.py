@@ -18,7 +18,7 @@ x = torch.zeros(200, 4).double()
 z = []
 for _ in time:
     kick = torch.randn(200, 2, generator=rng).double() * 0.5**0.5
-    x = x @ motion.transition(torch.tensor(1.0).double()).mT + torch.cat([kick / 2, kick], -1)
+    x = x @ motion.transition(torch.tensor(1.0, dtype=torch.float64)).mT + torch.cat([kick / 2, kick], -1)
     z.append(x[:, :2] + 3 * torch.randn(200, 2, generator=rng).double())
 z = torch.stack(z, 1)
 prior = Gaussian(torch.zeros(4).double(), torch.eye(4).double())

@@ -17,7 +17,7 @@ from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
-from torchfra.numbers import as_numbers
+from torchfra.numbers import as_numbers, as_tensor
 from torchfra.types import Gaussian
 
 LARGEST_FACTOR = 1e5
@@ -155,7 +155,7 @@ class Regimes(nn.Module):
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1)
-        odds = odds / torch.tensor(self.sharing).to(odds).reshape(-1, *(1,) * (odds.dim() - 1))
+        odds = odds / as_tensor(self.sharing, odds).reshape(-1, *(1,) * (odds.dim() - 1))
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
     def initial_distribution(self, like: Tensor) -> Tensor:
@@ -215,7 +215,7 @@ class Regimes(nn.Module):
         rank = like.dim() - 1
         durations, restart = self.durations(like), self.restart(like)  # type: ignore[misc]
         if self.motions == 1:  # the kind "any other motion" has no regime
-            present = torch.tensor([float(k != self.level_count) for k in range(restart.shape[-1])]).to(restart)
+            present = as_tensor([float(k != self.level_count) for k in range(restart.shape[-1])], restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
         ended = (transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(
