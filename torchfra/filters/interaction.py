@@ -15,7 +15,17 @@ from torchfra.filters.base import Mix
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import matched, models_first, moment_match, repeated, share_roots, without_failed
+from torchfra.gaussian.mixture import (
+    largest,
+    log_sum,
+    matched,
+    models_first,
+    moment_match,
+    nearest,
+    repeated,
+    share_roots,
+    without_failed,
+)
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.update import density
 from torchfra.linalg.safe import safe_log, safe_log1p
@@ -46,13 +56,15 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     # A robust filter weighs models by its evidence: otherwise one outlier would decide between them.
-    log_weights = predicted + (log_density if record.evidence is None else without_failed(record.evidence))
+    log_evidence = log_density if record.evidence is None else without_failed(record.evidence)
+    log_weights = predicted + nearest(log_evidence, record.normalised)
+    log_weights = log_weights - largest(log_weights, -1, keepdim=True)
     roots, total = share_roots(log_weights.movedim(-1, 0))
     log_weights = log_weights - total.unsqueeze(-1)  # eq. (9)
     belief = canonical(motion, matched(models_first(record.belief), roots, motion.angles))  # eqs. (10), (11)
     innovation = moment_match(models_first(Gaussian(record.residual, record.root)), predicted.movedim(-1, 0))
     normalised = whiten(innovation.scale_tril, innovation.mean)
-    log_density = (predicted + log_density).logsumexp(-1)
+    log_density = log_sum(predicted + log_density, -1)
     past = ModelsStep(record.belief, record.info, log_weights)
     return state, log_weights, Record(belief, *innovation, normalised, None, log_density, past=past)
 

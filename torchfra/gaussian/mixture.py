@@ -119,3 +119,21 @@ def models_first(belief: Gaussian) -> Gaussian:
 def without_failed(log_density: Tensor) -> Tensor:
     """The log likelihoods, with zero likelihood for a hypothesis that failed (NaN)."""
     return torch.where(log_density.isnan(), -torch.inf, log_density)
+
+
+def nearest(log_density: Tensor, normalised: Tensor) -> Tensor:
+    """The log likelihoods; where squares overflow under every model, 0 for the nearest and minus infinity for others.
+
+    That is their limit up to a common constant: the log likelihood of the nearest exceeds others by more than any
+    number holds.
+
+    Args:
+        log_density: ``(..., K)``, minus infinity where it overflows or the model has failed.
+        normalised: ``(..., K, m)`` residuals divided by their roots.
+    """
+    small = float(torch.finfo(normalised.dtype).tiny) ** 0.5
+    distance = (small * normalised.detach()).square().sum(-1)
+    distance = torch.where(distance.isnan(), torch.inf, distance)
+    least = distance.amin(-1, keepdim=True)
+    overflows = (log_density == -torch.inf).all(-1, keepdim=True) & (least < torch.inf)
+    return torch.where(overflows, torch.where(distance == least, 0.0, -torch.inf).to(log_density), log_density)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import reduce
 
@@ -15,7 +16,7 @@ from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import sojourn_times
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
 from torchfra.hyper import Hyper, Value, Values, once, one_given
-from torchfra.linalg.safe import safe_divide, safe_log, safe_log1p
+from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
 from torchfra.numbers import as_numbers
@@ -306,7 +307,7 @@ class Outliers(nn.Module):
         if not self.outliers_update:
             updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
         if len(rows) > 1:
-            first, log_first = sequential(rows[:1], residual[:1], sizes[:1], missing)
+            first, log_first = sequential(rows[:1], residual[:1], sizes[:1].sqrt(), missing)
             none, log_none = _entry(first, 0), log_first[0]
         joint = torch.cat(
             [(log_updated[0] + torch.log1p(-prior)).unsqueeze(0), log_updated[1:] + prior.log() + log_shares]
@@ -314,7 +315,7 @@ class Outliers(nn.Module):
         start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
         if change is not None:
             probability, whitened = change
-            _, log_same = sequential(whitened.spread, whitened.residual, 2 * sizes[:1], missing)  # noise of two steps
+            _, log_same = sequential(whitened.spread, whitened.residual, (2 * sizes[:1]).sqrt(), missing)  # of two steps
             without, same = joint[start:], log_same + prior.log() + safe_log(probability)
             joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
             updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
@@ -326,25 +327,36 @@ class Outliers(nn.Module):
         return both, torch.cat([log_none, log_some]), outlier, log_ratio
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
-        """Sizes ``(C, ...)`` of the noise, the last at least the mean square of a residual ``(..., m)`` if adaptive."""
+        """Roots ``(C, ...)`` of the sizes, the last at least the root mean square of a residual if adaptive.
+
+        Args:
+            sizes: ``(C, ...)`` of the noise's covariance.
+            residual: ``(..., m)``; its square may overflow.
+            missing: ``(..., m)`` 1 where missing, 0 where measured.
+            offsets: ``(C, ...)`` mean of the noise; None for 0.
+        """
         if not self.adaptive_largest_size:
-            return sizes
+            return sizes.sqrt()
         if offsets is not None:
             residual = residual - offsets[-1:].unsqueeze(-1) * (1 - missing)
-        mean_square = residual.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
-        last = torch.maximum(sizes[-1:], mean_square)
-        return torch.cat([sizes[:-1].expand(-1, *last.shape[1:]), last])
+        fits, small = in_range(4 * residual).all(-1), _small(residual.dtype)
+        scaled = torch.where(fits.unsqueeze(-1), residual, small * residual)
+        mean_square = scaled.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
+        last = torch.maximum(torch.where(fits, sizes[-1:], 0.0), mean_square).sqrt()
+        last = torch.where(fits, last, last / small)
+        return torch.cat([sizes[:-1].sqrt().expand(-1, *last.shape[1:]), last])
 
 
 def sequential(
-    rows: Tensor, residual: Tensor, sizes: Tensor, missing: Tensor, offsets: Tensor | None = None
+    rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor, offsets: Tensor | None = None
 ) -> tuple[Gaussian, Tensor]:
     """Sequential update of unknowns by the elements of a measurement of independent noise, for ``C`` sizes of noise.
 
     Args:
         rows: ``(..., m, k)`` measurement matrix of the unknowns, which are ``N(0, I)`` before.
         residual: ``(..., m)``.
-        sizes: ``(C, ...)`` of the noise's covariance, in units of what the sensor states.
+        noise: ``(C, ...)`` standard deviations of the noise, in units of what the sensor states; their squares may
+            overflow.
         missing: ``(..., m)`` 1 where missing, 0 where measured.
         offsets: ``(C, ...)`` mean of the noise, in units of what the sensor states; None for 0.
 
@@ -360,24 +372,32 @@ def sequential(
     rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
     m, k, rank = rows.shape[0], rows.shape[1], rows.dim() - 2
     root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
-    mean, noise, squares, stds = torch.zeros_like(rows[0]), sizes.sqrt(), torch.zeros_like(residual[..., 0]), []
+    mean, squares, stds = torch.zeros_like(rows[0]), torch.zeros_like(residual[..., 0]), []
+    sizes, small = noise.square(), _small(noise.dtype)
+    far = sizes == torch.inf  # the unknowns vary little beside such noise
+    far_inverse, log_scale = 1 / torch.where(far, noise, 1.0), torch.where(far, torch.full_like(noise, math.log(small)), 0.0)
     for i in range(m):
         f = (root * rows[i].unsqueeze(1)).sum(0)
-        std = (f.square().sum(0) + sizes).sqrt()
+        std = torch.where(far, noise, (f.square().sum(0) + sizes).sqrt())
         factor = 1 / (std * (std + noise))
-        inverse = (std + noise) * factor  # of std, by the same division
+        inverse = torch.where(far, far_inverse, (std + noise) * factor)  # of std, by the same division
         centred = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
         normalised = (centred - (mean * rows[i]).sum(0)) * inverse
         covariance = (root * f).sum(1)
         mean = mean + covariance * (normalised * inverse)
         root = root - covariance.unsqueeze(1) * (f * factor)
         squares = squares + normalised.square()
-        stds.append(torch.where(missing[..., i] > 0, 1.0, std))
+        stds.append(torch.where(missing[..., i] > 0, 1.0, torch.where(far, small * std, std)))
     # The log of two factors at a time: their product does not overflow where their squares do not.
-    log_density = -0.5 * squares
+    log_density = -0.5 * squares + (1 - missing).sum(-1) * log_scale
     for i in range(0, m, 2):
         log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
     return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
+
+
+def _small(dtype: torch.dtype) -> float:
+    """A power of two by which numbers whose squares overflow are multiplied, so that they do not."""
+    return 0.25 * float(torch.finfo(dtype).tiny) ** 0.5
 
 
 def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
