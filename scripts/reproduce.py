@@ -54,9 +54,14 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--filters",
         metavar="A,B",
-        help=f"some of {', '.join(track_filters())}, of adsb-turns also imm3 and imm5, of alpha-beta f1, f2, f3 and "
-        "paper; of clutter-* ukf_jpda_paper and iaukf_jpda_paper, and with safeguards against lost tracks "
-        "ukf_jpda_safe and iaukf_jpda_safe (default: the paper's)",
+        help=f"some of {', '.join(track_filters())}, of bearings-* also {', '.join(bearings.OWN)}, of adsb-turns imm3 "
+        "and imm5, of alpha-beta f1, f2, f3, paper and paper_polar; of clutter-* ukf_jpda_paper and iaukf_jpda_paper, "
+        "and with safeguards against lost tracks ukf_jpda_safe and iaukf_jpda_safe (default: the paper's)",
+    )
+    p.add_argument(
+        "--literal",
+        action="store_true",
+        help=f"of bearings-*: also {bearings.LITERAL}, the paper's formulas without safeguards that it does not give",
     )
     p.add_argument("--learned", metavar="NAME=FILE", help="also the filter NAME with values that training wrote")
     p.add_argument("--compile", action="store_true", help="run compiled kernels")
@@ -122,7 +127,10 @@ def make_study(chosen: Experiment, options: argparse.Namespace) -> Study:
     """
     settings = {key: getattr(options, key) for key in _SCENARIO_OPTIONS}
     scenario = make_scenario(options.experiment, **settings)
-    filters = chosen.filters(scenario, options.filters.split(",") if options.filters else chosen.defaults)
+    names = options.filters.split(",") if options.filters else list(chosen.defaults)
+    if options.literal and options.experiment not in bearings.EXPERIMENTS:
+        raise ValueError(f"literal: {options.experiment} takes no such option")
+    filters = chosen.filters(scenario, names + [bearings.LITERAL] * options.literal)
     if options.learned is not None:
         name, equals, file = options.learned.partition("=")
         if not equals:

@@ -17,7 +17,7 @@ from torchfra.fitting.descent import Descent
 from torchfra.hyper import hypers
 from torchfra.running import atomic_write, checkpoints
 from train import tune
-from train.evolution import Evolution
+from train.gpb.evolution import Evolution
 from train.runs import configured
 from train.training import Training
 

@@ -21,7 +21,7 @@ import torch
 
 from torchfra import register
 from torchfra.cli import main as cli
-from train import tune, values
+from train import simple, tune, values
 from train.runs import configured
 
 pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with which code and commands run as well
@@ -77,12 +77,24 @@ HELP_ONLY = {
     "scripts/benchmark.py --peers": "its parts are run by test_scripts.py and test_peers.py",
     **{
         f"scripts/{name}.py": f"run by test_{name}.py"
-        for name in ("certainty", "clean_check", "gradients", "layer", "lorenz", "many", "okf", "particles", "regret")
+        for name in (
+            "certainty",
+            "clean_check",
+            "gradients",
+            "layer",
+            "learning",
+            "lorenz",
+            "many",
+            "okf",
+            "particles",
+            "regret",
+        )
     },
     **{
         f"scripts/reproduce.py {name}": "run by test_scripts.py"
         for name in ("bearings", "adsb-turns", "alpha-beta", "growth", "reentry", "clutter-crossing", "noise-change")
     },
+    "scripts/bearings.py": "run by test_scripts.py",
     "scripts/peers_targets.py --harbour": "reads such recordings, too: run by test_peers_targets.py",
     "scripts/recordings.py": "reads recordings that are not part of the project: run by test_recordings_script.py",
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
@@ -311,6 +323,8 @@ def understood(line, flights):
         return tune.main, [*words, *SMALL_TRAINING], False
     if "-m" in words and words[words.index("-m") + 1] == "torchfra":
         words = words[words.index("-m") + 1 :]  # of torchrun, one process: two are in test_many.py
+    if words[:3] == ["python", "-m", "train.simple"]:  # learns for a minute: run by test_simple.py
+        return simple.main, words[3:], True
     if words[:3] == ["python", "-m", "train.values"]:  # measures for minutes: run by test_values.py
         return values.main, [], True
     main, words = (cli.main, words[1:]) if words[0] == "torchfra" else (script(words[1]), words[2:])

@@ -10,7 +10,7 @@ from torchfra import metrics, presets, scenarios, tree
 from torchfra.motion import ConstantAcceleration, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Ranges
 from torchfra.types import Gaussian
-from train.regimes import regimes
+from train.gpb.regimes import regimes
 
 RUNS, STEPS = 5, 240
 BOUND = 13.816

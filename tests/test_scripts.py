@@ -6,6 +6,7 @@ import re
 import subprocess
 from pathlib import Path
 
+import bearings as bearings_table
 import benchmark
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import reproduce
 import time_stamps
 import torch
 from benchmarks import elsewhere, roof, timing, training
+from papers import bearings
 from short_tracks import SMALL_GPB, STEPS
 
 from torchfra import presets, scenarios
@@ -55,7 +57,41 @@ def test_reproduce_writes_results_and_the_papers_figures(tmp_path):
     for figures in result["filters"].values():
         assert expected <= figures.keys()
         assert len(figures["rmse_position"]) == STEPS
-    assert len(list(tmp_path.glob("figure-*.png"))) == 4
+    assert [path.stem.split("-")[:2] for path in sorted(tmp_path.glob("*.png"))] == [["wang", n] for n in "2345"]
+
+
+@pytest.mark.usefixtures("short_tracks")
+def test_the_papers_formulas_can_be_run_to_the_letter(tmp_path):
+    """Without a limit of the fading factors and with a full inverse, which the safeguarded filter has not."""
+    out = ["--runs", "2", "--filters", "fra_srckf", "--literal", "--json", str(tmp_path / "r.json"), "--quiet"]
+    assert reproduce.main(["bearings-outliers", *out]) == 0
+    filters = json.loads((tmp_path / "r.json").read_text())["filters"]
+    assert list(filters) == ["fra_srckf", "fra_srckf_literal"]
+    assert filters["fra_srckf"]["mean_rmse_position"] != filters["fra_srckf_literal"]["mean_rmse_position"]
+    literal = bearings.OWN["fra_srckf_literal"](scenarios.bearings_outliers())
+    assert literal.fading.fading_max().isinf()
+    assert literal.fading.rcond == 0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks")
+def test_the_table_of_both_bearings_scenarios_has_a_column_for_each_reading(tmp_path, capsys):
+    names = ["--filters", "ukf,srckf,imm_rsrckf", "--runs", "2"]
+    assert bearings_table.main([*names, "--json", str(tmp_path / "r.json")]) == 0
+    head, _, *rows = capsys.readouterr().out.splitlines()
+    columns = json.loads((tmp_path / "r.json").read_text())["columns"]
+    assert head == f"| | {' | '.join(columns)} |"
+    assert len(columns) == 6
+    assert [row.split(" | ")[0] for row in rows] == ["| `ukf`", "| `srckf`", "| `imm_rsrckf`"]
+    assert bearings_table.main(["--filters", "ukf,srckf", "--runs", "2", "--one-by-one"]) == 0
+    assert capsys.readouterr().out.splitlines()[2].startswith("| `ukf` | 1.00 | 1.00 |")
+
+
+def test_an_error_in_the_table_says_how_many_runs_diverged():
+    assert bearings_table.cell({"mean_rmse_position": 163.6, "divergence_rate": 0.0}) == "164"
+    assert bearings_table.cell({"mean_rmse_position": 436.2, "divergence_rate": 0.032}) == "436 (3.2 %)"
+    assert bearings_table.cell({"mean_rmse_position": 3.1e5, "divergence_rate": 0.34}) == "3e5 (34.0 %)"
+    assert bearings_table.cell({"mean_rmse_position": 3.1e23, "divergence_rate": 0.34}) == "3e23 (34.0 %)"
 
 
 @pytest.mark.slow
@@ -72,8 +108,8 @@ def test_reproduce_writes_what_du_and_zhang_show(tmp_path, capsys):
         assert result["averages"][name]["rmse_x"] == pytest.approx(mean)
     assert len(result["filters"]["imm3"]["probabilities"][0]) == 3
     assert result["models"][-1] == "turn -1.8 deg/s"
-    names = {"tracks", "mean_error", "rmse", "mape", "probabilities"}
-    assert {path.name for path in tmp_path.glob("*.png")} == {f"adsb-{name}.png" for name in names}
+    names = {"2-tracks", "3-4-mean-error", "5-6-rmse", "7-8-mape", "probabilities"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {f"du-{name}.png" for name in names}
     assert "averages over time" in capsys.readouterr().out
 
 
@@ -83,11 +119,12 @@ def test_reproduce_writes_the_decisions_of_the_alpha_beta_bank(tmp_path):
     assert reproduce.main(["alpha-beta", "--runs", "12", *out]) == 0
     result = json.loads((tmp_path / "r.json").read_text())
     decisions = result["decisions"]
-    assert decisions.keys() == result["filters"].keys() == {"f1", "f2", "f3", "paper", "alphabeta"}
+    assert decisions.keys() == result["filters"].keys() == {"f1", "f2", "f3", "paper", "paper_polar", "alphabeta"}
     assert list(decisions["alphabeta"]["rejected"]) == [str(k) for k in range(97, 105)]
     assert decisions["alphabeta"]["rejected"]["100"] == decisions["alphabeta"]["rejected"]["101"] == 1
     assert decisions["alphabeta"]["manoeuvre_x"] < decisions["f1"]["manoeuvre_x"]  # which follows the outliers
-    assert {p.name for p in tmp_path.glob("*.png")} == {f"alpha-beta-{n}.png" for n in ("mean_error", "rmse", "levels")}
+    names = {"4-x", "5-y", "6-z", "7-errors", "rmse", "levels"}
+    assert {p.name for p in tmp_path.glob("*.png")} == {f"xu-{name}.png" for name in names}
 
 
 @pytest.mark.slow
@@ -104,7 +141,7 @@ def test_reproduce_writes_mean_square_errors_over_the_contamination(tmp_path):
         assert len(of["ghckf"]["mse"]) == 500
         assert of["ghckf"]["mmse"] == pytest.approx(sum(of["ghckf"]["mse"]) / 500)
     assert result["by_size"]["1"]["ghckf"]["mmse"] < result["by_size"]["20"]["ghckf"]["mmse"]
-    assert {p.name for p in tmp_path.glob("*.png")} == {"growth-position.png", "growth-mmse.png"}
+    assert {p.name for p in tmp_path.glob("*.png")} == {"qin-1-mmse-position.png", "qin-2-position.png"}
 
 
 @pytest.mark.slow
@@ -115,7 +152,9 @@ def test_reproduce_writes_the_errors_of_the_reentry(tmp_path):
     result = json.loads((tmp_path / "r.json").read_text())
     assert len(result["filters"]["ghckf"]["rmse_parameter"]) == STEPS
     assert result["by_size"]["1"]["ghckf"].keys() == {"mmse", "mse", "mmse_velocity", "mmse_parameter"}
-    names = {f"reentry-{name}.png" for name in ("position", "velocity", "parameter", "mmse")}
+    quantities = ("position", "velocity", "parameter")
+    names = {f"qin-{i + 3}-{q}.png" for i, q in enumerate(quantities)}
+    names |= {f"qin-{i + 6}-mmse-{q}.png" for i, q in enumerate(quantities)}
     assert {p.name for p in tmp_path.glob("*.png")} == names
 
 
@@ -139,9 +178,8 @@ def test_reproduce_writes_errors_by_target_and_association_probabilities(tmp_pat
     for rows in result["associations"]["iaukf_jpda_safe 100 m"].values():
         assert [sum(row) for row in rows] == pytest.approx([1.0, 1.0])
         assert len(rows[0]) == 7
-    assert {p.name for p in tmp_path.glob("*.png")} == {
-        f"clutter-crossing-{n}.png" for n in ("errors", "ranges", "space")
-    }
+    names = {"6-errors", "crossing-ranges", "4-space-wide", "5-space"}
+    assert {p.name for p in tmp_path.glob("*.png")} == {f"chen-{name}.png" for name in names}
     assert "association probabilities of the first run" in capsys.readouterr().out
 
 
@@ -151,7 +189,7 @@ def test_reproduce_writes_the_errors_of_a_single_target_whose_noise_grows(tmp_pa
     assert reproduce.main(["noise-change", "--runs", "20", *out]) == 0
     result = json.loads((tmp_path / "r.json").read_text())["scans"]
     assert result["iaukf"]["filtered_range"] < 0.85 * result["ukf"]["filtered_range"]
-    assert [p.name for p in tmp_path.glob("*.png")] == ["noise-change-errors.png"]
+    assert [p.name for p in tmp_path.glob("*.png")] == ["chen-noise-change.png"]
 
 
 def test_every_scenario_of_a_paper_has_an_experiment():

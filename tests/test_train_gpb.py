@@ -10,9 +10,9 @@ from torchfra import metrics, presets, scenarios
 from torchfra.running import distributed
 from train import tune
 from train.batches import simulate
-from train.evolution import Evolution
-from train.regimes import regimes
-from train.regret import POWER, Cases, Regrets
+from train.gpb.evolution import Evolution
+from train.gpb.regimes import regimes
+from train.gpb.regret import POWER, Cases, Regrets
 from train.runs import configured
 
 pytestmark = pytest.mark.usefixtures("rough_figures")

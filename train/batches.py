@@ -18,7 +18,7 @@ from torchfra.running import distributed
 from torchfra.scenarios import Scenario
 from torchfra.types import Gaussian
 from train.config import Config, Task
-from train.regimes import regimes
+from train.gpb.regimes import regimes
 
 
 def task_scenario(task: Task, config: Config, *, held_out: bool) -> Scenario:

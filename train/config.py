@@ -61,7 +61,7 @@ class Config:
     loss: str = "robust"
     """``"mse"``, ``"robust"``, ``"nll"`` (of the position), ``"innovation"``, ``"teacher"`` or ``"regret"``: errors as
     ratios to the best rival's, of several filters that share values, which are searched without gradients
-    (``train/regret.py``)."""
+    (``train/gpb/regret.py``)."""
     scale: float = 100.0
     """Position error, m, above which the robust loss flattens."""
     teacher: dict[str, Any] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from torchfra.running.progress import progress_bar
 from torchfra.running.versions import versions
 from torchfra.tables import text_table
 from train.batches import simulate
-from train.regret import Regrets
+from train.gpb.regret import Regrets
 from train.training import Training, make_filter, set_temperature
 
 

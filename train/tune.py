@@ -37,7 +37,7 @@ from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 from torchfra.types import CompileError
 from train.config import Config
-from train.regret import Regrets
+from train.gpb.regret import Regrets
 from train.report import not_finite, report, report_text
 from train.runs import RUNS, configured
 from train.training import Training

@@ -17,6 +17,9 @@ CONVERGED = 18
 """Samples before sample 21, which do not count in the averages: filters start with sample 3."""
 FIRST = 3
 """The first sample that filters see."""
+NUMBERS = {"tracks": "2-tracks", "mean_error": "3-4-mean-error", "rmse": "5-6-rmse", "mape": "7-8-mape",
+           "probabilities": "probabilities"}  # fmt: skip
+"""Names of figures: the numbers of the paper's, of which each panel is one; it has none of probabilities."""
 _MODELS = {"imm3": 3, "imm5": 5}
 _COLUMNS = {"mean error": "mean_error", "largest": "largest_mean_error", "RMSE m": "rmse", "MAPE %": "mape"}
 
@@ -68,7 +71,7 @@ def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
     of = {name: result["probabilities"] for name, result in results.items() if "probabilities" in result}
     if of and scenario.bank is not None:
         figures["probabilities"] = probabilities(of, scenario.bank.names, start, scenario.dt, study.title)
-    return {f"adsb-{name}": figure for name, figure in figures.items()}
+    return {f"du-{NUMBERS[name]}": figure for name, figure in figures.items()}
 
 
 EXPERIMENTS = {"adsb-turns": Experiment(("srckf", "imm3", "imm5", "vsimm_srckf"), filters, summarise, draw)}

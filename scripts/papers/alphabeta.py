@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 
-from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
-from papers.figures import by_coordinate, probabilities
+from papers.experiment import SHOWN, Experiment, Figures, Filters, Results, Study, catalogue_filters, filtered
+from papers.figures import along, by_coordinate, errors_along, probabilities
 from torchfra import presets
 from torchfra.filters.alphabeta import AlphaBeta, AlphaBetaBank, gains
 from torchfra.scenarios import Scenario
@@ -17,6 +17,8 @@ from torchfra.types import Estimate
 
 TRACKING_INDEX = {"f1": 1.5, "f2": 0.5, "f3": 0.1}
 """Of the paper's single filters, which set the gains."""
+DETECT = {"paper": "cartesian", "paper_polar": "polar"}
+"""Coordinates in which the paper's bank votes; the paper votes in slant range and azimuth."""
 LEVELS = ("level 1, fastest", "level 2", "level 3, slowest")
 PARTS = {"level": slice(19, 73), "manoeuvre": slice(73, 120)}
 """Steps of the averages: 20 to 73 s and 74 to 120 s."""
@@ -25,16 +27,17 @@ AROUND_OUTLIERS = range(97, 105)
 
 
 def filters(scenario: Scenario, names: Sequence[str]) -> Filters:
-    """Filters of these names; ``f1``, ``f2`` and ``f3`` are the paper's single ones, ``paper`` is its bank."""
+    """Filters of these names; ``f1``, ``f2`` and ``f3`` are the paper's single ones, those of ``DETECT`` its bank."""
     motion, sensor = scenario.motion, scenario.sensor
     made: Filters = {}
     for name in names:
         if name in TRACKING_INDEX:
             made[name] = AlphaBeta(motion, sensor, gains.kalata(TRACKING_INDEX[name]))
-        elif name == "paper":
+        elif name in DETECT:
             made[name] = presets.alphabeta(
-                motion, sensor, gains=gains.levels(), manoeuvre=3.5, outlier=10.0, level_shares=[6 / 7], margin=3.6
-            )
+                motion, sensor, gains=gains.levels(), manoeuvre=3.5, outlier=10.0, level_shares=[6 / 7], margin=3.6,
+                detect=DETECT[name],
+            )  # fmt: skip
         else:
             made |= catalogue_filters(scenario, [name])
     return made
@@ -77,19 +80,29 @@ def _decisions(estimate: Estimate) -> dict[str, Any]:
 
 
 def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
-    """Errors by coordinate over time, and how often each level is in use along x."""
-    scenario = study.scenario
-    figures = {
-        f"alpha-beta-{q}": by_coordinate(results, q, 1.0, scenario.dt, study.title) for q in ("mean_error", "rmse")
-    }
-    tracks, shares = scenario.simulate(min(study.runs, 1000), study.seed), {}
-    for name, f in study.filters.items():
-        if isinstance(f, AlphaBetaBank):
-            level = filtered(f, scenario, tracks).info.level[..., 0].round().long()
-            shares[name] = torch.nn.functional.one_hot(level, len(LEVELS)).double().mean(0)
+    """Coordinates of the first run, errors along x, errors by coordinate over time, and levels in use along x."""
+    scenario, dt = study.scenario, study.scenario.dt
+    tracks = scenario.simulate(min(study.runs, SHOWN), study.seed)
+    estimates = {name: filtered(f, scenario, tracks) for name, f in study.filters.items()}
+    banks = [name for name, f in study.filters.items() if isinstance(f, AlphaBetaBank)]
+    figures, first = {}, f"{scenario.name}, first run"
+    for i, axis in enumerate("xyz"):
+        paths = {name: estimates[name].mean[0, :, i] for name in banks or estimates}
+        name, label = f"xu-{4 + i}-{axis}", f"{axis}, m"
+        figures[name] = along(tracks.truth[0, :, i], tracks.z[0, :, i], paths, dt, label, first)
+    errors = {name: estimate.mean[..., 0] - tracks.truth[..., 0] for name, estimate in estimates.items()}
+    title = f"{scenario.name}, quartiles of {len(tracks.z)} runs"
+    figures["xu-7-errors"] = errors_along(errors, dt, "error along x, m", title)
+    figures["xu-rmse"] = by_coordinate(results, "rmse", 1.0, dt, study.title)
+    shares = {}
+    for name in banks:
+        level = estimates[name].info.level[..., 0].round().long()
+        shares[name] = torch.nn.functional.one_hot(level, len(LEVELS)).double().mean(0)
     if shares:
-        figures["alpha-beta-levels"] = probabilities(shares, LEVELS, 1.0, scenario.dt, study.title)
+        figures["xu-levels"] = probabilities(shares, LEVELS, 1.0, dt, title)
     return figures
 
 
-EXPERIMENTS = {"alpha-beta": Experiment(("f1", "f2", "f3", "paper", "alphabeta"), filters, summarise, draw)}
+EXPERIMENTS = {
+    "alpha-beta": Experiment(("f1", "f2", "f3", "paper", "paper_polar", "alphabeta"), filters, summarise, draw)
+}

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from papers.experiment import Experiment, Figures, Filters, Results, Study, catalogue_filters
+from papers.experiment import SHOWN, Experiment, Figures, Filters, Results, Study, catalogue_filters
 from papers.figures import by_target, in_space, raw_and_filtered
 from torchfra import metrics
 from torchfra.angles import wrap
@@ -27,6 +27,14 @@ GATES = (100.0, 150.0)
 """Sizes of the gate, m."""
 SCANS_SHOWN = 3
 """Scans of the first run whose association probabilities are reported: those in which the last filter is least sure."""
+NUMBERS: dict[str, dict[str, Any]] = {
+    "clutter-straight": {"ranges": "chen-2-ranges", "errors": "chen-3-errors",
+                         "space": {"100": "chen-straight-space", "150": "chen-straight-space-wide"}},
+    "clutter-crossing": {"ranges": "chen-crossing-ranges", "errors": "chen-6-errors",
+                         "space": {"100": "chen-5-space", "150": "chen-4-space-wide"}},
+    "noise-change": {"errors": "chen-noise-change"},
+}  # fmt: skip
+"""Names of figures, with the numbers of the paper's."""
 CONVERGED, LOST = 10, 100.0
 """Steps that do not count in averages, and the RMSE of a run, m, from which on a track of it is lost."""
 INVERSE_RANGE = 5
@@ -118,28 +126,27 @@ def _association_text(of: dict[str, dict[str, Any]]) -> str:
 
 
 def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
-    """Errors of each target over time; in clutter also range errors and a picture in space of the first run."""
-    scenario = study.scenario
-    figures = {f"{scenario.name}-errors": by_target(summary["scans"], scenario.dt, study.title)}
+    """Errors of each target over time; in clutter also range errors, and pictures in space of the first run."""
+    scenario, numbers = study.scenario, NUMBERS[study.scenario.name]
+    figures = {numbers["errors"]: by_target(summary["scans"], scenario.dt, study.title)}
     if scenario.clutter is None:
         return figures
     last = list(study.filters)[-1]
-    title = f"{scenario.name}, first run, {last}"
-    tracks = scenario.simulate(1, study.seed)
+    tracks = scenario.simulate(min(study.runs, SHOWN), study.seed)
     with torch.no_grad():
         estimate = study.filters[last](tracks.z, tracks.prior, dt=scenario.dt)
-    ranges = {
-        f"target {i + 1}": (raw.abs(), error.abs())
-        for i, (raw, error) in enumerate(
-            zip(measured_ranges(scenario, tracks)[0], range_errors(estimate, tracks.truth)[0], strict=True)
-        )
-    }
-    measured = scenario.sensor.locate(tracks.z[0]).flatten(0, 1)
-    paths = scenario.cartesian(estimate).mean[0]
-    return figures | {
-        f"{scenario.name}-ranges": raw_and_filtered(ranges, scenario.dt, title),
-        f"{scenario.name}-space": in_space(tracks.truth[0], paths, measured, title),
-    }
+    raw, error = measured_ranges(scenario, tracks).abs(), range_errors(estimate, tracks.truth).abs()
+    ranges = {f"target {i + 1}": (raw[:, i], error[:, i]) for i in range(raw.shape[1])}
+    title = f"{scenario.name}, quartiles of {len(tracks.z)} runs, {last}"
+    figures[numbers["ranges"]] = raw_and_filtered(ranges, scenario.dt, title)
+    one, measured = scenario.simulate(1, study.seed), scenario.sensor.locate(tracks.z[0]).flatten(0, 1)
+    for name, f in list(study.filters.items())[-len(GATES) :]:
+        with torch.no_grad():
+            paths = scenario.cartesian(f(one.z, one.prior, dt=scenario.dt)).mean[0]
+        size = name.rsplit(" ", 2)[-2]
+        key = numbers["space"][size]
+        figures[key] = in_space(one.truth[0], paths, measured, f"{scenario.name}, first run, {name}")
+    return figures
 
 
 # ---------------------------------------------------------------- errors

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 Filters = dict[str, Filter]
 Results = dict[str, dict[str, Any]]
 Figures = dict[str, "Figure"]
+SHOWN = 200
+"""Most runs of which a figure shows medians and quartiles, where the paper's shows one run."""
 
 
 @dataclass(frozen=True)

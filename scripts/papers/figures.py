@@ -63,19 +63,17 @@ def against(x: Sequence[float], curves: dict[str, list[float]], xlabel: str, yla
 
 
 def innovations(nis: dict[str, Tensor], gate: float, dt: float, title: str) -> Figure:
-    """Normalised innovation squared over time, with the gate.
+    """Normalised innovation squared over time, with the gate: medians of the runs, and their quartiles as bands.
 
     Args:
-        nis: by name, ``(T,)`` each.
+        nis: by name, ``(B, T)`` each.
         gate: above which an innovation is abnormal.
         dt: seconds per step.
         title: of the figure.
     """
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(nis)
-    lines = {
-        name: _line(axes, dt * np.arange(1, len(of) + 1), of.clamp_min(1e-3), styles[name]) for name, of in nis.items()
-    }
+    lines = {name: _band(axes, dt, of.clamp_min(1e-3), styles[name]) for name, of in nis.items()}
     lines[f"gate {gate:g}"] = axes.axhline(gate, color=BLACK, linestyle="--", linewidth=1)
     axes.set(xlabel="time, s", ylabel="normalised innovation squared", yscale="log", title=words(title, TITLE))
     return named(figure, {axes: lines})
@@ -157,10 +155,10 @@ def by_target(results: dict[str, dict[str, Any]], dt: float, title: str) -> Figu
 
 
 def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title: str) -> Figure:
-    """Range errors of measurements and of estimates, one panel for each target.
+    """Sizes of range errors of measurements and of estimates, one panel for each target: medians and quartiles of runs.
 
     Args:
-        ranges: by name of the target, measured and filtered errors ``(T,)``, m; NaN where missed.
+        ranges: by name of the target, measured and filtered errors of runs ``(B, T)``, m; NaN where missed.
         dt: seconds per step.
         title: of the figure.
     """
@@ -168,10 +166,9 @@ def raw_and_filtered(ranges: dict[str, tuple[Tensor, Tensor]], dt: float, title:
     panels = figure.subplots(len(ranges), 1, squeeze=False, sharex=True)[:, 0]
     lines = {}
     for axes, (name, (raw, filtered)) in zip(panels, ranges.items(), strict=True):
-        time = dt * np.arange(1, len(raw) + 1)
-        (dots,) = axes.plot(time, raw, ".", color=BLACK, markersize=4)
-        (line,) = axes.plot(time, filtered, color=RED, linewidth=1.4)
-        lines[axes] = {"measured": dots, "filtered": line}
+        styles = {"measured": {"color": BLACK, "linewidth": 1.0}, "filtered": {"color": RED, "linewidth": 1.4}}
+        values = {"measured": raw, "filtered": filtered}
+        lines[axes] = {key: _band(axes, dt, of, styles[key]) for key, of in values.items()}
         axes.set(xlabel="time, s", ylabel=words(f"{name}: range error, m"))
     figure.suptitle(words(title, TITLE))
     return named(figure, lines)
@@ -200,6 +197,54 @@ def in_space(truth: Tensor, estimates: Tensor, measured: Tensor, title: str) -> 
     axes.set(xlabel="east, km", ylabel="north, km", zlabel="up, km")
     axes.set_title(f"{words(title, TITLE)}\nwide: truth; lines: filtered; dots: measured", fontsize=10)
     return figure
+
+
+def errors_along(errors: dict[str, Tensor], dt: float, ylabel: str, title: str) -> Figure:
+    """Errors over time: medians of the runs, and their quartiles as bands.
+
+    Args:
+        errors: by name of the filter, ``(B, T)`` each.
+        dt: seconds per step.
+        ylabel: what they are.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes, styles = figure.subplots(), line_styles(errors)
+    lines = {name: _band(axes, dt, of, styles[name]) for name, of in errors.items()}
+    # The quartiles of all but the worst filter fit: one that does not follow at all would flatten the others.
+    sizes = sorted(float(of.abs().quantile(0.75, 0).max()) for of in errors.values())
+    room = 1.15 * sizes[max(len(sizes) - 2, 0)]
+    axes.set(xlabel="time, s", ylabel=ylabel, title=words(title, TITLE), ylim=(-room, room))
+    return named(figure, {axes: lines})
+
+
+def along(truth: Tensor, measured: Tensor, estimates: dict[str, Tensor], dt: float, ylabel: str, title: str) -> Figure:
+    """A coordinate over time: truth, measurements and estimates of a run.
+
+    Args:
+        truth: ``(T,)``.
+        measured: ``(T,)``; NaN is missing.
+        estimates: by name of the filter, ``(T,)`` each.
+        dt: seconds per step.
+        ylabel: of the coordinate.
+        title: of the figure.
+    """
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes, styles, time = figure.subplots(), line_styles(estimates), dt * np.arange(1, len(truth) + 1)
+    (wide,) = axes.plot(time, truth, **WIDE)
+    (dots,) = axes.plot(time, measured, ".", color=GREY, markersize=4)
+    lines = {"truth": wide, "measured": dots}
+    lines |= {name: _line(axes, time, of, styles[name]) for name, of in estimates.items()}
+    axes.set(xlabel="time, s", ylabel=ylabel, title=words(title, TITLE))
+    return named(figure, {axes: lines})
+
+
+def _band(axes: Axes, dt: float, of: Tensor, style: Mapping[str, Any]) -> Line2D:
+    """The median of runs ``(B, T)`` over time as a line, and their quartiles as a band; NaN where there are none."""
+    low, middle, high = of.nanquantile(torch.tensor([0.25, 0.5, 0.75], dtype=of.dtype), 0)
+    time = dt * np.arange(1, of.shape[-1] + 1)
+    axes.fill_between(time, low, high, color=style["color"], alpha=0.2, linewidth=0)
+    return _line(axes, time, middle, style)
 
 
 def _line(axes: Axes, x: Any, y: Any, style: Mapping[str, Any]) -> Line2D:

@@ -14,6 +14,11 @@ from torchfra.scenarios import Scenario
 from torchfra.tables import text_table
 
 filters = catalogue_filters
+NUMBERS = {
+    "growth": {"position": (2, 1)},
+    "reentry": {"position": (3, 6), "velocity": (4, 7), "parameter": (5, 8)},
+}
+"""Numbers of the paper's figures, by quantity: over time, and over the size of the contamination."""
 
 
 def summarise(study: Study, results: Results) -> tuple[dict[str, Any], str]:
@@ -65,13 +70,17 @@ def _table(scenario: Scenario, results: Results) -> str:
 
 
 def draw(study: Study, results: Results, summary: dict[str, Any]) -> Figures:
-    """Errors over time, and the mean square error of the position over the size of the contamination."""
-    scenario, sizes = study.scenario, summary["by_size"]
-    figures = {f"{scenario.name}-{q}": rmse_curves(results, q, scenario.dt, study.title) for q in _quantities(scenario)}
-    if sizes:
-        curves = {name: [of[name]["mmse"] for of in sizes.values()] for name in study.filters}
-        axes = "times the noise grows", "mean square error of the position"
-        figures[f"{scenario.name}-mmse"] = against(list(map(float, sizes)), curves, *axes, study.title)
+    """Errors over time, and mean square errors over the size of the contamination."""
+    scenario, sizes, numbers = study.scenario, summary["by_size"], NUMBERS[study.scenario.name]
+    figures = {}
+    for q in _quantities(scenario):
+        over_time, over_sizes = numbers[q]
+        figures[f"qin-{over_time}-{q}"] = rmse_curves(results, q, scenario.dt, study.title)
+        if sizes:
+            key = "mmse" if q == "position" else f"mmse_{q}"
+            curves = {name: [of[name][key] for of in sizes.values()] for name in study.filters}
+            axes = "times the noise grows", f"mean square error of the {q}"
+            figures[f"qin-{over_sizes}-mmse-{q}"] = against(list(map(float, sizes)), curves, *axes, study.title)
     return figures
 
 

@@ -1,7 +1,11 @@
 """Square-root algebra: triangularisation, downdates and functions of Gram matrices, all with exact gradients.
 
 No covariance is formed here.  Everything works on a square root ``A`` of it, ``P = A A^T``, and on the unique
-lower-triangular root with a non-negative diagonal, ``L = tria(A)``.
+lower-triangular root with a non-negative diagonal, ``L = tria(A)``.  Behind it stands the QR decomposition of ``A^T``,
+in three ways that agree to rounding: eager code makes the Householder reflections of ``torch.linalg.qr(mode="r")``,
+traced code (``torch.func``) calls that function itself, and compiled kernels and GPUs orthogonalise the rows entry by
+entry.  The gradient is a formula of its own in all three, as torch has none for ``mode="r"``, and those of its other
+modes need the orthogonal factor and full rank.
 """
 
 from torchfra.linalg.gram import downdate, gram_information, gram_pinv, gram_sqrt

@@ -22,7 +22,7 @@ from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario
 from train.batches import simulate, task_scenario
 from train.config import Config
-from train.evolution import Evolution
+from train.gpb.evolution import Evolution
 from train.training import Training
 
 POWER = 60
