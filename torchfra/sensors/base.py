@@ -36,6 +36,16 @@ class MeasurementNoise(NamedTuple):
         """``x (..., m, k)`` in units of the measurement noise."""
         return x * self.scale.unsqueeze(-1) if self.inverse_root is None else self.inverse_root @ x
 
+    def scaled(self, variance: Tensor) -> MeasurementNoise:
+        """The noise whose variances are ``variance (..., m)`` times as large, 1 where missing.
+
+        Elements that are correlated must have the same factor.
+        """
+        std = variance.sqrt()
+        root = None if self.root is None else std.unsqueeze(-1) * self.root
+        inverse = None if self.inverse_root is None else self.inverse_root / std.unsqueeze(-1)
+        return MeasurementNoise(std * self.std, self.scale / std, root, inverse, self.log_norm - std.log().sum(-1))
+
     def colour(self, x: Tensor) -> Tensor:
         """``x (..., m, k)`` converted from units of the noise back to those of the measurement."""
         return x * self.std.unsqueeze(-1) if self.root is None else self.root @ x

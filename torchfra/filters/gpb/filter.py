@@ -27,6 +27,7 @@ from torchfra.filters.gpb.hypotheses import (
     to_state,
     values_first,
 )
+from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Regimes, Switching
 from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
@@ -88,15 +89,16 @@ class GPB(Filter[GPBState]):
     7. ``x``: merged over all, the estimate.
     8. ``x'``: the beliefs of the step before with smoothed weights, the one-step smoothed estimate.
 
-    ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, under the nominal
-    noise; ``log_likelihood`` is that of the mixture.  Before the first step there are two beliefs as well: the prior,
-    and the prior with an inflated covariance.
+    ``Estimate.nis`` and the innovation are those of the Gaussian with the moments of all predictions, under the stated
+    noise or the noise as learned before the step; ``log_likelihood`` is that of the mixture.  Before the first step
+    there are two beliefs as well: the prior, and the prior with an inflated covariance.
 
     Args:
         motion: how targets move; one motion, or a ``Bank`` of several.
         sensor: what is measured; ``Sensor.blocks`` says which elements come from the same device.
         regimes: the Markov chain of the motion, of as many motions as the bank has.
         outliers: the Markov chain of outliers, of the sensor's blocks.
+        noise: how the scale of each block's measurement noise is learned; None to take it as the sensor states it.
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
         prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``info``.
@@ -119,6 +121,7 @@ class GPB(Filter[GPBState]):
         *,
         regimes: Regimes,
         outliers: Outliers,
+        noise: LearnedNoise | None = None,
         prior_outlier: Value = 0.25,
         prior_inflation: Value = 340.0,
         lag: int = 0,
@@ -134,7 +137,7 @@ class GPB(Filter[GPBState]):
         outliers.check(sensor)
         if outliers.same_offset is not None and not sensor.linear:
             raise ValueError(f"same_offset: expected None or a linear sensor, received {type(sensor).__name__}")
-        self.regimes, self.outliers, self.lag = regimes, outliers, lag
+        self.regimes, self.outliers, self.noise, self.lag = regimes, outliers, noise, lag
         self.prior_outlier = Hyper(prior_outlier, constraints.unit_interval, name="prior_outlier")
         self.prior_inflation = Hyper(prior_inflation, constraints.greater_than_eq(1.0), name="prior_inflation")
 
@@ -161,19 +164,21 @@ class GPB(Filter[GPBState]):
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
         relaxation = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
         last = None if self.outliers.same_offset is None else self._unmeasured(mean)
-        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, outlier, relaxation, last)
+        noise = None if self.noise is None else self.noise.begin(outlier)
+        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, outlier, relaxation, last, noise)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step; the numbers are those of the class's docstring."""
         regimes, angles, measured = self.regimes, self.motion.angles, frame.measured.sum(-1) > 0
-        before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
+        before, stated = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION)), frame
+        noise, frame = self.noise_of(state, frame)
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
         predicted, nis = self.predict_regimes(mixed, switching.log_weight, frame)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
         modes = self.outliers.predict(state.outlier, relaxation, measured)
         change = self.compare_change(state, relaxation, mixed, nis, frame)
-        updated, outlier, log_ratio = self.update(predicted, frame, modes, change)  # (4)
+        updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
@@ -190,18 +195,36 @@ class GPB(Filter[GPBState]):
             if state.last is None
             else LastMeasurement(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
         )
-        now = GPBState(belief, lagged, *kept, state.duration, relaxation, last)
+        if noise is not None and inliers is not None:
+            noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
+        now = GPBState(belief, lagged, *kept, state.duration, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
         # The record: for the estimate, and for the backward pass.
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
         by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
-        info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm)
+        variances = None if noise is None else noise.log_scale.exp()
+        info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
         past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation, ratio)
         expected = self.compare(self.expected(predicted), frame)
-        return now, Record(belief, expected.residual, *innovation(expected), info, posterior.log_likelihood, past=past)
+        root, normalised = innovation(expected)
+        residual, density = expected.residual, posterior.log_likelihood
+        if noise is not None:  # a record is in units of the stated noise
+            std = frame.measurement_noise.std / stated.measurement_noise.std
+            residual, root = std * residual, std.unsqueeze(-1) * root
+            density = density + frame.measurement_noise.log_norm - stated.measurement_noise.log_norm
+        return now, Record(belief, residual, root, normalised, info, density, past=past)
+
+    def noise_of(self, state: GPBState, frame: Frame) -> tuple[NoiseScale | None, Frame]:
+        """What is known of the noise before a step, and the frame with noise of that scale."""
+        if self.noise is None or state.noise is None:
+            return None, frame
+        blocks = self.outliers.blocks
+        noise = self.noise.predict(state.noise, measured_blocks(frame.measured, blocks))
+        variances = factors(noise, blocks, frame.measured)
+        return noise, frame._replace(measurement_noise=frame.measurement_noise.scaled(variances))
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
@@ -238,11 +261,11 @@ class GPB(Filter[GPBState]):
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None,
-    ) -> tuple[Hypotheses, Tensor, Tensor | None]:  # fmt: skip
+    ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
         """Hypotheses after the measurement: see ``Outliers.update``."""
         return self.outliers.update(
             predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, 1 - frame.measured, modes,
-            change,
+            change, learn_noise=self.noise is not None,
         )  # fmt: skip
 
     def compare_change(
@@ -278,7 +301,8 @@ class GPB(Filter[GPBState]):
         """The estimates of all steps; the one-step smoothed estimate of a step is that of the next step's info."""
         time = info.probabilities.dim() - 2
         lagged = tree.one_earlier(info.lagged, state.belief, time, info.probabilities.shape[time])
-        return lagged if self.lag else belief, GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm)
+        every = GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm, info.noise)
+        return lagged if self.lag else belief, every
 
     # ------------------------------------------------------------ whether the sensor is faulty
 
@@ -311,8 +335,13 @@ class GPB(Filter[GPBState]):
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
     def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
-        return super().predict_innovation(state, self.read(beliefs), frame)
+        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the stated measurement noise."""
+        _, learned = self.noise_of(state, frame)
+        residual, root = super().predict_innovation(state, self.read(beliefs), learned)
+        if learned is frame:
+            return Gaussian(residual, root)
+        std = learned.measurement_noise.std / frame.measurement_noise.std
+        return Gaussian(std * residual, std.unsqueeze(-1) * root)
 
     # ------------------------------------------------------------ the sensor
 
@@ -351,14 +380,15 @@ class GPB(Filter[GPBState]):
         """A state without outliers in its last measurement, so that none continues in the next."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
         last = None if state.last is None else self._unmeasured(state.belief.mean)
-        return self.with_memory_of(state, state._replace(outlier=outlier, last=last))
+        noise = None if self.noise is None else self.noise.begin(outlier)
+        return self.with_memory_of(state, state._replace(outlier=outlier, last=last, noise=noise))
 
     def with_memory_of(self, state: GPBState, before: GPBState) -> GPBState:
         """A state after a measurement of another sensor, whose outliers are independent of this filter's own."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: LastMeasurement | None = tree.map_tensors(torch.zeros_like, before.last)
-        return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last)
+        return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last, noise=before.noise)
 
     def _unmeasured(self, like: Tensor) -> LastMeasurement:
         """The measurement of a step without any, for states ``like (..., n)``."""

@@ -12,6 +12,7 @@ from torch.distributions import constraints
 from torch.nn.functional import pad
 
 from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
+from torchfra.filters.gpb.noise import evidence
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import sojourn_times
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
@@ -218,7 +219,9 @@ class Outliers(nn.Module):
         missing: Tensor,
         modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None = None,
-    ) -> tuple[Hypotheses, Tensor, Tensor | None]:
+        *,
+        learn_noise: bool = False,
+    ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:
         """The update of all hypotheses, without outliers and with outliers in some blocks.
 
         Blocks are independent, so the update takes one after the other, and its cost is linear in their number.  For
@@ -235,17 +238,19 @@ class Outliers(nn.Module):
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             modes: from ``predict``.
             change: from ``same_offset_probability``, and the change of the measurement compared with its prediction.
+            learn_noise: whether to return what inliers say about the noise.
 
         Returns:
             ``(2, R, 2, ...)`` without and with outliers, the probability ``(1, R, 2, ..., B)`` that each block is one,
-            given that some block is, and ``(1, R, 2, ...)`` the log likelihood ratio of outliers with and without
-            the same offset.
+            given that some block is, ``(1, R, 2, ...)`` the log likelihood ratio of outliers with and without
+            the same offset, and ``(2, 2, R, 2, ..., B)`` from ``noise.evidence`` without and with outliers.
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
         eye, noise = torch.eye(reads, dtype=root.dtype, device=root.device), self._noise(mean)
         belief, log_density = Gaussian(torch.zeros_like(mean), eye.expand_as(root)), torch.zeros_like(mean[..., 0])
-        none_measured, outliers, ratios = torch.ones_like(missing[..., :1, None]), [], []
+        none_measured = torch.ones_like(missing[..., :1, None])
+        outliers, ratios, learned = [], [], []
         for b, block in enumerate(self.blocks):
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
             whitened, block_missing = compare(so_far, block), missing[..., list(block)]
@@ -254,9 +259,11 @@ class Outliers(nn.Module):
             none_measured = none_measured * block_missing.amin(-1)[..., None, None]
             rows, cross, independent, residual = _in_space_of(whitened, belief)
             since = None if change is None else (change[0][..., b], elements_of(change[1], block))
-            unknowns, log_block, outlier, ratio = self._weigh_modes(
+            unknowns, log_block, outlier, ratio, inlier = self._weigh_modes(
                 rows, residual, block_missing, prior[..., b], noise, since
             )
+            if learn_noise:
+                learned.append(_evidence_of_modes(unknowns, inlier, outlier, rows, residual, block_missing))
             spread = cross @ unknowns.scale_tril
             spread = spread if independent is None else hstack(spread, independent)
             belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
@@ -265,7 +272,8 @@ class Outliers(nn.Module):
             ratios += [] if ratio is None else [ratio]
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
         log_ratio = reduce(torch.add, ratios) if ratios else None
-        return Hypotheses(_lifted(predicted.belief, belief), log_weight), torch.stack(outliers, -1), log_ratio
+        every = Hypotheses(_lifted(predicted.belief, belief), log_weight)
+        return every, torch.stack(outliers, -1), log_ratio, torch.stack(learned, -1) if learned else None
 
     @once
     def _noise(self, mean: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
@@ -281,7 +289,7 @@ class Outliers(nn.Module):
     def _weigh_modes(
         self, rows: Tensor, residual: Tensor, missing: Tensor, prior: Tensor,
         noise: tuple[Tensor, Tensor, Tensor | None], change: tuple[Tensor, Whitened] | None,
-    ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None]:  # fmt: skip
+    ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None, Gaussian | None]:  # fmt: skip
         """The update of the unknowns of ``_in_space_of`` by one block.
 
         The first dimension is whether the blocks so far, this one included, have an outlier: 0 for none, 1 for some.
@@ -297,8 +305,9 @@ class Outliers(nn.Module):
 
         Returns:
             The posterior ``(2, R, 2, ..., k)`` of the unknowns, the log density ``(2, R, 2, ...)`` of the block, the
-            probability ``(1, R, 2, ...)`` that it is an outlier, given that some block is, and the log likelihood ratio
-            with and without the same offset.
+            probability ``(1, R, 2, ...)`` that it is an outlier, given that some block is, the log likelihood ratio
+            with and without the same offset, and the posterior ``(1, R, 2, ..., k)`` if another block is an outlier and
+            this one is not; None of a single block.
         """
         (sizes, log_shares, offsets), single, log_ratio = noise, len(self.blocks) == 1, None
         adapted = self.adapted(sizes, residual[-1:], missing, offsets)
@@ -324,7 +333,8 @@ class Outliers(nn.Module):
         some = matched(Gaussian(updated.mean[start:], updated.scale_tril[start:]), roots)
         both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
         outlier = torch.ones_like(log_some) if single else roots[1:].square().sum(0)
-        return both, torch.cat([log_none, log_some]), outlier, log_ratio
+        inlier = None if single else _entry(updated, 0)
+        return both, torch.cat([log_none, log_some]), outlier, log_ratio, inlier
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Roots ``(C, ...)`` of the sizes, the last at least the root mean square of a residual if adaptive.
@@ -423,6 +433,27 @@ def _lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
     gain = root[..., : belief.mean.shape[-1]]
     own = gain @ belief.scale_tril
     return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
+
+
+def _evidence_of_modes(
+    unknowns: Gaussian, inlier: Gaussian | None, outlier: Tensor, rows: Tensor, residual: Tensor, missing: Tensor
+) -> Tensor:
+    """``noise.evidence`` of a block, ``(2, 2, R, 2, ...)``, without an outlier so far and with some.
+
+    Args:
+        unknowns: ``(2, R, 2, ..., k)`` after the block.
+        inlier: ``(1, R, 2, ..., k)`` if another block is an outlier and this one is not; None of a single block.
+        outlier: ``(1, R, 2, ...)`` probability that this one is, given that some block is.
+        rows: ``(1 or 2, R, 2, ..., m, k)`` as in ``_weigh_modes``.
+        residual: ``(1 or 2, R, 2, ..., m)``.
+        missing: ``(..., m)`` 1 where missing, 0 where measured.
+    """
+    none = evidence(Gaussian(*(x[:1] for x in unknowns)), rows[:1], residual[:1], missing)
+    if inlier is None:
+        return torch.cat([none, torch.zeros_like(none)], 1)
+    # An inlier of no weight may be far beyond the range of numbers.
+    some = torch.where(outlier < 1, evidence(inlier, rows[-1:], residual[-1:], missing), 0.0) * (1 - outlier)
+    return torch.cat([none, some], 1)
 
 
 def _standard_normal(like: Gaussian) -> Gaussian:

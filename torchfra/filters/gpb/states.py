@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torchfra.filters.gpb.noise import NoiseScale
 from torchfra.tree import Late
 from torchfra.types import Alarm, Gaussian
 
@@ -43,6 +44,8 @@ class GPBState(NamedTuple):
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
     last: LastMeasurement | None = None
     """The measurement of the step; None without ``same_offset``."""
+    noise: NoiseScale | None = None
+    """What is known of the scale of each block's measurement noise; None where it is taken as stated."""
 
 
 class GPBInfo(NamedTuple):
@@ -59,6 +62,9 @@ class GPBInfo(NamedTuple):
     is missing among others it is the prediction of its Markov chain."""
     alarm: Alarm
     """Whether the sensor is faulty now, since when, and by how much."""
+    noise: Tensor | None = None
+    """``(..., T, B)`` learned variances of each block's measurement noise after the step, as multiples of the stated
+    ones; None where the noise is taken as stated."""
 
 
 class Step(NamedTuple):
@@ -68,6 +74,7 @@ class Step(NamedTuple):
     probabilities: Tensor
     outlier: Tensor
     alarm: Alarm
+    noise: Tensor | None
 
 
 class GPBPast(NamedTuple):
