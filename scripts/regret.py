@@ -108,7 +108,7 @@ def regret(options: argparse.Namespace) -> None:
         special, factors = specialists(to_tune, scenario, options.seed)
         filters |= special
         found = errors(scenario, filters, runs=runs, seed=options.seed, progress=not options.quiet)
-        settings = {"dt": scenario.dt, "steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
+        settings = {"dt": scenario.mean_dt, "steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
         results[name] = {"scenario": scenario.name, "runs": runs, "settings": settings, "tuned": factors}
         results[name] |= both_kinds(found, {*names, *learned}, scenario.limit)
     write(results, names, learned, options)
@@ -144,7 +144,7 @@ def gains(options: argparse.Namespace) -> None:
 
         runs = smoothed.one_run(filters[names[-1]], scenario, options.seed)
         with failures.of("plot"):
-            plotting.save(bands(runs, scenario.dt, "error, m", f"{names[-1]}, {name}"), options.plot)
+            plotting.save(bands(runs, scenario.mean_dt, "error, m", f"{names[-1]}, {name}"), options.plot)
     failures.end()
 
 

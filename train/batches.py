@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from torchfra import readers, scenarios
 from torchfra.catalogue import make_scenario
@@ -62,7 +63,7 @@ def _corrected(files: tuple[str, ...], held_out: bool, max_gap: float | None) ->
 
 
 def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, device: str = "cpu") -> Batch:
-    """This process's share of ``runs`` tracks of each task, those of a task one after the other; ``dt`` is ``(N, 1)``.
+    """This process's share of ``runs`` tracks of each task, those of a task one after the other.
 
     Args:
         tasks: the scenario of each.
@@ -81,5 +82,15 @@ def simulate(tasks: Sequence[Scenario], *, first: int, runs: int, seed: int, dev
         truth=torch.cat([lengthened(part.truth, steps, math.nan, -2) for part in parts]).to(device),
         u=torch.cat([lengthened(u, steps, 0.0, -2) for u in us]).to(device) if us else None,
         prior=Gaussian(torch.cat([part.prior.mean for part in parts]).to(device), torch.cat(roots).to(device)),
-        dt=torch.cat([torch.full((count, 1), scenario.dt, dtype=torch.float64) for scenario in tasks]).to(device),
+        dt=torch.cat([seconds.expand(count, -1) for seconds in _seconds(tasks)]).to(device),
     )
+
+
+def _seconds(tasks: Sequence[Scenario]) -> list[Tensor]:
+    """Seconds of each step, ``(1,)`` for each task, or ``(T,)`` if one of them has steps that differ."""
+    each = [torch.as_tensor(scenario.dt, dtype=torch.float64).reshape(-1) for scenario in tasks]
+    if all(len(seconds) == 1 for seconds in each):
+        return each
+    longest = max(scenario.steps for scenario in tasks)
+    each = [seconds.expand(scenario.steps) for seconds, scenario in zip(each, tasks, strict=True)]
+    return [lengthened(seconds, longest, 1.0, 0) for seconds in each]

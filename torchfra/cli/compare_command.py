@@ -212,7 +212,7 @@ def _draw(
     errors = [comparison.metrics[name].errors() for name in shown[:2]]
     limit = next(iter(results.values()))["limit"]
     mapped = mapped_run(scenario, on_map, errors, options.seed, options.map_run)
-    plotting.save(plotting.comparison(results, shown, scenario.dt, limit, title, mapped), options.figure)
+    plotting.save(plotting.comparison(results, shown, scenario.mean_dt, limit, title, mapped), options.figure)
     if not options.quiet:
         print(f"figure: {printable(str(options.figure))}")
 

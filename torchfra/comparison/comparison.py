@@ -281,7 +281,7 @@ class Comparison:
         if self.by != ERROR:
             raise ValueError("plot: expected tracks with truth, as errors are drawn, received none")
         bound = None if self.bound is None else self.bound.rmse(self.scenario.truth_position).tolist()
-        figure = plotting.printed(self.results, self.scenario.dt, bound, width=width)
+        figure = plotting.printed(self.results, self.scenario.mean_dt, bound, width=width)
         if path is not None:
             plotting.save(figure, path)
         return figure

@@ -73,11 +73,10 @@ def mapped_run(
     with torch.no_grad():
         paths = {name: _plane(scenario, run(f, scenario, tracks).mean) for name, f in filters.items()}
     part = _part(truth, torch.stack(list(paths.values())), off)
-    time = scenario.dt * torch.arange(1, scenario.steps + 1, dtype=torch.float64)
     paths = {name: path[:, part] for name, path in paths.items()}
     name = scenario.recordings[number] if scenario.recordings else f"run {number}"
     places, outlying = fixes(scenario, tracks)[0, part, :, :2], off[part] > OUTLYING
-    return MappedRun(number, name, time[part], truth[:, part], places, outlying, paths)
+    return MappedRun(number, name, scenario.time[part], truth[:, part], places, outlying, paths)
 
 
 def typical_run(scenario: Scenario, rmse: Sequence[Tensor], seed: int) -> int:

@@ -56,12 +56,12 @@ def report(scenario: Scenario, results: dict[str, Result], *, runs: int, seed: i
         runs: how many there were.
         seed: of the random numbers.
     """
-    settings = {"dt": scenario.dt, "steps": scenario.steps, "threads": torch.get_num_threads(), **scenario.settings}
+    settings = {"dt": scenario.mean_dt, "steps": scenario.steps, "threads": torch.get_num_threads()}
     return {
         "experiment": scenario.name,
         "runs": runs,
         "seed": seed,
-        "settings": settings,
+        "settings": {**settings, **scenario.settings},
         "versions": versions(),
         "filters": results,
     }

@@ -9,6 +9,7 @@ from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise
 from torchfra.scenarios.clutter_many import clutter_many
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.law import Law
+from torchfra.scenarios.open_cells import OpenCell, draw_cell, open_cell
 from torchfra.scenarios.ranges import ranges_outliers
 from torchfra.scenarios.recorded import recorded
 from torchfra.scenarios.recorded_ranges import recorded_ranges
@@ -18,6 +19,7 @@ from torchfra.scenarios.weave import level_then_weave
 __all__ = [
     "Bound",
     "Law",
+    "OpenCell",
     "Scenario",
     "Tracks",
     "adsb_models",
@@ -29,10 +31,12 @@ __all__ = [
     "clutter_crossing",
     "clutter_many",
     "clutter_straight",
+    "draw_cell",
     "growth",
     "level_then_weave",
     "noise_change",
     "of_tracks",
+    "open_cell",
     "ranges_outliers",
     "recorded",
     "recorded_ranges",

@@ -54,7 +54,7 @@ class Scenario:
         motion: the model that filters use; the targets may move otherwise.
         sensor: what is measured.
         prior: the prior of all runs, or the centre of their priors (each run's own: ``Tracks.prior``).
-        dt: seconds per step.
+        dt: seconds per step; a tensor ``(T,)`` where steps differ.
         steps: measurements per run.
         block: simulates the runs of these numbers, ``(BLOCK,)`` or one for each recording, from a generator.
         settings: metadata of results.
@@ -74,7 +74,7 @@ class Scenario:
     motion: Motion
     sensor: Sensor
     prior: Gaussian
-    dt: float
+    dt: float | Tensor
     steps: int
     block: Callable[[np.random.Generator, Tensor], Tracks] = field(repr=False)
     settings: Mapping[str, object]
@@ -90,6 +90,16 @@ class Scenario:
     def cartesian(self, estimate: Estimate) -> Estimate:
         """The estimate in the truth's coordinates; unchanged where filters estimate in these anyway."""
         return estimate if self.conversion is None else self.conversion(estimate)
+
+    @property
+    def mean_dt(self) -> float:
+        """Seconds of a step, on average."""
+        return float(self.dt.mean()) if isinstance(self.dt, Tensor) else self.dt
+
+    @property
+    def time(self) -> Tensor:
+        """Seconds ``(T,)`` from the prior to each measurement."""
+        return torch.as_tensor(self.dt, dtype=torch.float64).expand(self.steps).cumsum(0)
 
     @property
     def truth_position(self) -> slice:
