@@ -121,8 +121,10 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
     if callable(data) and not isinstance(data, DataLoader):
         takes_runs = len(inspect.signature(data).parameters) > 1
         data = data(seed, runs) if takes_runs else data(seed)
+    rank = 3 + f.scans
     if isinstance(data, Tensor | np.ndarray | Mapping | Tracks):
-        return _as_batch(f, _fields(data))
+        fields = _fields(data)
+        return _as_batch(f, _joined([fields], rank) if np.ndim(fields["z"]) == rank - 1 else fields)
     if isinstance(data, Dataset) and hasattr(data, "__len__"):
         data = [data[i] for i in range(len(data))]
     if not isinstance(data, Iterable):
@@ -133,7 +135,6 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
         return _recorded(f, items)
     if not items:
         raise ValueError("data: expected one track or more, received none")
-    rank = 3 + f.scans
     return _as_batch(f, _joined([_fields(item) for item in items], rank))
 
 
