@@ -6,6 +6,7 @@ import math
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -46,6 +47,17 @@ def is_integer(value: object, least: int) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
+def unmasked(values: Any) -> Any:
+    """A masked array of numpy as a plain one, NaN where it is masked, which is missing; anything else as it is.
+
+    torch and numpy would take the numbers behind the mask.
+    """
+    if not isinstance(values, np.ma.MaskedArray):
+        return values
+    floating = values if values.dtype.kind == "f" else values.astype(np.float64)
+    return floating.filled(np.nan)  # type: ignore[no-untyped-call]
+
+
 def as_numbers(value: Any, name: str) -> Tensor:
     """Numbers as a floating-point tensor; all but floating-point tensors become float64.
 
@@ -53,7 +65,7 @@ def as_numbers(value: Any, name: str) -> Tensor:
         ValueError: the value is not numeric.
     """
     try:
-        values = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
+        values = value if isinstance(value, Tensor) else torch.as_tensor(unmasked(value), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"{name}: expected numbers, received {value!r}") from None
     return values if values.is_floating_point() else values.double()

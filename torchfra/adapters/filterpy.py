@@ -16,8 +16,8 @@ from torchfra.adapters.linear import Array, LinearMotion, LinearSensor, Models, 
 def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | None = None) -> Models:
     """Motion, sensor and prior of a ``KalmanFilter``, by its ``F``, ``Q``, ``B``, ``H``, ``R``, ``x`` and ``P``.
 
-    Its matrices are those of one step, of whatever length: ``dt`` does not matter.  A number is what it is in FilterPy's
-    steps: ``Q`` is added to every element, ``P`` is times the identity, and ``R`` is of a single measured element.
+    Its matrices are those of one step, of whatever length: ``dt`` does not matter.  A number is what it is in a step of
+    FilterPy: ``Q`` is added to every element, ``P`` is times the identity, and ``R`` is of a single measured element.
 
     Args:
         kf: with its matrices set.

@@ -20,6 +20,7 @@ from torch.utils.data import DataLoader, Dataset
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
 from torchfra.motion.base import Motion
+from torchfra.numbers import unmasked
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.sensors.base import Sensor
@@ -147,13 +148,13 @@ def _fields(item: Any) -> dict[str, Any]:
     if hasattr(item, "_asdict"):
         item = item._asdict()
     elif isinstance(item, Tensor | np.ndarray):
-        item = {"z": torch.as_tensor(item)}
+        item = {"z": item}
     elif isinstance(item, list | tuple) and len(item) == 1:  # of a TensorDataset
         item = {"z": item[0]}
     if not isinstance(item, Mapping) or "z" not in item or not set(item) <= set(FIELDS):
         received = sorted(map(str, item)) if isinstance(item, Mapping) else type(item).__name__
         raise ValueError(f"data: expected z (N, T, m), or a dictionary of {', '.join(FIELDS)}, received {received}")
-    return {name: x for name, x in item.items() if x is not None}
+    return {name: unmasked(x) for name, x in item.items() if x is not None}
 
 
 def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
