@@ -26,12 +26,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from regrets import smoothed
-from regrets.cells import all_cells, chosen_cells
+from regrets.cells import Cell, all_cells, chosen_cells
 from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors, not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
 
@@ -98,10 +99,9 @@ def regret(options: argparse.Namespace) -> None:
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
     tell, _ = reporters(options.compile, options.quiet)
     compile = choose(options.compile, options.runs * USUAL_STEPS >= WORTHWHILE, tell)
-    results = {}
-    for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
-        scenario, runs = cell.make(), options.runs if cell.runs is None else cell.runs
-        filters = cell_filters(name, scenario, names, learned, others, own_models=options.own_models)
+    filters_of = partial(cell_filters, names=names, learned=learned, others=others, own_models=options.own_models)
+    results, made = {}, prepared(cells, filters_of, options)
+    for name, (scenario, runs, filters) in progress_bar(made.items(), "cell", not options.quiet):
         if compile and (options.compile or runs * scenario.steps >= WORTHWHILE):
             filters = with_kernels(filters, scenario, options)
         to_tune = {name: filters[name] for name in tuned if name in filters}
@@ -122,13 +122,12 @@ def gains(options: argparse.Namespace) -> None:
     """
     if options.learned or options.tuned or options.figure is not None:
         raise ValueError("smooth: expected no learned values, --tuned or --figure beside it")
-    names = compared_filters(",".join(smoothed.FILTERS) if options.filters is None else options.filters)
+    names = None if options.filters is None else compared_filters(options.filters)
     check_files({"json": options.json, "plot": options.plot}, [*(options.flights or []), *options.ranges])
     cells = chosen_cells(all_cells(options.flights, options.ranges), options.cells.split(","))
     results: dict[str, dict[str, Any]] = {}
-    for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
-        scenario, runs = cell.make(), options.runs if cell.runs is None else cell.runs
-        filters = scenario_filters(names, scenario)
+    made = prepared(cells, partial(smoothed_filters, names=names), options)
+    for name, (scenario, runs, filters) in progress_bar(made.items(), "cell", not options.quiet):
         found = smoothed.errors(scenario, filters, runs=runs, seed=options.seed, progress=not options.quiet)
         results[name] = {"scenario": scenario.name, "runs": runs, "smoothing": smoothed.results(found)}
     failures = Failures()
@@ -142,10 +141,22 @@ def gains(options: argparse.Namespace) -> None:
 
         from torchfra import plotting
 
-        runs = smoothed.one_run(filters[names[-1]], scenario, options.seed)
+        last = list(filters)[-1]
+        runs = smoothed.one_run(filters[last], scenario, options.seed)
         with failures.of("plot"):
-            plotting.save(bands(runs, scenario.mean_dt, "error, m", f"{names[-1]}, {name}"), options.plot)
+            plotting.save(bands(runs, scenario.mean_dt, "error, m", f"{last}, {name}"), options.plot)
     failures.end()
+
+
+def prepared(
+    cells: Mapping[str, Cell], filters_of: Callable[[str, Scenario], dict[str, Filter]], options: argparse.Namespace
+) -> dict[str, tuple[Scenario, int, dict[str, Filter]]]:
+    """Scenario, number of runs and filters of each cell: all of them before the first run, which may take hours."""
+    made = {}
+    for name, cell in progress_bar(cells.items(), "prepared", not options.quiet):
+        scenario = cell.make()
+        made[name] = scenario, options.runs if cell.runs is None else cell.runs, filters_of(name, scenario)
+    return made
 
 
 def compared_filters(listed: str, argument: str = "filters") -> list[str]:
@@ -170,9 +181,7 @@ def cell_filters(
         ValueError: a filter that does not go with it, or values that do not fit.
     """
     known = filters_for(scenario)
-    for name in names:
-        if FILTERS[name].listed and name not in known:
-            raise ValueError(f"filters: expected some that go with {cell}, received {name}")
+    check_names(cell, names, known)
     competing = [name for name in known if others is None or name in others]
     if not set(competing).difference(names):
         raise ValueError(f"others: expected some that go with {cell} beside those compared, received {others}")
@@ -180,6 +189,33 @@ def cell_filters(
     for path, name in learned.items():
         filters[path] = learned_filter(path, scenario, name, models=not own_models)
     return filters
+
+
+def smoothed_filters(cell: str, scenario: Scenario, names: list[str] | None) -> dict[str, Filter]:
+    """The filters of a cell that are smoothed: these, or the usual ones that go with it.
+
+    Raises:
+        ValueError: a filter that does not go with it.
+        NotImplementedError: a filter that is not smoothed.
+    """
+    known = filters_for(scenario)
+    names = [name for name in smoothed.FILTERS if name in known] if names is None else names
+    check_names(cell, names, known)
+    filters = scenario_filters(names, scenario)
+    for f in filters.values():
+        f.check_smooths()
+    return filters
+
+
+def check_names(cell: str, names: list[str], known: list[str]) -> None:
+    """Checks that filters go with a cell.
+
+    Raises:
+        ValueError: one does not.
+    """
+    for name in names:
+        if FILTERS[name].listed and name not in known:
+            raise ValueError(f"filters: expected some that go with {cell}, received {name}")
 
 
 def with_kernels(filters: dict[str, Filter], scenario: Scenario, options: argparse.Namespace) -> dict[str, Filter]:

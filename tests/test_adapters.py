@@ -95,6 +95,41 @@ def test_what_filterpy_has_and_torchfra_has_not_is_refused(filterpy):
         adapter.models(3)
 
 
+@pytest.mark.parametrize("size", [1, 2])
+def test_numbers_instead_of_matrices_are_what_they_are_in_the_steps_of_filterpy(size):
+    kalman = pytest.importorskip("filterpy.kalman")
+    from torchfra.adapters import filterpy as adapter
+
+    kf = kalman.KalmanFilter(size, 1)
+    kf.F = np.array([[1.0, 1.0], [0.0, 1.0]])[:size, :size]
+    kf.H = np.array([[1.0, 0.0]])[:, :size]
+    kf.P, kf.R, kf.Q = 1000.0, 5, 0.1
+    motion, sensor, prior = adapter.models(kf)
+    z = np.random.default_rng(0).normal(size=(5, 1))
+    estimate = presets.srckf(motion, sensor)(torch.from_numpy(z), prior)
+    for k in range(5):
+        kf.predict()
+        kf.update(z[k])
+        np.testing.assert_allclose(estimate.mean[k], kf.x.reshape(-1), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(estimate.covariance[k], kf.P, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"R": 5}, r"kf\.R: expected a matrix \(2, 2\), received the number 5"),
+    ({"F": 1.0}, r"kf\.F: expected a matrix \(4, 4\), received the number 1"),
+    ({"H": np.ones(4)}, r"kf\.H: expected a matrix \(2, 4\), received \(4,\)"),
+    ({"Q": np.ones(4)}, r"kf\.Q: expected a matrix \(4, 4\), received \(4,\)"),
+    ({"Q": -0.1}, r"kf\.Q: expected a symmetric positive semidefinite matrix"),
+])  # fmt: skip
+def test_a_matrix_of_filterpy_that_does_not_fit_is_named(filterpy, change, message):
+    from torchfra.adapters import filterpy as adapter
+
+    for name, value in change.items():
+        setattr(filterpy, name, value)
+    with pytest.raises(ValueError, match=message):
+        adapter.models(filterpy)
+
+
 # ---------------------------------------------------------------- Stone Soup
 
 

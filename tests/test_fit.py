@@ -283,7 +283,7 @@ def test_a_gate_that_no_gradient_reaches_stays_without_a_standard_error(data, co
     ({"data": []}, "data: expected one track or more"),
     ({"data": {"x": torch.zeros(1)}}, "data: expected z"),
     ({"data": torch.zeros(5, 4, 3).double()}, r"z: expected floating point numbers \(N, T, 2\)"),
-    ({"data": torch.zeros(3, 4, 2).double()}, "data: expected 4 tracks or more"),
+    ({"data": torch.full((3, 4, 2), torch.inf).double()}, "data: expected a track whose loss is finite at the start"),
     ({"loss": "best"}, "loss: expected one of"),
     ({"loss": "mse"}, "loss: expected 'likelihood' or 'smoothed' for data without a truth"),
     ({"learn": ("gate",)}, "learn: expected 'all' or some of"),
@@ -468,7 +468,7 @@ def test_a_track_that_is_lost_decides_the_mean_but_not_the_median_and_is_told_of
     assert row.change.value > 0 > row.middle.high
     assert row.middle.value == pytest.approx(-0.5)
     assert row.lost == 1
-    assert row.note("likelihood", 30).startswith("1 of 30 held-out tracks change over 30 times")
+    assert row.note("likelihood", 30).startswith("1 of 30 tracks that judge change over 30 times")
     assert judged(before, before).lost == 0
 
 

@@ -8,13 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import regret
+import short_tracks
 import torch
-from regrets import cells, figures, ratios, tuning
+from regrets import cells, figures, ratios, smoothed, tuning
 from short_tracks import short
 
 from torchfra import metrics, presets, scenarios
 from torchfra.catalogue import filters_for, learned_filter, make_scenario
 from torchfra.evaluation import evaluate
+from torchfra.readers.recording import Recording
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 
@@ -300,6 +302,40 @@ def test_of_all_others_those_that_are_named_compete(tmp_path):
     assert regret.main(["--filters", "fra", "--others", "srckf,imm_srckf", *FEW, "--quiet", "--json", str(file)]) == 0
     filters = json.loads(file.read_text())["cells"]["2-std"]["filtered"]["filters"]
     assert filters.keys() == {"fra", "srckf", "imm_srckf"}
+
+
+@pytest.fixture
+def one_of_each_kind(monkeypatch):
+    """Cells that differ in their models: two steps, no outliers, one index, a short flight; seven resamples."""
+    time = 5.0 * np.arange(25)
+    flight = Recording("a", time, np.stack([100 * time, 0 * time, 0 * time], 1), None, {})
+    monkeypatch.setattr(short_tracks, "STEPS", 2)
+    monkeypatch.setattr(cells, "INDICES", (0.1,))
+    monkeypatch.setattr(cells, "OUTLIERS", ("none",))
+    monkeypatch.setattr(cells, "_recordings", lambda files: [flight])
+    for module in (regret, ratios):
+        monkeypatch.setattr(module, "RESAMPLES", 7)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short_tracks", "one_of_each_kind")
+@pytest.mark.parametrize("kind", [[], ["--smooth"]])
+def test_every_cell_is_run_by_default(kind, tmp_path):
+    assert regret.main([*kind, "--runs", "2", "--no-compile", "--quiet", "--json", str(tmp_path / "r.json")]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())["cells"]
+    assert list(found) == list(cells.all_cells())
+
+
+def test_what_cannot_be_done_in_a_late_cell_is_said_before_the_first_run(monkeypatch, capsys):
+    monkeypatch.setattr(regret, "errors", None)  # as a run would call it
+    assert regret.main(["--filters", "alphabeta", "--cells", "stated-velocity-0.1-none,stated-turn-0.1-none"]) == 2
+    assert "filters: expected some that go with stated-turn-0.1-none, received alphabeta" in capsys.readouterr().err
+    monkeypatch.setattr(smoothed, "errors", None)
+    late = "stated-velocity-0.1-none,stated-ranges-0.1-none"
+    assert regret.main(["--smooth", "--filters", "vsimm_srckf", "--cells", late]) == 2
+    assert "some that go with stated-velocity-0.1-none, received vsimm_srckf" in capsys.readouterr().err
+    assert regret.main(["--smooth", "--filters", "alphabeta", "--cells", "stated-velocity-0.1-none"]) == 2
+    assert "constant gains have no process noise" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- the picture

@@ -11,15 +11,15 @@ from typing import Any
 
 from torchfra import presets as presets  # adds its filters to those of the register
 from torchfra import scenarios, state_files
+from torchfra.filters.alphabeta.axes import measures_positions, moves_along_axes
 from torchfra.filters.base import Filter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.register import FILTERS as FILTERS
 from torchfra.register import SCENARIOS as SCENARIOS
-from torchfra.register import made
+from torchfra.register import FilterEntry, made
 from torchfra.scenarios.base import Scenario
 from torchfra.sensors.base import Sensor
-from torchfra.sensors.position import Position
 from torchfra.suggestions import meant
 
 SCENARIOS.update({
@@ -53,15 +53,18 @@ def reference_filter(scenario: Scenario) -> str:
 
 
 def filters_for(scenario: Scenario) -> list[str]:
-    """The filters that go with a scenario: with its measurements, its sensor, and a bank if they need one."""
+    """The filters that go with the measurements and the models of a scenario."""
     if scenario.clutter is not None:
         return scan_filters()
-    positions = isinstance(scenario.sensor, Position) and scenario.sensor.std is not None
-    return [
-        name
-        for name in track_filters()
-        if not (FILTERS[name].bank and scenario.bank is None) and not (FILTERS[name].constant_gains and not positions)
-    ]
+    return [name for name in track_filters() if _go_together(FILTERS[name], scenario)]
+
+
+def _go_together(entry: FilterEntry, scenario: Scenario) -> bool:
+    """Whether a filter of single targets can be made around the models of a scenario."""
+    motion, sensor, bank = scenario.motion, scenario.sensor, scenario.bank
+    if entry.constant_gains:
+        return measures_positions(sensor) and moves_along_axes(motion, sensor.size)
+    return not entry.bank or (bank is not None and (not entry.neighbours or bank.neighbours is not None))
 
 
 def check_names(names: Sequence[str], scenario: Scenario) -> None:

@@ -62,11 +62,23 @@ def as_tensor(value: Any, like: Tensor | None = None) -> Tensor:
     """
     if isinstance(value, Tensor):
         return value if like is None else value.to(like)
+    value = unmasked(value)
     if isinstance(value, np.generic):
         value = float(value)  # torch takes no number of some types
     if like is not None:
         return torch.as_tensor(value, dtype=like.dtype, device=like.device)
     return torch.as_tensor(value, dtype=None if hasattr(value, "dtype") else torch.float64)
+
+
+def unmasked(values: Any) -> Any:
+    """A masked array of numpy as a plain one, NaN where it is masked, which is missing; anything else as it is.
+
+    torch and numpy would take the numbers behind the mask.
+    """
+    if not isinstance(values, np.ma.MaskedArray):
+        return values
+    floating = values if values.dtype.kind == "f" else values.astype(np.float64)
+    return floating.filled(np.nan)  # type: ignore[no-untyped-call]
 
 
 def as_numbers(value: Any, name: str) -> Tensor:
@@ -76,7 +88,7 @@ def as_numbers(value: Any, name: str) -> Tensor:
         ValueError: the value is not numeric.
     """
     try:
-        values = value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
+        values = value if isinstance(value, Tensor) else torch.as_tensor(unmasked(value), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"{name}: expected numbers, received {value!r}") from None
     return values if values.is_floating_point() else values.double()

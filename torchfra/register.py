@@ -37,6 +37,8 @@ class FilterEntry:
     """The filter in a few words: its name spelt out."""
     bank: bool = False
     """Whether it takes a ``Bank`` of motions instead of one motion."""
+    neighbours: bool = False
+    """Whether its bank must say which motions are active: ``Bank.neighbours`` and ``Bank.first``."""
     either: bool = False
     """Whether it takes either a ``Bank`` of motions or one motion."""
     scans: bool = False
@@ -44,8 +46,8 @@ class FilterEntry:
     gated: bool = False
     """Whether it takes a ``gate``: the normalised innovation squared above which a step is abnormal."""
     constant_gains: bool = False
-    """Whether it takes positions with a standard deviation only, the ``period`` of its gains, and the ``max_gap``
-    that it bridges."""
+    """Whether it takes positions with a standard deviation and motions of constant velocity or acceleration only, the
+    ``period`` of its gains, and the ``max_gap`` that it bridges."""
     emphasised: bool = False
     """Whether its lines in figures are bold."""
     listed: bool = True

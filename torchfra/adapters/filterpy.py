@@ -10,13 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from torchfra.adapters.linear import LinearMotion, LinearSensor, Models, checked_order, gaussian
+from torchfra.adapters.linear import Array, LinearMotion, LinearSensor, Models, checked_order, gaussian, root_of
 
 
 def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | None = None) -> Models:
     """Motion, sensor and prior of a ``KalmanFilter``, by its ``F``, ``Q``, ``B``, ``H``, ``R``, ``x`` and ``P``.
 
-    Its matrices are those of one step, of whatever length: ``dt`` does not matter.
+    Its matrices are those of one step, of whatever length: ``dt`` does not matter.  A number is what it is in a step of
+    FilterPy: ``Q`` is added to every element, ``P`` is times the identity, and ``R`` is of a single measured element.
 
     Args:
         kf: with its matrices set.
@@ -25,7 +26,8 @@ def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | 
         dims: how many of them are positions; None for as many as there are measured elements.
 
     Raises:
-        ValueError: another filter, one that fades (``alpha``), or an order that does not name each component once.
+        ValueError: another filter, one that fades (``alpha``), an order that does not name each component once, or a
+            matrix that does not fit.
     """
     if not isinstance(kf, KalmanFilter):
         raise ValueError(f"kf: expected a filterpy.kalman.KalmanFilter, received {type(kf).__name__}")
@@ -33,8 +35,32 @@ def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | 
         raise ValueError(f"kf: expected alpha 1, received {kf.alpha}: take torchfra.adaptive.Fading")
     index = checked_order(order, kf.dim_x)
     square = np.ix_(index, index)
-    matrix, noise = np.array(kf.F, dtype=float)[square], np.array(kf.Q, dtype=float)[square]
-    control = None if kf.B is None else np.array(kf.B, dtype=float).reshape(kf.dim_x, -1)[index]
-    motion = LinearMotion(lambda seconds: (matrix, noise), kf.dim_x, dims or min(kf.dim_z, kf.dim_x), control)
-    sensor = LinearSensor(np.array(kf.H, dtype=float)[:, index], np.array(kf.R, dtype=float))
-    return Models(motion, sensor, gaussian(kf.x, kf.P, index))
+    n, m = kf.dim_x, kf.dim_z
+    matrix, noise = _matrix(kf, "F", n, n)[square], _matrix(kf, "Q", n, n, np.ones((n, n)))[square]
+    root_of(noise, "kf.Q")  # now, and not at the first step
+    control = None if kf.B is None else np.array(kf.B, dtype=float).reshape(n, -1)[index]
+    motion = LinearMotion(lambda seconds: (matrix, noise), n, dims or min(m, n), control)
+    sensor = LinearSensor(_matrix(kf, "H", m, n)[:, index], _matrix(kf, "R", m, m))
+    return Models(motion, sensor, gaussian(kf.x, _matrix(kf, "P", n, n, np.eye(n)), index))
+
+
+def _matrix(kf: KalmanFilter, name: str, rows: int, columns: int, unit: Array | None = None) -> Array:
+    """A matrix of a filter.
+
+    Args:
+        kf: the filter.
+        name: of the matrix.
+        rows: it has.
+        columns: it has.
+        unit: what a number is times of; None where it is nothing but the single element of a matrix.
+
+    Raises:
+        ValueError: another shape.
+    """
+    given = np.array(getattr(kf, name), dtype=float)
+    if given.ndim == 0 and (unit is not None or rows == columns == 1):
+        return given * (np.ones((1, 1)) if unit is None else unit)
+    if given.shape != (rows, columns):
+        received = f"the number {given:g}" if given.ndim == 0 else given.shape
+        raise ValueError(f"kf.{name}: expected a matrix ({rows}, {columns}), received {received}")
+    return given

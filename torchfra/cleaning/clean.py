@@ -18,6 +18,7 @@ from torchfra.cleaning import DEFAULT, Cleaned, clean_tracks
 from torchfra.cleaning.outputs.summary import report
 from torchfra.cleaning.outputs.table import columns
 from torchfra.motion.bank import Bank
+from torchfra.numbers import unmasked
 from torchfra.readers import MAX_BYTES, Recording, read
 from torchfra.readers.placeholders import nowhere
 from torchfra.readers.reading import read_sheet
@@ -247,9 +248,7 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
         raise ValueError(
             f"data: expected a path, a DataFrame, recordings or (time, position), received {type(data).__name__}"
         )
-    time, position = np.asarray(data[0]), np.array(data[1], dtype=np.float64)
-    if isinstance(data[1], np.ma.MaskedArray):
-        position[np.ma.getmaskarray(data[1])] = np.nan  # type: ignore[no-untyped-call]
+    time, position = np.asarray(unmasked(data[0])), np.array(unmasked(data[1]), dtype=np.float64)
     if time.dtype == object:
         time = np.asarray(_moments(time.tolist()))
     if time.ndim != 1 or position.ndim != 2 or position.shape[0] != len(time) or position.shape[1] not in (2, 3):

@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader, Dataset
 from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_tensor
+from torchfra.numbers import as_tensor, unmasked
 from torchfra.readers.recording import Recording
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.sensors.base import Sensor
@@ -122,8 +122,10 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
     if callable(data) and not isinstance(data, DataLoader):
         takes_runs = len(inspect.signature(data).parameters) > 1
         data = data(seed, runs) if takes_runs else data(seed)
+    rank = 3 + f.scans
     if isinstance(data, Tensor | np.ndarray | Mapping | Tracks):
-        return _as_batch(f, _fields(data))
+        fields = _fields(data)
+        return _as_batch(f, _joined([fields], rank) if np.ndim(fields["z"]) == rank - 1 else fields)
     if isinstance(data, Dataset) and hasattr(data, "__len__"):
         data = [data[i] for i in range(len(data))]
     if not isinstance(data, Iterable):
@@ -134,7 +136,6 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
         return _recorded(f, items)
     if not items:
         raise ValueError("data: expected one track or more, received none")
-    rank = 3 + f.scans
     return _as_batch(f, _joined([_fields(item) for item in items], rank))
 
 
@@ -147,13 +148,13 @@ def _fields(item: Any) -> dict[str, Any]:
     if hasattr(item, "_asdict"):
         item = item._asdict()
     elif isinstance(item, Tensor | np.ndarray):
-        item = {"z": as_tensor(item)}
+        item = {"z": item}
     elif isinstance(item, list | tuple) and len(item) == 1:  # of a TensorDataset
         item = {"z": item[0]}
     if not isinstance(item, Mapping) or "z" not in item or not set(item) <= set(FIELDS):
         received = sorted(map(str, item)) if isinstance(item, Mapping) else type(item).__name__
         raise ValueError(f"data: expected z (N, T, m), or a dictionary of {', '.join(FIELDS)}, received {received}")
-    return {name: x for name, x in item.items() if x is not None}
+    return {name: unmasked(x) for name, x in item.items() if x is not None}
 
 
 def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:

@@ -49,18 +49,22 @@ class Certainty(NamedTuple):
     that holds, and only then are standard errors by the Hessian right (White's information matrix)."""
     kind: str
     """``"hessian"`` or ``"sandwich"``."""
+    scattered: bool
+    """Whether there are more tracks than values, so that their gradients have a scatter: ``ratio`` is NaN otherwise."""
 
     @property
     def notes(self) -> list[str]:
         """Warnings, one line each."""
         lines = []
-        if bool(self.covariance.isnan().any()):
+        if self.kind == "sandwich" and not self.scattered:
+            lines.append("no more tracks than values: there is no scatter that would give standard errors")
+        elif bool(self.covariance.isnan().any()):
             lines.append("the loss has no minimum here: there are no standard errors")
         elif not self.gradient_size <= LARGEST_GRADIENT:
             lines.append(
                 f"the gradient is {self.gradient_size:.2g} of its standard errors from 0: standard errors are rough"
             )
-        elif self.kind == "hessian" and not 1 / LARGEST_RATIO < self.ratio < LARGEST_RATIO:
+        elif self.kind == "hessian" and self.scattered and not 1 / LARGEST_RATIO < self.ratio < LARGEST_RATIO:
             scatter = f"gradients of tracks scatter {self.ratio:.2g} times as the Hessian says"
             lines.append(f"{scatter}, so the model does not hold: take errors='sandwich'")
         return lines
@@ -80,7 +84,8 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     """
     hessian, scores = curvature.hessian[0], curvature.scores[0]
     eigenvalues, axes = torch.linalg.eigh(hessian.nan_to_num())
-    if bool(hessian.isfinite().all()) and bool(eigenvalues[0] > 1e-12 * eigenvalues[-1].clamp_min(1e-300)):
+    known = kind == "hessian" or curvature.scattered
+    if known and bool(hessian.isfinite().all()) and bool(eigenvalues[0] > 1e-12 * eigenvalues[-1].clamp_min(1e-300)):
         inverse = torch.linalg.inv(hessian)
         inner = inverse if kind == "hessian" else inverse @ scores @ inverse
     else:
@@ -91,10 +96,11 @@ def certainty(vector: Vector, raw: Tensor, curvature: Curvature, kind: str) -> C
     scaled = torch.linalg.eigvalsh((hessian / scale / scale.unsqueeze(-1)).nan_to_num())
     condition = float(scaled[-1] / scaled[0]) if scaled[0] > 0 else math.inf
     low, high = vector.intervals(raw, covariance)
+    ratio = torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()
     return Certainty(
         covariance, vector.errors(raw, covariance), low, high, (2 * reach < WIDEST).tolist(), condition,
         _words(vector, axes[:, 0], inner), float(curvature.gradient_size[0]),
-        float(torch.linalg.lstsq(hessian.nan_to_num(), scores.nan_to_num()).solution.diagonal().mean()), kind,
+        float(ratio) if curvature.scattered else math.nan, kind, curvature.scattered,
     )  # fmt: skip
 
 
@@ -192,13 +198,16 @@ def bootstrap(sums: Sums, raw: Tensor, resamples: int, seed: int) -> Bootstrap:
         seed: of the draws.
 
     Raises:
-        ValueError: fewer than 10 resamples.
+        ValueError: fewer than 10 resamples, or no more tracks than values.
 
     Source: Efron & Tibshirani (1993), "An Introduction to the Bootstrap", chapter 6.
     """
     if not is_integer(resamples, 10):
         raise ValueError(f"resamples: expected 10 or more, received {resamples!r}")
     generator, count = torch.Generator().manual_seed(seed), len(sums.batch.z)
+    if count <= sums.directions.shape[1]:
+        expected = "more tracks than values to draw from (the Hessian gives the standard errors of a single series)"
+        raise ValueError(f"bootstrap: expected {expected}, received {count}")
     drawn = torch.randint(count, (resamples, count), generator=generator)
     weights = torch.zeros(resamples, count, dtype=torch.float64).scatter_add(1, drawn, torch.ones_like(drawn).double())
     again = Sums(sums.objective, sums.batch, sums.directions, weights=weights)

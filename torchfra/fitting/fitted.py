@@ -124,7 +124,7 @@ class Fitted:
                 raise ValueError(f"others: expected sensors of {test.z.shape[-1]} elements, {name} has {f.sensor.size}")
             loss = tracks.objective.of_filter(f, test)
             rows[name] = tracks.judge(mine, loss, self.settings.seed)
-        return HeldOutComparison(self.quantity, len(tracks.test.z), rows)
+        return HeldOutComparison(f"{self.quantity}, {_those_that_judge(tracks.test, self.counts['test'])}", rows)
 
     def profile(self, name: str, *, points: int = 9, reach: float = 3.0) -> Profile:
         """Profile of the loss over one number, minimised over all others: ``fitting.errors.profile``."""
@@ -187,7 +187,12 @@ class Fitted:
         text += f"\ncondition {certainty.condition:.3g}; least identified: {certainty.weakest}\n"
         rows = [[name, *map(str, row.figures.values())] for name, row in self.held_out.items()]
         heads = next(iter(self.held_out.values())).figures
-        text += text_table([f"{self.counts['test']} held-out tracks", *heads], rows) + "\n"
+        text += text_table([_those_that_judge(self._tracks.test, self.counts["test"]), *heads], rows) + "\n"
         how = "compiled" if self.compiled else "interpreted"
         text += f"{len(self.rows)} iterations, {self.seconds:.1f} s, {self.dtype}, {how}, seed {self.settings.seed}"
         return "\n".join([text, *(f"note: {line}" for line in self.notes)])
+
+
+def _those_that_judge(tracks: Batch, held_out: int) -> str:
+    """The tracks that values are judged by, in words."""
+    return f"{held_out} held-out tracks" if held_out else f"{len(tracks.z)} tracks, none held out"

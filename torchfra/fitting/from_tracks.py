@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -25,7 +25,7 @@ from torchfra.running import checkpoints, distributed
 from torchfra.running.progress import progress_bar
 
 FEWEST = 4
-"""Tracks of a fit."""
+"""Tracks of which some can be held out."""
 WORSE = 4.0
 """Increase of the validation loss by the last steps, in its standard errors, beyond which they are undone.  The values
 before them were chosen by that loss, and so are often better by 2 standard errors even if the last steps are right."""
@@ -33,7 +33,7 @@ before them were chosen by that loss, and so are often better by 2 standard erro
 
 def fit(
     filter: Filter, data: Source, *, learn: Collection[str] | None = None, loss: str | LossFunction | None = None,
-    scale: float | None = None, skip: int = 0, runs: int = 400, iterations: int = 200, batch: int = 64,
+    scale: float | None = None, skip: int = 0, runs: int = 400, iterations: int | None = None, batch: int = 64,
     lr: float = 0.1, clip: float = 10.0, validate_every: int = 10, patience: int = 5, held_out: float = 0.3,
     restarts: int = 1, spread: float = 1.0, polish: bool = True, errors: str | None = None,
     compile: bool | None = None, checkpoint: str | Path | None = None, resume: bool = False, seed: int = 0,
@@ -43,15 +43,16 @@ def fit(
 
     The tracks are split at random: most are for learning, half of the others for validation, the rest for a test.  Adam
     follows the mean gradient of minibatches, each track's bounded; from the values of the best validation Newton's
-    method continues over all tracks for learning, and its Hessian gives the standard errors.
+    method continues over all tracks for learning, and its Hessian gives the standard errors.  One to three tracks, such
+    as a single time series, are not split: they are all there is to learn from, to stop by and to judge.
 
     Args:
         filter: any preset; it stays as it is.
-        data: a ``Scenario``; a function of a seed, or of a seed and a number of runs; measurements ``z (N, T, m)``; a
-            dictionary of tensors ``z, dt, u, prior, truth`` (or a scenario's ``Tracks``); a sequence of these, one for
-            each track or batch, such as a ``DataLoader``, which is read once to its end; or recordings of
-            ``torchfra.readers``, whose fixes are the measurements.  Without a ``prior``, tracks begin ten standard
-            deviations wide around their first whole measurement, which needs a sensor that ``locates``.
+        data: a ``Scenario``; a function of a seed, or of a seed and a number of runs; measurements ``z (N, T, m)``,
+            or ``(T, m)`` of one track; a dictionary of tensors ``z, dt, u, prior, truth`` (or a scenario's ``Tracks``);
+            a sequence of these, one for each track or batch, such as a ``DataLoader``, which is read once to its end;
+            or recordings of ``torchfra.readers``, whose fixes are the measurements.  Without a ``prior``, that of a
+            track is its first whole measurement with the current noise, which needs a sensor that ``locates``.
         learn: names of hyperparameters; None for those that are learnable already (``presets.gpb(..., learn=...)``).
         loss: ``"likelihood"`` of the measurements, ``"smoothed"``: the density of each given those before and after it;
             with a truth also ``"robust"``, ``"mse"`` (of the position) and ``"nll"``, see ``torchfra.losses``; or a
@@ -61,13 +62,14 @@ def fit(
             on the tracks for learning.
         skip: steps at the start of each track that do not count.
         runs: tracks of a scenario or a function.
-        iterations: of Adam, at most.
+        iterations: of Adam, at most; None for 200, or none where no track is held out: with nothing to stop it by,
+            Newton's method alone takes a tenth of the time.
         batch: tracks of an iteration, over all processes of ``torchrun``.
         lr: rate of Adam in unconstrained values; it falls to a tenth.
         clip: largest norm of one track's gradient, in medians of those of its minibatch that are not 0.
         validate_every: iterations between validations.
         patience: validations without improvement after which it stops.
-        held_out: share of the tracks that are not learned from.
+        held_out: share of the tracks that are not learned from; 0 for none, as of fewer than four tracks.
         restarts: starts, all descended from at once; the first is the filter's values.
         spread: standard deviation of the other starts, in unconstrained values: 1 is a factor of e.
         polish: whether Newton's method follows; without it standard errors are those of values near the best.
@@ -86,8 +88,8 @@ def fit(
     f = copied(filter, learn)
     vector = Vector(f)
     settings = Settings(
-        "", iterations, batch, lr, clip, validate_every, patience, held_out, restarts, spread, polish,
-        "hessian" if errors is None else errors, skip=skip, runs=runs, seed=seed,
+        "", Settings.iterations if iterations is None else iterations, batch, lr, clip, validate_every, patience,
+        held_out, restarts, spread, polish, "hessian" if errors is None else errors, skip=skip, runs=runs, seed=seed,
     )  # fmt: skip
     path = _file(checkpoint, resume)
     tracks = batch_of(f, data, runs=runs, seed=seed)
@@ -98,6 +100,11 @@ def fit(
     notes += [f"{lost} tracks have no finite loss at the start and are left out"] if lost else []
     parts = _split(used, settings)  # of which the first alone is learned from, widths of priors and scales too
     train, valid, test = (part.begun_as(parts[0]) for part in parts)
+    counts = {name: len(part.z) for name, part in zip(("train", "validation", "test"), parts, strict=True)}
+    if parts[2] is used:
+        counts |= {"validation": 0, "test": 0}
+        notes.append("no track is held out: before and after are of those that are learned from")
+        settings = replace(settings, iterations=iterations or 0)
     if scale is None:
         objective.choose_scale(train)
     settings = settings.of(objective, errors)
@@ -121,7 +128,7 @@ def fit(
     return Fitted(
         f, vector.named(start), vector.named(raw), known, held, descent.rows,
         descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),
-        {"train": len(train.z), "validation": len(valid.z), "test": len(test.z), "left out": lost},
+        counts | {"left out": lost},
         time.perf_counter() - begun, lines, own, raw,
     )  # fmt: skip
 
@@ -130,17 +137,18 @@ def _finite(objective: Objective, tracks: Batch, raw: Tensor) -> tuple[Batch, in
     """The tracks whose loss is finite at the start, and how many are not.
 
     Raises:
-        ValueError: too few are left.
+        ValueError: none is left.
     """
     finite = objective.losses(raw[None, None], tracks)[0].isfinite()
-    if int(finite.sum()) < FEWEST:
-        expected = f"{FEWEST} tracks or more whose loss is finite at the start"
-        raise ValueError(f"data: expected {expected}, received {int(finite.sum())} of {len(finite)}")
+    if not bool(finite.any()):
+        raise ValueError(f"data: expected a track whose loss is finite at the start, received none of {len(finite)}")
     return tracks.rows(finite), int((~finite).sum())
 
 
 def _split(tracks: Batch, settings: Settings) -> tuple[Batch, Batch, Batch]:
-    """Tracks for learning, for validation and for the test."""
+    """Tracks for learning, for validation and for the test: all of them for each where none is held out."""
+    if not settings.held_out or len(tracks.z) < FEWEST:
+        return tracks, tracks, tracks
     order = torch.randperm(len(tracks.z), generator=torch.Generator().manual_seed(settings.seed))
     out = min(max(2, round(settings.held_out * len(order))), len(order) - 2)
     test, valid, train = order.split([out // 2, out - out // 2, len(order) - out])

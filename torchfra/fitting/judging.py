@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,14 +18,15 @@ LOST = 30.0
 
 
 class Figure(NamedTuple):
-    """A number and its 95 % interval."""
+    """A number and its 95 % interval, NaN of a single track."""
 
     value: float
     low: float
     high: float
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        interval = "" if math.isnan(self.low) else f" [{self.low:.4g}, {self.high:.4g}]"
+        return f"{self.value:.4g}{interval}"
 
 
 class Judged(NamedTuple):
@@ -45,9 +47,9 @@ class Judged(NamedTuple):
         return {"before": self.before, "after": self.after, "change": self.change, "median change": self.middle}
 
     def note(self, name: str, count: int) -> str:
-        """The warning about lost tracks, out of ``count`` tracks."""
+        """The warning about lost tracks, out of the ``count`` tracks that judge."""
         much = f"over {LOST:g} times as much as the median one"
-        return f"{self.lost} of {count} held-out tracks change {much}, and decide that of the {name}: are they lost?"
+        return f"{self.lost} of {count} tracks that judge change {much}, and decide that of the {name}: are they lost?"
 
 
 def judged(
@@ -73,10 +75,13 @@ def judged(
     lost = int((change.abs() > LOST * change.abs().median()).sum())
     ordered = change[drawn].sort(1).values
     middle = (ordered[:, (count - 1) // 2] + ordered[:, count // 2]) / 2
-    return Judged(_figure(one), _figure(other), _figure(other - one), _figure(middle), lost)
+    figures = (_figure(x, count) for x in (one, other, other - one, middle))
+    return Judged(*figures, lost)
 
 
-def _figure(x: Tensor) -> Figure:
+def _figure(x: Tensor, count: int) -> Figure:
+    if count == 1:  # whose resamples are all the same
+        return Figure(float(x[0]), math.nan, math.nan)
     low, high = x[1:].quantile(torch.tensor([0.025, 0.975], dtype=x.dtype)).tolist()
     return Figure(float(x[0]), low, high)
 
@@ -89,12 +94,10 @@ class HeldOutComparison:
     """
 
     quantity: str
-    """The loss in words."""
-    tracks: int
-    """Number of held-out tracks."""
+    """The loss and the tracks, in words."""
     rows: dict[str, Judged]
 
     def __repr__(self) -> str:
-        head = [f"{self.quantity}, {self.tracks} held-out tracks", "value", "minus the first's", "median"]
+        head = [self.quantity, "value", "minus the first's", "median"]
         rows = [[name, *map(str, (row.after, row.change, row.middle))] for name, row in self.rows.items()]
         return text_table(head, rows, align="<")

@@ -14,7 +14,7 @@ from torchfra.fitting.errors import KINDS as KINDS_OF_ERRORS
 from torchfra.fitting.newton import median_of_nonzero
 from torchfra.fitting.objective import Objective
 from torchfra.hyper import one_of
-from torchfra.numbers import is_integer, positive
+from torchfra.numbers import as_number, is_integer, positive
 from torchfra.running import distributed
 
 
@@ -53,8 +53,8 @@ class Settings:
         for name in ("lr", "clip", "spread"):
             positive(name, getattr(self, name))
         one_of(errors=(self.errors, KINDS_OF_ERRORS))
-        if not isinstance(self.held_out, float) or not 0 < self.held_out < 1:
-            raise ValueError(f"held_out: expected a share between 0 and 1, received {self.held_out!r}")
+        if isinstance(self.held_out, bool) or not 0 <= as_number(self.held_out) < 1:
+            raise ValueError(f"held_out: expected a share from 0 to below 1, received {self.held_out!r}")
 
     def of(self, objective: Objective, errors: str | None) -> Settings:
         """The settings with the chosen loss, and the kind of standard errors, by default the one for that loss."""

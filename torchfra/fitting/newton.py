@@ -18,7 +18,7 @@ LONGEST = 2.0
 """Longest step, in unconstrained values: a factor of 7 for what is above 0."""
 ITERATIONS = 30
 """Largest number of iterations."""
-CONVERGED = 0.02
+CONVERGED = 1e-4
 """Size of the gradient, in its standard errors, below which it counts as 0."""
 CHAOTIC = 30.0
 """Ratio to the median over tracks above which the curvature of a track's loss counts as chaotic."""
@@ -35,11 +35,22 @@ class Curvature(NamedTuple):
     """``(R, Q, Q)`` of the outer products of tracks' gradients."""
     hessian: Tensor
     """``(R, Q, Q)``."""
+    scattered: bool
+    """Whether there are more tracks than directions, so that their gradients show how much the sum of these varies."""
+    likelihood: bool
+    """Whether the loss is minus a log likelihood, whose gradients vary as the Hessian says where the model holds."""
 
     @property
     def gradient_size(self) -> Tensor:
-        """``(R,)`` size of the gradient in units of its standard errors, 0 at a minimum."""
-        solved = torch.linalg.pinv(self.scores, hermitian=True) @ self.gradient.unsqueeze(-1)
+        """``(R,)`` size of the gradient in units of its standard errors, 0 at a minimum.
+
+        Of too few tracks they are those that the Hessian of a likelihood says; of another loss nobody knows them, and
+        any gradient but 0 is infinitely large.
+        """
+        if not self.scattered and not self.likelihood:
+            return torch.where((self.gradient != 0).any(-1), torch.inf, 0.0).to(self.gradient)
+        variance = self.scores if self.scattered else _upwards(self.hessian)
+        solved = torch.linalg.pinv(variance, hermitian=True) @ self.gradient.unsqueeze(-1)
         square: Tensor = (self.gradient * solved.squeeze(-1)).sum(-1)
         return square.clamp_min(0).sqrt()
 
@@ -65,7 +76,10 @@ class Sums:
         """At ``raw (R, P)``, by central differences along the directions."""
         loss, gradient, hessians = self.of_tracks(raw)
         scores = self._summed(gradient.unsqueeze(-1) * gradient.unsqueeze(-2), squared=True)
-        return Curvature(self._summed(loss), self._summed(gradient), scores, self._summed(hessians))
+        scattered, likelihood = len(self.batch.z) > self.directions.shape[1], self.objective.loss == "likelihood"
+        return Curvature(
+            self._summed(loss), self._summed(gradient), scores, self._summed(hessians), scattered, likelihood
+        )
 
     def of_tracks(self, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Losses ``(R, N)`` of single tracks, gradients ``(R, N, Q)`` and Hessians ``(R, N, Q, Q)``.
@@ -135,6 +149,13 @@ def minimised(sums: Sums, raw: Tensor) -> tuple[Tensor, Curvature]:
         raw = torch.where(better.unsqueeze(-1), tried[torch.arange(len(raw)), which], raw)
         curvature = sums.curvature(raw)
     return raw, curvature
+
+
+def _upwards(hessian: Tensor) -> Tensor:
+    """``(R, Q, Q)`` with the same axes, and the sizes of the curvatures."""
+    curvatures, axes = torch.linalg.eigh(hessian.nan_to_num())
+    upwards: Tensor = axes @ (curvatures.abs().unsqueeze(-1) * axes.mT)
+    return upwards
 
 
 def _steps(curvature: Curvature) -> Tensor:

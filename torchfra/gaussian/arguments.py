@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -106,7 +107,9 @@ def check_kinds(measurements: Measurements) -> None:
 def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
     """Checks that ``x`` is a tensor of one of these precisions; if there are none, of real numbers."""
     if not isinstance(x, Tensor):
-        hint = f"take torch.as_tensor({name}, dtype=torch.float64)"  # without it a list would be rounded to float32
+        masked = isinstance(x, np.ma.MaskedArray)  # whose mask torch would drop
+        plain = f"{name}.astype(float).filled(numpy.nan)" if masked else name
+        hint = f"take torch.as_tensor({plain}, dtype=torch.float64)"  # without it a list would be rounded to float32
         raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
     if precisions and x.dtype not in precisions:
         raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}")

@@ -149,7 +149,7 @@ def imm_fra(
                durations=durations, initial=initial, learn=learn)  # fmt: skip
 
 
-@register.filter("vsimm_srckf", words="interacting motions, a few at a time", bank=True)
+@register.filter("vsimm_srckf", words="interacting motions, a few at a time", bank=True, neighbours=True)
 @with_values
 def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.hyper import one_of
-from torchfra.numbers import is_integer
+from torchfra.numbers import is_integer, unmasked
 from torchfra.sensors.base import Sensor
 
 OWN = "sensor"
@@ -89,7 +89,7 @@ def numbers(name: str, x: Any, device: torch.device, dtype: torch.dtype = torch.
     try:
         if isinstance(x, Tensor):
             return x.to(device, dtype, copy=True)
-        return torch.tensor(x, dtype=dtype, device=device)
+        return torch.tensor(unmasked(x), dtype=dtype, device=device)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None
 

@@ -64,10 +64,14 @@ class Birth(nn.Module):
         raise TypeError(f"{type(self).__name__} must define forward")
 
     def belief(self, motion: Motion, mean: Tensor, root: Tensor) -> Gaussian:
-        """Beliefs in the coordinates of a motion from ``[position, velocity]``: ``(K, 2 dims)``, ``(K, 2 dims, r)``."""
+        """Beliefs in the coordinates of a motion from ``[position, velocity]``: ``(K, 2 dims)``, ``(K, 2 dims, r)``.
+
+        A motion whose states have no velocity takes the position alone.
+        """
         known = known_components(motion).to(mean.device)
+        mean, root = mean[..., : len(known)], root[..., : len(known), :]
         others = mean.new_ones(motion.size).index_fill(0, known, 0.0)
-        place = torch.nn.functional.one_hot(known, motion.size).to(mean)  # (2 dims, n)
+        place = torch.nn.functional.one_hot(known, motion.size).to(mean)  # (2 dims or dims, n)
         both = torch.cat([place.mT @ root, torch.diag(self.more * others).expand(*mean.shape[:-1], -1, -1)], -1)
         return from_cartesian(motion, Gaussian(mean @ place, tria(both)))
 

@@ -58,7 +58,7 @@ def _stands(motion: Motion, sensor: Sensor, u: Tensor) -> Tensor:
 
 
 def known_components(motion: Motion) -> Tensor:
-    """Indices ``(2 dims,)`` of the components of a state that are position and velocity."""
+    """Indices ``(2 dims,)`` of the components of a state that are position and velocity; ``(dims,)`` without one."""
     if isinstance(motion, Spherical):
         return torch.arange(2 * motion.dims)
     components = torch.arange(motion.size)

@@ -28,6 +28,16 @@ Rows: TypeAlias = list[list[Tensor]]
 """Rows of the covariance roots of all axes: entry i, j is ``(..., d)``."""
 
 
+def measures_positions(sensor: Sensor) -> bool:
+    """Whether a sensor measures positions with one standard deviation, as constant gains need."""
+    return isinstance(sensor, Position) and sensor.std is not None
+
+
+def moves_along_axes(motion: Motion, dims: int) -> bool:
+    """Whether a motion is one of constant velocity or acceleration in so many dimensions, as constant gains need."""
+    return isinstance(motion, ConstantVelocity | ConstantAcceleration) and motion.dims == dims
+
+
 class ConstantGainFilter(Filter[S]):
     """Abstract: a filter of positions, axis by axis."""
 
@@ -36,9 +46,9 @@ class ConstantGainFilter(Filter[S]):
     gamma: Hyper | None
 
     def __init__(self, motion: Motion, sensor: Sensor, initiation: str, period: Value | None) -> None:
-        if not isinstance(sensor, Position) or sensor.std is None:
+        if not measures_positions(sensor):
             raise ValueError(f"sensor: expected a Position with a std, received {type(sensor).__name__}")
-        if not isinstance(motion, ConstantVelocity | ConstantAcceleration) or motion.dims != sensor.size:
+        if not moves_along_axes(motion, sensor.size):
             raise ValueError(
                 f"motion: expected constant velocity or acceleration in {sensor.size} dimensions, received {motion}"
             )
