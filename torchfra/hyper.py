@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
+from functools import reduce, wraps
 from typing import Any, TypeVar
 
 import torch
@@ -149,7 +150,15 @@ class Hyper(nn.Module):
             self.raw.copy_(raw)
 
     def _unconstrained(self, value: Value, name: str) -> Tensor:
-        value = as_numbers(value, name).double()
+        value = as_numbers(value, name)
+        if value.is_meta:
+            raise ValueError(f"{name}: expected numbers, received a tensor on the meta device, which has none")
+        if value.requires_grad:
+            received = "a Parameter" if isinstance(value, nn.Parameter) else "a tensor with a gradient"
+            last = name.rpartition(".")[2]
+            expected = f"numbers, as a filter learns its own copy: learn=({last!r},), torchfra.learnable or .learn()"
+            raise ValueError(f"{name}: expected {expected}, received {received}")
+        value = value.double()
         if 0 in value.shape[: value.dim() - self.event_dim]:
             raise ValueError(f"{name}: expected one value or more, received none, {tuple(value.shape)}")
         if not bool(self.constraint.check(value).all()):
@@ -160,7 +169,21 @@ class Hyper(nn.Module):
     @property
     def interior(self) -> bool:
         """Whether no entry is on the boundary of its range, from where gradient descent cannot move it."""
-        return bool(self.raw.isfinite().all())
+        raw, transform = self.raw.detach(), transform_to(self.constraint)
+        ends = (transform(torch.full_like(raw, end)) for end in (-torch.inf, torch.inf))
+        return bool(raw.isfinite().all()) and not any(bool((transform(raw) == end).any()) for end in ends)
+
+    def out_of_range(self) -> Tensor:
+        """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end.
+
+        That is where training may have left it.
+        """
+        raw = self.raw.detach()
+        value = transform_to(self.constraint)(raw)
+        bad = value.isnan()
+        if not self.sums_to_one:
+            bad = bad | ((raw.abs() == torch.inf) & ~self.constraint.check(value))
+        return bad.flatten(-self.event_dim).any(-1) if self.event_dim else bad
 
     @property
     def sums_to_one(self) -> bool:
@@ -184,6 +207,24 @@ class Hyper(nn.Module):
         if "raw" in self._buffers:
             del self._buffers["raw"]
             self.raw = nn.Parameter(raw)
+
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, local_metadata: Any, strict: bool, missing_keys: list[str],
+        unexpected_keys: list[str], error_msgs: list[str],
+    ) -> None:  # fmt: skip
+        """Loads a value; one that is NaN or out of its range is an error."""
+        raw = state_dict.get(f"{prefix}raw")
+        if isinstance(raw, Tensor) and raw.shape == self.raw.shape and not raw.is_meta:
+            loaded = Hyper.__new__(Hyper)
+            nn.Module.__init__(loaded)
+            loaded.constraint, loaded.event_dim, loaded.raw = self.constraint, self.event_dim, raw.detach()
+            if bool(loaded.out_of_range().any()):
+                expected = _allowed(self.constraint)
+                error_msgs.append(f"{prefix[:-1]}: expected {expected}, received {loaded().tolist()}")
+                return
+        super()._load_from_state_dict(
+            state_dict, prefix, local_metadata, strict, missing_keys, unexpected_keys, error_msgs
+        )
 
     @once
     def forward(self, like: Tensor | None = None) -> Tensor:
@@ -247,6 +288,20 @@ def brings_batch(module: nn.Module) -> bool:
     if isinstance(module, Hyper):
         return module.batch_rank > 0
     return any(part is not None and brings_batch(part) for part in module._modules.values())
+
+
+def out_of_range(module: nn.Module) -> Tensor | None:
+    """``(...)`` bool, where a hyperparameter of a module is NaN or out of its range; None if none is anywhere.
+
+    Where the values themselves are traced the answer is a tensor.  It is quick, as every call of a filter asks.
+    """
+    parts = [part for part in module.modules() if isinstance(part, Hyper)]
+    raws = [part.raw.detach() for part in parts]
+    traced = is_traced(*raws)
+    if not raws or (not traced and math.isfinite(sum(x.sum() for x in raws).item())):  # type: ignore[union-attr]
+        return None
+    bad = reduce(torch.logical_or, (part.out_of_range() for part in parts))
+    return bad if traced or bool(bad.any()) else None
 
 
 def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:

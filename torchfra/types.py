@@ -50,6 +50,11 @@ class Gaussian(NamedTuple):
         """``P (..., n, n) = scale_tril @ scale_tril.mT``."""
         return self.scale_tril @ self.scale_tril.mT
 
+    @property
+    def failed(self) -> Tensor:
+        """``(...)`` bool, where it has NaN or infinity: ``state.belief.failed`` after a step that has failed."""
+        return ~(self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1))
+
     @classmethod
     def from_covariance(cls, mean: Tensor, covariance: Tensor) -> Gaussian:
         """The belief of this mean ``(..., n)`` and positive definite covariance ``(..., n, n)``.
@@ -150,7 +155,7 @@ class Cause(IntEnum):
     INPUT = 3
     """``u`` holds NaN or infinity."""
     VALUE = 4
-    """A hyperparameter of the filter is NaN."""
+    """A hyperparameter of the filter is NaN, or infinitely far out of its range."""
     ARITHMETIC = 5
     """None of these: numbers have overflowed."""
 
@@ -163,12 +168,18 @@ class Failure(NamedTuple):
     """``(...)`` the first step with NaN or infinity, counted from 0; -1 for tracks that have not failed."""
     cause: Tensor
     """``(...)`` the number of a ``Cause``."""
+    values: tuple[str, ...] = ()
+    """Paths of the hyperparameters that are to blame for a ``Cause.VALUE``."""
 
     def describe(self) -> list[str]:
-        """One line for each track that has failed."""
+        """One line for each track that has failed; of a hyperparameter it has the path."""
         failed = self.step >= 0
         each = zip(failed.nonzero().tolist(), self.step[failed].tolist(), self.cause[failed].tolist(), strict=True)
-        return [f"track {tuple(track)}: {Cause(cause).name.lower()}, step {step}" for track, step, cause in each]
+        lines = []
+        for track, step, cause in each:
+            names = f" {', '.join(self.values)}" if cause == Cause.VALUE and self.values else ""
+            lines.append(f"track {tuple(track)}: {Cause(cause).name.lower()}{names}, step {step}")
+        return lines
 
 
 class Estimate(NamedTuple):
@@ -197,8 +208,7 @@ class Estimate(NamedTuple):
     @property
     def failed(self) -> Tensor:
         """``(...)`` True for each track with NaN or infinity at some step; ``failure`` has the step and the cause."""
-        finite = self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1)
-        return ~finite.all(-1)
+        return Gaussian(self.mean, self.scale_tril).failed.any(-1)
 
 
 class CompileError(RuntimeError):

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
+from torchfra.filters.failures import spoilt
 from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
 from torchfra.types import Gaussian
 
@@ -43,7 +44,7 @@ class Advance:
         """The next state, and what else the function gives; of one track, or scene."""
         measurements = Measurements(**data).as_track(scans=f.scans)
         (frame,), _ = f._frames(CompleteScans(*measurements) if self.complete else measurements, int(f.scans))
-        return self.function(f, state, frame)
+        return self.function(f, spoilt(f, state), frame)
 
 
 def keep(f: Any, state: Any, frame: Frame) -> Any:

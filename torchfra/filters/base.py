@@ -13,7 +13,7 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnose, without_failed_gradients
+from torchfra.filters.failures import diagnose, diagnose_smoothed, without_failed_gradients
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
@@ -323,7 +323,8 @@ class Filter(nn.Module, Generic[S]):
             sensor: the sensor that has measured, if it is not the filter's own: see ``with_sensor``.
 
         Returns:
-            The next state, whose ``belief`` is the estimate, and the innovation.
+            The next state, whose ``belief`` is the estimate, and the innovation.  ``belief.failed`` says which tracks
+            have failed; a new ``init`` begins them again.
 
         Raises:
             ValueError: a shape or a value that does not fit.
@@ -464,8 +465,9 @@ class Filter(nn.Module, Generic[S]):
           filter of several models runs again nevertheless, unless ``forward`` was called with ``past=True``.
 
         Returns:
-            Smoothed beliefs in the shapes of ``forward``; ``nis`` and ``log_likelihood`` are those of the filter, and
-            ``info`` is a ``SmoothInfo``.
+            Smoothed beliefs in the shapes of ``forward``; ``nis``, ``log_likelihood`` and ``failure`` are those of the
+            filter, and ``info`` is a ``SmoothInfo``.  Where only the backward pass fails, ``failure`` has the step at
+            which it has.
 
         Raises:
             ValueError: see ``forward``; ``lag`` below 1, or an estimate of other tracks.
@@ -654,7 +656,8 @@ class Filter(nn.Module, Generic[S]):
             self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
         )
         info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)
-        return Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)
+        estimate = Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)
+        return estimate._replace(failure=diagnose_smoothed(f, estimate, filtered))
 
     def _filtered(
         self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
@@ -669,6 +672,8 @@ class Filter(nn.Module, Generic[S]):
             if estimate.mean.shape != expected:
                 received = tuple(estimate.mean.shape)
                 raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
+            if estimate.failure is None:
+                estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
             if estimate.past:
                 return estimate._replace(past=()), estimate.past
         if estimate is None or self.keeps_past:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import torch
 
 from torchfra import tree
+from torchfra.filters.failures import spoilt
 from torchfra.filters.records import Kept, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.hyper import same_values
@@ -90,7 +91,7 @@ class Interpreted:
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
         """The state after one measurement, and its innovation; if ``watched``, with alarm and a copy of the belief."""
-        frame = f._frame(state, measurements)
+        frame, state = f._frame(state, measurements), spoilt(f, state)
         if not watched:
             stepped: tuple[Any, Any] = f.observe(state, frame)
             return stepped
@@ -100,7 +101,7 @@ class Interpreted:
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
         """The result of ``function(f, state, frame)`` for one measurement."""
         (frame,), _ = f._frames(measurements.as_track(scans=f.scans), state.belief.mean.dim() - 1)
-        return function(f, state, frame)
+        return function(f, spoilt(f, state), frame)
 
     def over_steps(
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None,
@@ -109,7 +110,7 @@ class Interpreted:
         """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
         with _constants(checkpoint):
-            state, records = over_steps(f.advance, state, frames, checkpoint, truncate)
+            state, records = over_steps(f.advance, spoilt(f, state), frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         stacked = tree.stack(needed, rank)
         nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))

@@ -11,9 +11,32 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Measurements
-from torchfra.hyper import hypers
+from torchfra.hyper import hypers, out_of_range
 from torchfra.linalg.tracing import is_traced
 from torchfra.types import Cause, Estimate, Failure, Gaussian
+
+
+def spoilt(f: Any, state: Any) -> Any:
+    """The state, whose means are NaN for each track with a hyperparameter that is NaN or out of its range.
+
+    A choice takes NaN for no, and goes on: a gate of NaN would let every measurement pass, or none.  So a filter's
+    state is spoilt where it enters a step.
+    """
+    bad = out_of_range(f)
+    return state if bad is None else _with_nan(state, bad, state.belief.mean.dim() - 1)
+
+
+def _with_nan(state: Any, bad: Tensor, rank: int) -> Any:
+    """The state with NaN for every field ``mean`` where ``bad (...)``, of ``rank`` dimensions."""
+    if not isinstance(state, tuple):
+        return state
+    if not hasattr(state, "_fields"):
+        return tuple(_with_nan(part, bad, rank) for part in state)
+    parts = {name: _with_nan(part, bad, rank) for name, part in zip(state._fields, state, strict=True)}
+    if isinstance(mean := parts.get("mean"), Tensor):
+        each = bad.reshape(bad.shape + (1,) * (mean.dim() - rank))
+        parts["mean"] = torch.where(each, torch.nan, mean)
+    return type(state)(**parts)
 
 
 def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
@@ -32,19 +55,47 @@ def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaus
         total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()
         if math.isfinite(total.item()):
             return Failure(*(torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE))))
-    bad = _broken(mean, root)
+    bad = Gaussian(mean, root).failed
     step = torch.where(bad.any(-1), bad.to(torch.int64).argmax(-1), -1)
     reasons = {
-        Cause.PRIOR: _broken(*prior),
+        Cause.PRIOR: prior.failed,
         Cause.MEASUREMENT: _by_then(measurements.z.isinf().flatten(-1 - f.scans).any(-1), step, f.scans),
-        Cause.VALUE: torch.stack([bad.new_zeros(()), *(h().isnan().any() for h in hypers(f).values())]).any(),
+        Cause.VALUE: bad.new_zeros(()) if (values := out_of_range(f)) is None else values,
     }
     if measurements.u is not None:
         reasons[Cause.INPUT] = _by_then(~measurements.u.isfinite().all(-1), step, f.scans)
     cause = torch.full_like(step, Cause.ARITHMETIC)
     for reason in sorted(reasons, reverse=True):
         cause = torch.where(reasons[reason], int(reason), cause)
-    return Failure(step, torch.where(step < 0, int(Cause.NONE), cause))
+    names = () if values is None or is_traced(values) else bad_values(f)
+    return Failure(step, torch.where(step < 0, int(Cause.NONE), cause), names)
+
+
+def diagnose_smoothed(f: Any, smoothed: Estimate, filtered: Estimate) -> Failure:
+    """The failure of the filtered estimate, and of tracks of which the backward pass alone has failed its last step."""
+    assert filtered.failure is not None
+    mean, root = smoothed.mean.detach(), smoothed.scale_tril.detach()
+    # The backward pass ends at the first step, which is not finite if a later one is not.
+    if not is_traced(mean) and math.isfinite((mean.select(-2, 0).sum() + root.select(-3, 0).sum()).item()):
+        return filtered.failure
+    bad, (step, cause, values) = Gaussian(mean, root).failed, filtered.failure
+    last = bad.shape[-1] - 1 - bad.flip(-1).to(torch.int64).argmax(-1)
+    here = bad.any(-1) & (step < 0)
+    return Failure(torch.where(here, last, step), torch.where(here, int(Cause.ARITHMETIC), cause), values)
+
+
+def diagnose_step(f: Any, before: Gaussian, measurements: Measurements, after: Gaussian) -> Failure:
+    """The failure, at step 0, of a single step between two beliefs of a filter of single targets."""
+    mean, root = after.mean.unsqueeze(-2), after.scale_tril.unsqueeze(-3)
+    estimate = Estimate(mean, root, mean[..., 0], mean[..., 0], None)
+    return diagnose(f, estimate, measurements.as_track(), before)
+
+
+def bad_values(f: Any) -> tuple[str, ...]:
+    """Paths of the hyperparameters that are NaN or out of their range."""
+    if out_of_range(f) is None:
+        return ()
+    return tuple(path for path, hyper in hypers(f).items() if bool(hyper.out_of_range().any()))
 
 
 def without_failed_gradients(
@@ -94,11 +145,6 @@ def without_failed_gradients(
     result = again(data, Gaussian(replaced(prior.mean, 1), replaced(prior.scale_tril, 2)))
     either: Estimate = tree.map_tensors(chosen, estimate, result)
     return either
-
-
-def _broken(mean: Tensor, root: Tensor) -> Tensor:
-    """``(...)`` bool, where a belief is not finite."""
-    return ~(mean.isfinite().all(-1) & root.isfinite().flatten(-2).all(-1))
 
 
 def _by_then(bad: Tensor, step: Tensor, scans: bool) -> Tensor:

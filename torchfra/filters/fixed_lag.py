@@ -11,6 +11,7 @@ from torchfra import tree
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.checks import check_lengths
 from torchfra.filters.engine import backward_pass
+from torchfra.filters.failures import spoilt
 from torchfra.filters.fusion import joined
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import Frame, Measurements, Time
@@ -107,7 +108,7 @@ class FixedLag(nn.Module):
 def step_kept(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     frame = f._frame(state, measurements)
-    state, record = f.advance(state, frame)
+    state, record = f.advance(spoilt(f, state), frame)
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
@@ -12,6 +13,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.alarms import faulty_seconds
 from torchfra.filters.base import Filter, in_full_precision
+from torchfra.filters.failures import diagnose_step
 from torchfra.filters.fixed_lag import smooth_window, step_kept
 from torchfra.filters.forecast import Forecast
 from torchfra.filters.protection import protection_level
@@ -20,7 +22,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_counts, seconds
 from torchfra.stream.intake import Intake
 from torchfra.stream.window import At, Clock, Entry, Window
-from torchfra.types import Alarm, Gaussian, Innovation
+from torchfra.types import Alarm, Failure, Gaussian, Innovation
 
 OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
 FORMAT = 1
@@ -56,6 +58,8 @@ class Report(NamedTuple):
     """Innovation of the measurement; None for one that was left out."""
     alarm: Alarm | None = None
     """Whether its sensor is faulty: ``Tracker.alarms``; None for filters without alarms."""
+    failure: Failure | None = None
+    """See ``Tracker.failure``."""
 
 
 class Known(NamedTuple):
@@ -123,6 +127,46 @@ class Tracker:
             self._window = Window(seconds("time", time), Known(state, alarms))
         self._counts = dict.fromkeys(OUTCOMES, 0)
         self._clock = Clock(jump)
+        self._failure: Failure | None = None
+
+    @in_full_precision
+    @torch.no_grad()
+    def restart(self, prior: Gaussian, which: Tensor | None = None) -> None:
+        """Begins streams again at the time of the newest measurement, such as those that have failed.
+
+        Earlier measurements are forgotten, those of all streams.  ``counts`` go on, and so does the clock.
+
+        Args:
+            prior: the belief then; its batch is that of the streams.
+            which: ``(...)`` bool, the streams that begin again; None for all.
+
+        Raises:
+            ValueError: a prior of another size or batch.
+        """
+        batch, now = self._intake.batch, self._now
+        state = self._intake.start(prior)
+        alarms = tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if self.filter.alarms)
+        begun = Known(state, alarms)
+        like = [(x.shape, x.dtype) for x in tree.flatten(now)]
+        if like != [(x.shape, x.dtype) for x in tree.flatten(begun)]:
+            self._intake.batch = batch
+            raise ValueError(f"prior: expected one of streams {tuple(batch)}, received {tuple(prior.mean.shape[:-1])}")
+        if which is not None:
+            begun = tree.where(which, begun, now)
+        self._window = Window(self._window.newest, begun)
+        failure, self._failure = self._failure, None
+        if failure is not None and which is not None:
+            step, cause, values = failure
+            step, cause = torch.where(which, -1, step), torch.where(which, 0, cause)
+            self._failure = Failure(step, cause, values) if bool((step >= 0).any()) else None
+
+    @property
+    def failure(self) -> Failure | None:
+        """Which streams have failed, and why; None if none has.
+
+        A step is a measurement that was put in, counted from 0.  A failed stream stays NaN until ``restart``.
+        """
+        return self._failure
 
     @property
     def time(self) -> float:
@@ -280,6 +324,7 @@ class Tracker:
             "entries": [{**entry._asdict(), "state": tree.flatten(entry.state)} for entry in window.entries],
             "clock": self._clock.state_dict(),
             "counts": dict(self._counts),
+            "failure": None if self._failure is None else tuple(self._failure),
         }
 
     def load_state_dict(self, values: Mapping[str, Any]) -> None:
@@ -305,6 +350,8 @@ class Tracker:
         except (KeyError, TypeError) as error:
             raise ValueError(f"values: expected all entries of state_dict, received none of {error}") from None
         self._window, self._clock, self._counts = window, clock, counts
+        failure = values.get("failure")  # files of earlier versions have none
+        self._failure = None if failure is None else Failure(*failure)
 
     def _old(self, time: Any, entry: Entry) -> Report:
         """Refuses a measurement that comes too late, or counts it."""
@@ -326,6 +373,8 @@ class Tracker:
                 alarms: Alarms = (alarm,)
             else:
                 alarms = _alarms_after(known.alarms, each.sensor, alarm, measurements.z, each.time - time)
+            if not _is_finite(state.belief):
+                self._note_failure(diagnose_step(f, known.state.belief, measurements, state.belief))
             known = Known(state, alarms)
             done.append(each._replace(state=known))
             innovations.append(innovation)
@@ -333,10 +382,27 @@ class Tracker:
         window.entries[place:] = done
         return innovations[0], self._intake.outward(belief, copy=False)
 
+    def _note_failure(self, now: Failure) -> None:
+        """Remembers the failures of a measurement, of streams that had not failed before."""
+        put_in = sum(self._counts[outcome] for outcome in ("used", "late", "jumped"))
+        now = now._replace(step=torch.where(now.step < 0, -1, put_in))
+        if self._failure is not None:
+            earlier = self._failure.step >= 0
+            step, cause = (torch.where(earlier, a, b) for a, b in zip(self._failure[:2], now[:2], strict=True))
+            now = Failure(step, cause, self._failure.values or now.values)
+        self._failure = now
+
     def _report(self, outcome: str, entry: Entry, belief: Gaussian, innovation: Innovation | None = None) -> Report:
         self._counts[outcome] += 1
         alarms = self._now.alarms
-        return Report(self.time, belief, outcome, innovation, alarms[entry.sensor] if alarms else None)
+        return Report(self.time, belief, outcome, innovation, alarms[entry.sensor] if alarms else None, self._failure)
+
+
+def _is_finite(belief: Gaussian) -> bool:
+    """Whether all numbers of a belief are finite; of one small belief without arithmetic on tensors."""
+    if belief.mean.dim() == 1 and len(belief.mean) <= 16:
+        return all(map(math.isfinite, belief.mean.tolist() + belief.scale_tril.flatten().tolist()))
+    return math.isfinite((belief.mean.sum() + belief.scale_tril.sum()).item())
 
 
 def _state_like(like: Any, tensors: Sequence[Tensor]) -> Any:

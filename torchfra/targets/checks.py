@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from torchfra.filters.failures import bad_values
 from torchfra.filters.gpb import GPB
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss
@@ -160,6 +161,8 @@ def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Sce
 
 def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | range) -> None:
     _check_missable(filter)  # values may have been set since
+    if names := bad_values(filter):
+        raise ValueError(f"filter: expected hyperparameters in their range, received {', '.join(names)} out of it")
     size = filter.sensor.size
     if not isinstance(z, Tensor) or z.dim() not in ranks or z.shape[-1] != size or z.dtype not in _DTYPES:
         received = f"{tuple(z.shape)}, {z.dtype}" if isinstance(z, Tensor) else type(z).__name__
