@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor, nn
 from torch.distributions import constraints, transform_to
+from typing_extensions import Self
 
 from torchfra import tree
 from torchfra.linalg.tracing import is_elementary, is_traced
@@ -170,8 +171,12 @@ class Hyper(nn.Module):
     def interior(self) -> bool:
         """Whether no entry is on the boundary of its range, from where gradient descent cannot move it."""
         raw, transform = self.raw.detach(), transform_to(self.constraint)
-        ends = (transform(torch.full_like(raw, end)) for end in (-torch.inf, torch.inf))
-        return bool(raw.isfinite().all()) and not any(bool((transform(raw) == end).any()) for end in ends)
+        value, least = transform(raw), torch.finfo(raw.dtype).tiny
+        for infinite in (-torch.inf, torch.inf):  # torch stops short of an end, by the least number or so
+            end = transform(torch.full_like(raw, infinite))
+            if bool(((value == end) | ((value - end).abs() <= 4 * least)).any()):
+                return False
+        return bool(raw.isfinite().all())
 
     def out_of_range(self) -> Tensor:
         """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end.
@@ -195,8 +200,14 @@ class Hyper(nn.Module):
         """Number of batch dimensions of the value."""
         return self.raw.dim() - self.event_dim
 
+    def requires_grad_(self, requires_grad: bool = True) -> Self:
+        """``nn.Module.requires_grad_``; a fixed value learns."""
+        if requires_grad:
+            self.learn()
+        return super().requires_grad_(requires_grad)
+
     def learn(self, name: str = "value") -> None:
-        """Makes the value a parameter.
+        """Makes the value a parameter, which an optimiser finds in ``parameters()``: ``f.robust.threshold.learn()``.
 
         Raises:
             ValueError: the value is on the boundary of its range.
@@ -262,6 +273,36 @@ def _allowed(constraint: constraints.Constraint) -> str:
         return f"a value in [{low:g}, {high:g}{')' if isinstance(constraint, _HALF_OPEN) else ']'}"
     strict = isinstance(constraint, type(constraints.greater_than(0.0)))
     return f"a value above {low:g}" if strict else f"a value of {low:g} or more"
+
+
+class Part(nn.Module):
+    """A module with hyperparameters, which refuses what would change none of them without a word.
+
+    Raises:
+        ValueError: an assignment to the name of a hyperparameter, at any depth, or ``requires_grad_()`` of a module
+            that has nothing to learn.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        known, plain = self.__dict__, not isinstance(value, nn.Module | None)
+        if plain and name not in known and "_modules" in known:
+            self._refuse(name, value)
+        super().__setattr__(name, value)
+
+    def _refuse(self, name: str, value: Any) -> None:
+        """Refuses a value for the name of a hyperparameter."""
+        paths = [path for path in hypers(self) if path.rpartition(".")[2] == name]
+        if paths:
+            way = " or ".join(f".{path}.set(...)" for path in paths)
+            learning = ", and .learn() to learn it" if isinstance(value, nn.Parameter) else ""
+            raise ValueError(f"{name}: expected {way}{learning}, received an assignment of {value!r}")
+
+    def requires_grad_(self, requires_grad: bool = True) -> Self:
+        """``nn.Module.requires_grad_``, of a module that has something to learn."""
+        if requires_grad and next(self.parameters(), None) is None and hypers(self):
+            expected = "values to learn: torchfra.learnable(..., 'all'), or .learn() of a hyperparameter, makes them"
+            raise ValueError(f"requires_grad_: expected {expected}, received none")
+        return super().requires_grad_(requires_grad)
 
 
 def hypers(module: nn.Module) -> dict[str, Hyper]:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
-from torchfra.hyper import Hyper, Value, one_of
+from torchfra.hyper import Hyper, Part, Value, one_of
 from torchfra.linalg.gram import gram_pinv
 from torchfra.linalg.safe import in_range, safe_divide
 from torchfra.linalg.triangular import dependent, hstack, tria
@@ -30,7 +30,7 @@ class Memory(NamedTuple):
     """``(..., m, m)`` 1 where an entry has been measured at least once, else 0."""
 
 
-class NoFading(nn.Module):
+class NoFading(Part):
     """No fading factors."""
 
     @property

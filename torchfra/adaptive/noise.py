@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.gaussian.update import down_weight
-from torchfra.hyper import Hyper, Value, one_of
+from torchfra.hyper import Hyper, Part, Value, one_of
 from torchfra.numbers import as_number, as_numbers, is_integer
 from torchfra.tree import event_ranks
 from torchfra.types import Whitened
@@ -28,7 +28,7 @@ class NoiseMemory(NamedTuple):
     """``(..., m)`` number of innovations so far."""
 
 
-class NominalNoise(nn.Module):
+class NominalNoise(Part):
     """No estimate: the measurement noise is the sensor's."""
 
     adapt = "never"

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.association.gates import Candidates
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Part, Value
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 
 
-class Clutter(nn.Module):
+class Clutter(Part):
     """Density of false measurements, uniform in space or in measurement space.
 
     Args:

@@ -6,11 +6,11 @@ import math
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 from torch.nn.functional import logsigmoid
 
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Part, Value
 from torchfra.linalg.safe import safe_log, safe_sqrt
 from torchfra.numbers import as_number, as_numbers, as_tensor
 from torchfra.sensors.base import Sensor
@@ -32,7 +32,7 @@ class Candidates(NamedTuple):
     """``(..., N, J)`` normalised innovation squared."""
 
 
-class Gate(nn.Module):
+class Gate(Part):
     """Abstract: a subclass defines ``beyond``, and ``gate_probability`` if it is not 1."""
 
     def check(self, sensor: Sensor) -> None:

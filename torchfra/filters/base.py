@@ -33,6 +33,7 @@ from torchfra.gaussian.model import Propagated, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import smooth_step
 from torchfra.gaussian.update import density, innovation
+from torchfra.hyper import Part
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_square
 from torchfra.linalg.triangular import tria
@@ -72,7 +73,7 @@ def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-class Filter(nn.Module, Generic[S]):
+class Filter(Part, Generic[S]):
     """Abstract: a subclass gives two functions, and a third for smoothing other than Rauch-Tung-Striebel's.
 
     ::
@@ -126,6 +127,8 @@ class Filter(nn.Module, Generic[S]):
         self, motion: Motion | None = None, sensor: Sensor | None = None, rule: Callable[[int], Rule] = third_degree
     ) -> None:
         super().__init__()
+        if torch.empty(0).is_meta:
+            raise ValueError("device: expected one with memory to build a filter on, received torch's default of meta")
         self.engine, self._views = INTERPRETED, SensorViews()
         if motion is None or sensor is None:
             return

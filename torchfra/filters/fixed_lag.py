@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.base import Filter, in_full_precision
@@ -15,6 +15,7 @@ from torchfra.filters.failures import spoilt
 from torchfra.filters.fusion import joined
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import Frame, Measurements, Time
+from torchfra.hyper import Part
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
 
@@ -50,7 +51,7 @@ class FixedLagState(NamedTuple):
         return self.belief if self.smoothed is None else self.smoothed.belief
 
 
-class FixedLag(nn.Module):
+class FixedLag(Part):
     """A filter whose ``step`` also gives the estimate ``lag`` steps back, smoothed by all later ones: ``state.lagged``.
 
     These are the estimates of ``smooth(..., lag=lag)``.  A step takes the time of one step forwards and ``lag`` steps

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.interaction import PER_MODEL, identity_at_zero_dt
 from torchfra.gaussian.inputs import Frame
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Part, Value
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.motion.bank import Bank
 from torchfra.numbers import as_numbers
 
 
-class LikelyModels(nn.Module):
+class LikelyModels(Part):
     """Likely-model set: the active models of a bank, of a fixed number, chosen before every step.
 
     Principal models have a probability above ``principal``, unlikely ones below ``unlikely``.  The set takes principal

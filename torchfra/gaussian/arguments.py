@@ -111,6 +111,8 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
         plain = f"{name}.astype(float).filled(numpy.nan)" if masked else name
         hint = f"take torch.as_tensor({plain}, dtype=torch.float64)"  # without it a list would be rounded to float32
         raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
+    if x.is_meta:
+        raise ValueError(f"{name}: expected a tensor with numbers, received one on the meta device, which has none")
     if precisions and x.dtype not in precisions:
         raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}")
     if x.is_complex():

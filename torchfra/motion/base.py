@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra.angles import wrap
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Part, Value
 from torchfra.linalg.triangular import apply
 from torchfra.motion.blocks import acceleration_gain
 from torchfra.tree import event_ranks
@@ -47,7 +47,7 @@ class Adaptation(NamedTuple):
         return added if shift is None else shift + added, process_noise * factor.unsqueeze(-1)
 
 
-class Motion(nn.Module):
+class Motion(Part):
     """Abstract: how a state evolves over ``dt`` seconds, and with what process noise.
 
     To write your own motion, subclass this and define

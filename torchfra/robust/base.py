@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.gaussian.update import correct
+from torchfra.hyper import Part
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
 
@@ -26,7 +27,7 @@ class Corrected(NamedTuple):
     """``(...)`` bool, whether a covariance was repaired, for an update that may subtract too much."""
 
 
-class Robust(nn.Module):
+class Robust(Part):
     """The plain update, which down-weights nothing; a subclass gives ``forward``, ``correct`` or both."""
 
     @property

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.angles import wrap
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Part, Value
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.numbers import as_numbers
 from torchfra.tree import event_ranks
@@ -54,7 +54,7 @@ class MeasurementNoise(NamedTuple):
 Expected = Sequence[tuple[int, tuple[str, ...]]]
 
 
-class Sensor(nn.Module):
+class Sensor(Part):
     """Abstract: what is measured of a state, and with what noise.
 
     To write your own sensor, subclass this, define ``forward(x, u)`` and pass sizes and noise to this class.  All

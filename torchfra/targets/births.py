@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import pad
 
-from torchfra.hyper import Hyper, Value
+from torchfra.hyper import Hyper, Part, Value
 from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.numbers import is_integer, positive
@@ -38,7 +38,7 @@ class Newborn(NamedTuple):
     """``(K,)`` row of its newest measurement among those of this scan."""
 
 
-class Birth(nn.Module):
+class Birth(Part):
     """Abstract: a subclass defines ``forward``.
 
     Args:
@@ -165,7 +165,7 @@ class TwoPoint(Birth):
         return f"speed={self.speed:g}"
 
 
-class PoissonBirths(nn.Module):
+class PoissonBirths(Part):
     """Log probability of the number of targets that begin in each scan, to learn their rate by.
 
     Together with the likelihood of the scans it is the negative log likelihood of a sequence, given its targets::

@@ -16,6 +16,7 @@ from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.hyper import Part
 from torchfra.numbers import as_number, fraction, is_integer
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
@@ -38,7 +39,7 @@ FORMAT = 4
 """Version of saved states."""
 
 
-class Targets(nn.Module):
+class Targets(Part):
     """Tracks any number of targets in scans of unlabelled measurements, with track initiation and deletion.
 
     In every scan the targets are predicted, gated and split into clusters that share measurements; the filter takes all

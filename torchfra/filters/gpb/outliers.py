@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
@@ -16,7 +16,7 @@ from torchfra.filters.gpb.noise import evidence
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.markov import sojourn_times
 from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
-from torchfra.hyper import Hyper, Value, Values, once, one_given
+from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
 from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import apply, hstack, tria
@@ -25,7 +25,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 
-class Outliers(nn.Module):
+class Outliers(Part):
     """Whether measurements are outliers: a Markov chain for each block of elements.
 
     Args:

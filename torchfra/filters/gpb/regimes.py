@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
@@ -14,7 +14,7 @@ from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, v
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Propagated
-from torchfra.hyper import Hyper, Values, once, one_given
+from torchfra.hyper import Hyper, Part, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.numbers import as_numbers, as_tensor
@@ -39,7 +39,7 @@ class Switching(NamedTuple):
     """Logs of the weights of the regimes in the next step, ``stayed + restarted``, without the common factor."""
 
 
-class Regimes(nn.Module):
+class Regimes(Part):
     """The Markov chain of a step's regime: levels of process noise, motions of a bank, climbs, manoeuvres and jumps.
 
     There are ``R = L + (K - 1) + C + M + J`` regimes, in this order.  The first motion has ``L`` levels of process
