@@ -13,6 +13,7 @@ from torchfra.hyper import hypers
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.stream import Tracker
+from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
 
 MOTION, SENSOR, BANK = ConstantVelocity(1.0), Position(2.0), [ConstantVelocity(1.0), ConstantVelocity(100.0)]
 DURATIONS = {"durations": (100.0,) * 6, "outlier_durations": (100.0, 3.0), "outlier_offsets": (1.0, 2.0, 3.0, 4.0)}
@@ -125,3 +126,16 @@ def test_infinite_values_that_mean_something_are_loaded():
     other.load_state_dict(f.state_dict())
     assert other.robust.threshold() == torch.inf
     assert Hyper(torch.inf)().item() == torch.inf
+
+
+def test_targets_refuse_a_filter_with_such_a_value_by_its_name():
+    f = presets.jpda(MOTION, SENSOR, clutter=Clutter(1e-4, rate=1.0))
+    targets = Targets(f, birth=TwoPoint(speed=10.0), confirmation=SPRT(false=1e-4), deletion=Deletion(misses=3))
+    state = targets.step(targets.init(), torch.zeros(1, 2).double())
+    spoilt(targets.filter, "inner.sensor.std")
+    for call in (
+        lambda: targets.step(state, torch.zeros(1, 2).double()),
+        lambda: targets(torch.zeros(3, 1, 2).double()),
+    ):
+        with pytest.raises(ValueError, match=r"filter: expected hyperparameters in their range.*inner\.sensor\.std"):
+            call()

@@ -162,7 +162,9 @@ def check_scans(filter: JPDA, z: Tensor, dt: Time, u: Tensor | None) -> list[Sce
 def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | range) -> None:
     _check_missable(filter)  # values may have been set since
     if names := bad_values(filter):
-        raise ValueError(f"filter: expected hyperparameters in their range, received {', '.join(names)} out of it")
+        raise ValueError(
+            f"filter: expected hyperparameters in their range, received NaN or out of it: {', '.join(names)}"
+        )
     size = filter.sensor.size
     if not isinstance(z, Tensor) or z.dim() not in ranks or z.shape[-1] != size or z.dtype not in _DTYPES:
         received = f"{tuple(z.shape)}, {z.dtype}" if isinstance(z, Tensor) else type(z).__name__
