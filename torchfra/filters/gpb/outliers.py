@@ -324,7 +324,9 @@ class Outliers(nn.Module):
         start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
         if change is not None:
             probability, whitened = change
-            _, log_same = sequential(whitened.spread, whitened.residual, (2 * sizes[:1]).sqrt(), missing)  # of two steps
+            _, log_same = sequential(
+                whitened.spread, whitened.residual, (2 * sizes[:1]).sqrt(), missing
+            )  # of two steps
             without, same = joint[start:], log_same + prior.log() + safe_log(probability)
             joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
             updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
@@ -385,7 +387,10 @@ def sequential(
     mean, squares, stds = torch.zeros_like(rows[0]), torch.zeros_like(residual[..., 0]), []
     sizes, small = noise.square(), _small(noise.dtype)
     far = sizes == torch.inf  # the unknowns vary little beside such noise
-    far_inverse, log_scale = 1 / torch.where(far, noise, 1.0), torch.where(far, torch.full_like(noise, math.log(small)), 0.0)
+    far_inverse, log_scale = (
+        1 / torch.where(far, noise, 1.0),
+        torch.where(far, torch.full_like(noise, math.log(small)), 0.0),
+    )
     for i in range(m):
         f = (root * rows[i].unsqueeze(1)).sum(0)
         std = torch.where(far, noise, (f.square().sum(0) + sizes).sqrt())
