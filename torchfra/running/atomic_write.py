@@ -20,9 +20,9 @@ if sys.platform != "win32":
 def write(path: str | Path, fill: Callable[[IO[bytes]], object]) -> Path:
     """Lets ``fill`` write a temporary file, and moves it to ``path`` when it is complete; makes the folder.
 
-    Links are followed.  A file that is replaced keeps its permissions, and its owner where that is allowed.  A device or
-    a pipe at ``path`` is written to and not replaced; so is the file to which standard output or standard error is
-    redirected.
+    Links are followed.  A file that is replaced keeps its permissions, and its owner where that is allowed.  What is no
+    file, a device or a pipe, is written to and not replaced; so is the file to which standard output or standard error
+    is redirected.
 
     Raises:
         OSError: it cannot be written, with ``path`` as its ``filename``; an older file there is unchanged.
