@@ -214,7 +214,7 @@ def test_models_that_are_right_have_no_problems(motion, sensor, options):
         (
             Hurried(),
             RANGES,
-            r"no time: the position for states .3, 4. and a dt of 0: expected as it was",
+            r"no time: the position for states .3, 4. and a dt of 0 .*: expected as it was",
             "def forward(",
         ),
         (
@@ -287,6 +287,55 @@ def test_a_state_and_a_u_may_be_lists_and_what_mixes_tracks_is_told_by_how_much(
 def test_a_sensor_that_reads_more_than_it_says_is_told_of_although_shapes_fit():
     (problem,) = check_model(STRAIGHT, Short()).problems
     assert "measurement of the 3 components that it reads alone (reads): expected that of the whole state" in problem
+
+
+# ---------------------------------------------------------------- series, networks
+
+
+class Autoregressive(Motion):
+    """Of the second order: states ``[value, value before]``, a step for each measurement, whatever ``dt``."""
+
+    linear = True
+
+    def __init__(self, **options):
+        super().__init__(1, 2, None, **options)
+
+    def transition(self, dt):
+        return torch.tensor([[1.5, -0.7], [1.0, 0.0]], dtype=dt.dtype).expand(*dt.shape, 2, 2)
+
+    def process_noise(self, dt):
+        return torch.tensor([[1.0], [0.0]], dtype=dt.dtype).expand(*dt.shape, 2, 1)
+
+
+class Learned(Motion):
+    def __init__(self, both=False):
+        super().__init__(2, 2, 0.1)
+        self.network, self.both = torch.nn.Sequential(torch.nn.Linear(4, 4), torch.nn.Tanh()), both
+
+    def forward(self, x, dt, u=None):
+        known = x.to(self.network[0].weight) if self.both else x
+        return x + dt.unsqueeze(-1) * self.network(known).to(x)
+
+
+def test_a_series_says_of_what_kind_it_is_and_gets_all_checks():
+    (problem,) = check_model(Autoregressive(), Itself()).problems
+    (advice,) = re.findall(r"hand (kinds=\('other', 'other'\)) to Motion", problem)
+    report = check_model(eval(f"Autoregressive({advice})"), Itself())
+    assert report.ok, report
+    assert "right: in a filter: " in str(report)
+
+
+def test_all_other_checks_of_a_motion_that_moves_in_no_time_are_told():
+    assert "right: Hurried.forward: shapes, batches, precision, linearity, gradients, vmap" in str(
+        check_model(Hurried(), RANGES)
+    )
+
+
+def test_a_network_of_one_precision_is_told_how_to_take_both():
+    (problem,) = check_model(Learned(), RANGES).problems
+    assert "for states in float32: " in problem
+    assert "take both: self.network(x.to(weights)).to(x)" in problem
+    assert check_model(Learned(both=True), RANGES).ok
 
 
 # ---------------------------------------------------------------- models in which rounding grows

@@ -152,6 +152,25 @@ def test_what_a_killed_write_has_left_is_gone_after_the_next(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664, 0o755])
+def test_a_file_that_is_replaced_keeps_its_permissions_from_the_first_byte_on(mode, tmp_path):
+    path, seen = tmp_path / "a.txt", []
+    path.write_text("old")
+    path.chmod(mode)
+    write(path, lambda file: (seen.append(os.fstat(file.fileno()).st_mode), file.write(b"new")))
+    assert path.read_text() == "new"
+    assert [stat.S_IMODE(x) for x in (*seen, path.stat().st_mode)] == [mode, mode]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
+def test_a_file_that_root_replaces_stays_that_of_its_owner(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    os.chown(path, 1234, 4321)
+    write_text(path, "new")
+    assert (path.stat().st_uid, path.stat().st_gid) == (1234, 4321)
+
+
 def test_of_two_that_write_the_same_file_one_waits_for_the_other(tmp_path):
     path, begun, seen = tmp_path / "a.txt", threading.Event(), []
 

@@ -163,6 +163,16 @@ def test_quotes_lines_and_line_ends_are_read_alike_wherever_a_piece_ends(tmp_pat
         np.testing.assert_array_equal(read(path)[0].position, [[1, 2], [2, 3], [3, 4], [4, 5], [5, 6]])
 
 
+@pytest.mark.parametrize("end", ["", "\n"])
+@pytest.mark.parametrize("of", [lambda k: f"2024-05-01T12:00:{k:02}Z", lambda k: str(1714564800000 + 1000 * k)])
+def test_a_file_of_several_pieces_may_end_without_a_new_line(of, end, tmp_path, monkeypatch):
+    monkeypatch.setattr("torchfra.readers.bounded.LONGEST_ROW", 100)
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,x,y", *(f"{of(k)},{10 * k},{5 * k}" for k in range(50))]) + end)
+    (recording,) = read(path)
+    assert recording.time.tolist() == [1714564800.0 + k for k in range(50)]
+
+
 @pytest.mark.slow
 def test_a_long_file_is_read_in_a_few_times_its_numbers(tmp_path):
     rows = 150_000

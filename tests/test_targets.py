@@ -506,6 +506,15 @@ def test_scans_that_do_not_fit_are_named(z, options, message):
         targets.step(targets.init(), z, **options)
 
 
+def test_a_measurement_that_single_precision_cannot_hold_is_refused_with_the_largest_that_it_can():
+    targets = Targets(plane())
+    wide = torch.tensor([[1e300, 0.0]], dtype=torch.float64)
+    for z, dtype in ((wide.float(), torch.float64), (wide, torch.float32)):
+        with pytest.raises(ValueError, match=r"z: expected finite .* \(the largest number of float32 is 3\.4e\+38\)"):
+            targets.step(targets.init(dtype=dtype), z)
+    assert targets.step(targets.init(), wide).belief.mean.isfinite().all()
+
+
 def test_sequences_and_states_that_do_not_fit_are_named():
     targets = Targets(plane())
     with pytest.raises(ValueError, match=r"z: expected floating-point scans \(..., T, J, m\)"):

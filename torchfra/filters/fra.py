@@ -86,8 +86,8 @@ class FRAInfo(NamedTuple):
 
     @property
     def outlier(self) -> Tensor:
-        """``(..., T, 1)`` bool: the robust branch was kept at an abnormal step."""
-        return (self.abnormal & ~self.adaptive & ~self.plain).unsqueeze(-1)
+        """``(..., T, 1)`` probability of an outlier: 1 if the robust branch was kept at an abnormal step, else 0."""
+        return (self.abnormal & ~self.adaptive & ~self.plain).to(self.fading).unsqueeze(-1)
 
 
 class Choice(NamedTuple):

@@ -313,7 +313,7 @@ def _number_of_month(name: re.Match[str]) -> str:
 def usual_iso_seconds(cells: Sequence[Any]) -> NDArray[np.float64] | None:
     """Seconds since 1970 of ISO text in UTC, NaN where empty, fast; None if a cell is something else."""
     try:
-        lines = "\n".join(cells) + "\n"
+        lines = "".join([cell + "\n" for cell in cells])  # of no cells, as behind the last whole line, none
         if not _USUAL.fullmatch(lines):
             return None
         moments = np.array(re.sub(_UTC + "\n", "\n", lines).split("\n")[:-1], "datetime64[us]")

@@ -20,8 +20,9 @@ if sys.platform != "win32":
 def write(path: str | Path, fill: Callable[[IO[bytes]], object]) -> Path:
     """Lets ``fill`` write a temporary file, and moves it to ``path`` when it is complete; makes the folder.
 
-    Links are followed.  A device or a pipe at ``path`` is written to and not replaced; so is the file to which standard
-    output or standard error is redirected.
+    Links are followed.  A file that is replaced keeps its permissions, and its owner where that is allowed.  What is no
+    file, a device or a pipe, is written to and not replaced; so is the file to which standard output or standard error
+    is redirected.
 
     Raises:
         OSError: it cannot be written, with ``path`` as its ``filename``; an older file there is unchanged.
@@ -136,6 +137,7 @@ def _same(path: Path, number: int) -> bool:
 def _replace(target: Path, fill: Callable[[IO[bytes]], object]) -> None:
     with _locked(_unfinished(target)) as (file, unfinished):
         try:
+            _keep_closed(file, target)
             fill(file)
             file.flush()
             os.fsync(file.fileno())
@@ -145,6 +147,17 @@ def _replace(target: Path, fill: Callable[[IO[bytes]], object]) -> None:
         except BaseException:
             unfinished.unlink(missing_ok=True)
             raise
+
+
+def _keep_closed(file: IO[bytes], target: Path) -> None:
+    """Gives an empty file the owner and the permissions of the one that it will replace, if there is one."""
+    if sys.platform == "win32" or not target.exists():
+        return
+    old = target.stat()
+    for owner, group in ((-1, old.st_gid), (old.st_uid, -1)):
+        with suppress(PermissionError):  # who writes may, and then owns it
+            os.fchown(file.fileno(), owner, group)
+    os.fchmod(file.fileno(), stat.S_IMODE(old.st_mode))
 
 
 def _unfinished(target: Path) -> Path:

@@ -126,7 +126,9 @@ def check_scan(
     if bool((seconds < 0).any()) and not state.past:
         raise ValueError(f"dt: expected 0 or more before any scan has come, received {seconds.tolist()}")
     own = (x if x is None else x.to(like) for x in (std, noise))
-    return SceneScan(z.to(like), seconds, _inputs(u, (scenes,), like), *own)
+    z = z.to(like)
+    _check_finite(z)  # in the dtype of the state
+    return SceneScan(z, seconds, _inputs(u, (scenes,), like), *own)
 
 
 def _check_noise(filter: JPDA, measurements: Measurements) -> None:
@@ -171,8 +173,13 @@ def _check_scans(filter: JPDA, z: Tensor, shape: str, ranks: tuple[int, ...] | r
         raise ValueError(
             f"z: expected floating-point scans {shape} with m of {size}, float32 or float64, received {received}"
         )
+    _check_finite(z)
+
+
+def _check_finite(z: Tensor) -> None:
     if bool(z.isinf().any()):
-        raise ValueError("z: expected finite measurements, or NaN where there is none, received an infinite one")
+        largest = f"an infinite one (the largest number of {str(z.dtype)[6:]} is {torch.finfo(z.dtype).max:.1e})"
+        raise ValueError(f"z: expected finite measurements, or NaN where there is none, received {largest}")
 
 
 def _seconds(dt: Time, shape: tuple[int, ...], *, zero_dt: bool = False, lag: float = 0.0) -> Tensor:

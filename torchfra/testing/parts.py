@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchfra.hyper import Hyper
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -109,7 +110,10 @@ def batches(part: Part) -> None:
 
 
 def no_time(part: Part) -> None:
-    """A ``dt`` of 0, for a second measurement at the same instant."""
+    """A ``dt`` of 0, for a second measurement at the same instant.
+
+    Positions stay where they are.  The values of a series, as those of an autoregressive model, are of another kind.
+    """
     given = f"for states {tuple(part.x.shape)} and a dt of 0"
     found = part.function(part.x, 0 * part.dt, part.u)
     expect(bool(found.isfinite().all()), given, "finite numbers", _rounded(found))
@@ -117,13 +121,21 @@ def no_time(part: Part) -> None:
         places = [i for i, kind in enumerate(part.model.kinds) if kind == "position"]
         before, after = part.x[:, places], found[:, places]
         same = torch.allclose(after, before, rtol=1e-9, atol=1e-9)
-        expect(same, f"the position {given}", f"as it was, {_rounded(before)}", _rounded(after))
+        hint = f"for a series of values that are no positions, hand kinds={('other',) * part.model.size} to Motion"
+        expect(same, f"the position {given} ({hint})", f"as it was, {_rounded(before)}", _rounded(after))
 
 
 def precision(part: Part) -> None:
-    """float32 stays float32."""
+    """float32 stays float32, and float64 goes through a network of either."""
     u = None if part.u is None else part.u.float()
-    found = part.function(part.x.float(), part.dt.float(), u).dtype
+    try:
+        found = part.function(part.x.float(), part.dt.float(), u).dtype
+    except RuntimeError as error:
+        weights = any(not isinstance(module, Hyper | Motion | Sensor) for module in part.model.modules())
+        how = (
+            " (take both: self.network(x.to(weights)).to(x), where weights is one of the network's)" if weights else ""
+        )
+        raise RuntimeError(f"for states in float32: {error}{how}") from error
     hint = "make tensors in dtype and on the device of x, and read values as self.value(x)"
     expect(found == torch.float32, f"dtype for states in float32 ({hint})", torch.float32, found)
 
@@ -198,7 +210,7 @@ def linearity(part: Part) -> None:
 
 def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
     """Checks in their order, each with the part on which it runs."""
-    for check in (shapes, batches, no_time, precision, linearity, gradients, vmap):
+    for check in (shapes, batches, precision, linearity, gradients, vmap):
         yield check, part
     if isinstance(part.model, Sensor):
         yield what_it_reads, part
@@ -207,6 +219,7 @@ def checks_of(part: Part) -> Iterator[tuple[Callable[[Part], None], Part]]:
         yield angles_of_states, part
         yield process_noise, part.method("process_noise")
         yield process_noise_at, part.method("process_noise_at")
+    yield no_time, part
 
 
 def _rounded(x: Tensor) -> str:

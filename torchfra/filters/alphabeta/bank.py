@@ -103,8 +103,8 @@ class AlphaBetaInfo(NamedTuple):
 
     @property
     def outlier(self) -> Tensor:
-        """``(..., T, g)`` bool: the measurement was rejected."""
-        return self.rejected
+        """``(..., T, g)`` probability of an outlier: 1 if the measurement was rejected, else 0."""
+        return self.rejected.float()
 
 
 class AxisInnovation(NamedTuple):
