@@ -218,6 +218,12 @@ def test_a_motion_that_contradicts_itself_is_refused_where_it_is_defined():
             def transition(self, dt):
                 return torch.eye(4)
 
+    with pytest.raises(TypeError, match=r"Adapts: linear is True: expected no process_noise_at, .* linear = False"):
+
+        class Adapts(ConstantVelocity):
+            def process_noise_at(self, process_noise, mean, dt):
+                return mean[..., 2:, None] * process_noise
+
     with pytest.raises(TypeError, match="Lost: locates is True: expected a locate"):
 
         class Lost(Sensor):

@@ -66,6 +66,8 @@ def train(descent: Descent, out: Path, name: str, *, board: Any = None, quiet: b
         if board is not None:
             for key, value in row.items():
                 board.add_scalar(key, value, iteration)
+    for note in descent.notes:
+        print(f"{name}: {note}", flush=True)
 
 
 def save(descent: Descent, out: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from functools import wraps
 from typing import Any
 
 import torch
@@ -93,3 +94,35 @@ def late(tree: Any) -> list[bool]:
     if isinstance(tree, tuple):
         return [isinstance(tree, Late) or part for branch in tree for part in late(branch)]
     return [False] if isinstance(tree, Tensor) else []
+
+
+def first_order(backward: Callable[..., tuple[Tensor | None, ...]]) -> Callable[..., tuple[Tensor | None, ...]]:
+    """A ``backward`` of an autograd function whose gradients have no gradients: to ask for these says what to take.
+
+    (``torch.autograd.function.once_differentiable`` says so only where the gradients of the results have gradients.)
+    """
+
+    @wraps(backward)
+    def call(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        with torch.no_grad():
+            found = backward(ctx, *grads)
+        if not torch.is_grad_enabled():
+            return found
+        places = [i for i, x in enumerate(found) if isinstance(x, Tensor)]
+        moving = [x for x in (*ctx.saved_tensors, *grads) if isinstance(x, Tensor) and x.requires_grad]
+        tied = _FirstOrder.apply(len(places), *(found[i] for i in places), *moving)  # type: ignore[no-untyped-call]
+        by_place = dict(zip(places, tied, strict=True))
+        return tuple(by_place.get(i) for i in range(len(found)))
+
+    return call
+
+
+class _FirstOrder(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, count: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+        return tuple(x.view_as(x) for x in tensors[:count])
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        second = "take torchfra.filters.hessian.hessian, or the filter before compile()"
+        raise NotImplementedError(f"compiled filters have gradients of first order, and none of second: {second}")

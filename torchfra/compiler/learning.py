@@ -7,10 +7,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from torchfra.compiler.boundary import PRIOR, Boundary, after_back
-from torchfra.compiler.forms import guard, savable
+from torchfra.compiler.forms import first_order, guard, savable
 from torchfra.compiler.program import Program, Ready, batch_first, strided
 from torchfra.compiler.source import Port
 from torchfra.compiler.track_kernel import TrackKernel
@@ -102,7 +101,7 @@ class _Learned(torch.autograd.Function):
         return (sound, *records, *each)
 
     @staticmethod
-    @once_differentiable
+    @first_order
     def backward(ctx: Any, _: None, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         learning = ctx.learning
         return (None, *learning.back(ctx.saved_tensors, grads[: len(learning.like)]))

@@ -12,10 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
-from torch.autograd.function import once_differentiable
 
 from torchfra.compiler.boundary import Boundary, after_back, begin_back
-from torchfra.compiler.forms import savable
+from torchfra.compiler.forms import first_order, savable
 from torchfra.compiler.learning import Learning
 from torchfra.compiler.program import Making, Program, Ready, batch_first, building
 from torchfra.compiler.source import Scan
@@ -218,7 +217,7 @@ class _Run(torch.autograd.Function):
         return (*done[:count], *records)
 
     @staticmethod
-    @once_differentiable
+    @first_order
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         kernels, batch, step = ctx.kernels, ctx.batch, ctx.kernels.step
         names, count, rank = list(step.inputs), len(step.zero), len(ctx.batch)

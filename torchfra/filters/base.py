@@ -13,7 +13,7 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import NoFading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnose, diagnose_smoothed, without_failed_gradients
+from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradients, without_failed_gradients
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
@@ -602,7 +602,7 @@ class Filter(Part, Generic[S]):
         estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
         if estimate.failure is None:
             estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
-        return estimate, state, kept
+        return with_gradients(self, estimate), state, kept
 
     def first_state(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
         """The state before the first measurement, and its number of batch dimensions; arguments are checked."""

@@ -98,6 +98,22 @@ def bad_values(f: Any) -> tuple[str, ...]:
     return tuple(path for path, hyper in hypers(f).items() if bool(hyper.out_of_range().any()))
 
 
+def with_gradients(f: Any, estimate: Estimate) -> Estimate:
+    """The estimate with a gradient of 0 where it does not depend on any value that is learned.
+
+    That is so of a threshold that no measurement has reached, and of one that hard decisions alone depend on: the loss
+    of such tracks can be differentiated like any other.
+    """
+    if not torch.is_grad_enabled():
+        return estimate
+    learned = [x for x in f.parameters() if x.requires_grad]
+    if not learned or all(x.requires_grad for x in estimate[:4]):
+        return estimate
+    nothing = torch.stack([0 * x.sum() for x in learned]).sum()
+    parts = (x if x.requires_grad else x + nothing.to(x) for x in estimate[:4])
+    return Estimate(*parts, *estimate[4:])
+
+
 def without_failed_gradients(
     f: Any, estimate: Estimate, filtered: Estimate, measurements: Measurements, prior: Gaussian,
     again: Callable[[Measurements, Gaussian], Estimate],

@@ -59,6 +59,8 @@ class Descent:
         self.iterations, self.validate_every, self.patience = (
             int(settings[name]) for name in ("iterations", "validate_every", "patience")
         )
+        self.still = torch.zeros(scores.numel(), dtype=torch.int64)
+        """For how many iterations in a row all gradients of a start have been exactly 0."""
         self.iteration, self.improved = 0, 0
         """Iterations that are done, and how many were when a validation last improved."""
         self.best, self.scores = self._state(), scores
@@ -95,6 +97,11 @@ class Descent:
         """One iteration; its row of the learning curve."""
         columns = self.learner.step(self.iteration)
         self.iteration += 1
+        groups = getattr(self.learner.optimiser, "param_groups", ())  # a search has none
+        gradients = [x.grad for group in groups for x in group["params"] if x.grad is not None]
+        if gradients:
+            zero = torch.cat([(x == 0).reshape(len(self.still), -1) for x in gradients], 1).all(1).cpu()
+            self.still = torch.where(zero, self.still + 1, 0)
         row = {"iteration": self.iteration, **columns}
         if self.iteration % self.validate_every == 0 or self.iteration == self.iterations:
             scores = self.learner.validation()
@@ -104,6 +111,15 @@ class Descent:
         row |= self.learner.natural(int(self.scores.argmin()))
         self.rows.append(row)
         return row
+
+    @property
+    def notes(self) -> list[str]:
+        """A sentence if starts rest where their loss is flat, which no loss and no failure tells."""
+        resting = int((self.still >= self.validate_every).sum())
+        if not resting:
+            return []
+        count = f"{resting} of {len(self.still)} starts"
+        return [f"{count} rest where all gradients are exactly 0, as values do that a step was too long for: lower lr"]
 
     def keep(self, scores: Tensor) -> bool:
         """Keeps the values of the starts for which these losses are the least so far; whether there are any."""

@@ -124,7 +124,8 @@ def fit(
     vector.store(raw)
     f.requires_grad_(False)
     held = _judged(own := FitTracks(objective, sums, test), start, raw, settings.seed)
-    lines = [*notes, *more, *known.notes, *(row.note(name, len(test.z)) for name, row in held.items() if row.lost)]
+    lines = [*notes, *descent.notes, *more, *known.notes]
+    lines += [row.note(name, len(test.z)) for name, row in held.items() if row.lost]
     return Fitted(
         f, vector.named(start), vector.named(raw), known, held, descent.rows,
         descent.scores.tolist(), settings, runs_compiled, str(tracks.z.dtype).removeprefix("torch."),

@@ -33,9 +33,11 @@ def unscented(alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0) -> Call
     The centre's weight in the covariance may be negative only if ``beta >= alpha^2``.
     ``unscented(1, 0, 0)`` is ``third_degree``.
 
+    The differences to the centre lose the digits of ``alpha^2``: those of an ``alpha`` of 0.001 need float64.
+
     Raises:
         ValueError: ``alpha`` not above 0, or (when the rule is made for ``n``) ``n + kappa`` not above 0 or no real
-            root of the covariance.
+            root of the covariance; or (where it is used) too small an ``alpha`` for the dtype.
 
     Source: Julier & Uhlmann (2004), "Unscented Filtering and Nonlinear Estimation"; van der Merwe (2004).
     """

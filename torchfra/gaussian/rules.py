@@ -25,6 +25,10 @@ Difference = Callable[[Tensor, Tensor], Tensor]
 """Subtracts two values ``(..., m)``, with angles wrapped."""
 
 
+_KEPT = 1e-4
+"""Relative rounding error of a mean that a rule may have: four digits, a metre in 10 km."""
+
+
 class Linearised(NamedTuple):
     """``value (..., m)`` and ``spread (..., m, r + n) = [rest, slope]`` of the linearisation above."""
 
@@ -66,7 +70,8 @@ class SigmaPoints(nn.Module):
 
     Raises:
         ValueError: not ``signed``, and a weight that is not positive or a centre so negative that the covariance has no
-            real root.
+            real root; (where it is used) points so near the centre that rounding errors of the differences, times the
+            weights, leave less than four digits in the dtype of the belief.
     """
 
     points: Tensor
@@ -79,7 +84,7 @@ class SigmaPoints(nn.Module):
     def __init__(self, points: Tensor, weights: Tensor, extra: float = 0.0, *, signed: bool = False) -> None:
         super().__init__()
         points, weights = points[:, weights != 0], weights[weights != 0]
-        self._rule = points, weights, extra, signed
+        self._rule, self._amplifies = (points, weights, extra, signed), float(weights.abs().sum())
         self.register_buffer("minus", None)
         self.signed = bool((weights < 0).any())
         if self.signed and not signed:
@@ -128,6 +133,10 @@ class SigmaPoints(nn.Module):
     def forward(self, function: Function, belief: Gaussian, difference: Difference) -> Linearised:
         """The function's values at the points, in three matrix products for the whole batch."""
         mean, root = _same_batch(belief)
+        if self._amplifies * torch.finfo(mean.dtype).eps > _KEPT:
+            expected = f"weights whose sum leaves four digits in {mean.dtype}"
+            received = f"points so near the centre that it is {self._amplifies:.2g}"
+            raise ValueError(f"rule: expected {expected}, received {received}: take a larger alpha, or float64")
         points, combine = self.points.to(mean), self.combine.to(mean)
         values = function(mean + (root @ points.mT).movedim(-1, 0))
         centre = values[0]

@@ -9,8 +9,8 @@ from torch.nn.functional import pad
 from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
-from torchfra.linalg.tracing import is_elementary, is_traced
-from torchfra.linalg.triangular import dependent, eliminated, hstack, rounding, tria
+from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.triangular import dependent, hstack, split, tria
 from torchfra.types import Gaussian
 
 
@@ -49,24 +49,11 @@ def smooth_step(
         root, repaired = downdate(tria(columns[..., :-n]), propagated.subtracted)
         columns = hstack(root, columns[..., -n:])
     now = pad(belief.scale_tril.expand(*columns.shape[:-2], n, n), (columns.shape[-1] - n, 0))
-    root, cross, remainder, certain = _split(torch.cat([columns, now], -2), n)
+    root, cross, remainder, certain = split(torch.cat([columns, now], -2), n)
     gap = difference(after.mean, propagated.mean).unsqueeze(-1)
     later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, after.scale_tril))
     gained = cross @ torch.linalg.solve_triangular(root, later, upper=False)  # G [x_after - predicted, S_after]
     return Gaussian(belief.mean + gained[..., 0], tria(hstack(remainder, gained[..., 1:]))), repaired
-
-
-def _split(joint: Tensor, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """``S-``, ``L21``, ``L22`` and the certain directions of a ``joint`` root ``(..., 2 n, p)``.
-
-    In certain directions ``S-`` is I and ``L21`` is 0.
-    """
-    terms = 3 * n + joint.shape[-1]
-    if is_elementary():
-        return eliminated(joint, n, rounding(terms, joint.dtype))  # L22 need not be a triangle
-    lower, certain = without_certain(tria(joint), n, terms)
-    root = lower[..., :n, :n] + torch.diag_embed(certain.to(lower))
-    return root, lower[..., n:, :n], lower[..., n:, n:], certain
 
 
 def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:

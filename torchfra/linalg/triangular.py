@@ -108,7 +108,7 @@ def _orthogonalise(a: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cat(columns, -1), torch.cat(units, -2)
 
 
-def eliminated(a: Tensor, count: int, least: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def eliminated(a: Tensor, count: int, least: float, *, graded: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Eliminates the first ``count`` rows of ``a (..., n, p)``, of any rank, from the others by modified Gram-Schmidt.
 
     ``[[L, 0], [cross, rest]]`` is a root of ``a a^T``, except for rows that depend on those above them: such a row
@@ -117,26 +117,70 @@ def eliminated(a: Tensor, count: int, least: float) -> tuple[Tensor, Tensor, Ten
     Args:
         a: the rows.
         count: number of rows to eliminate.
-        least: share of its norm below which the remainder of a row counts as zero.
+        least: relative rounding error of the sums that an entry of a row goes through: a row whose remainder is no
+            larger counts as zero.
+        graded: whether columns may be of any scale, as where little is known beside what is known well, and keep their
+            own digits: rows are made orthogonal twice, and a remainder is compared with what it is left of column by
+            column.  Otherwise it is compared with the norm of its row.
 
     Returns:
         ``L (..., count, count)``, ``cross (..., n - count, count)``, ``rest (..., n - count, p)``, and ``(..., count)``
         bool, which rows depend on others.
+
+    Source: Daniel, Gragg, Kaufman & Stewart (1976), "Reorthogonalization and Stable Algorithms for Updating the
+    Gram-Schmidt QR Factorization".
     """
-    lengths = least * _norms(a[..., :count, :].detach())
-    columns, dependent, rest = [], [], a
+    first = a[..., :count, :].detach()
+    scale = least * (first.abs() if graded else _norms(first))
+    columns, units, dependent, rest = [], [], [], a
     for j in range(count):
         row, rest = rest[..., :1, :], rest[..., 1:, :]
+        if graded and units:
+            row, _ = _orthogonal(row, torch.cat(units, -2))
         norm = _norms(row)
-        depends = norm.detach() <= lengths[..., j : j + 1, :]
+        left = row.detach().abs() if graded else norm.detach()
+        depends = (left <= scale[..., j : j + 1, :]).all(-1, keepdim=True)
         norm = torch.where(depends, 1.0, norm)
         unit = torch.where(depends, 0.0, row / norm)
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
+        if graded:
+            terms = pad(below[..., : count - j - 1, :] * unit, (0, 0, j + 1, 0)).detach()
+            scale = scale + least * terms.abs()
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
+        units.append(unit)
         dependent.append(depends.squeeze(-1))
     lower = torch.cat(columns, -1)
-    return lower[..., :count, :], lower[..., count:, :], rest, torch.cat(dependent, -1)
+    cross = lower[..., count:, :]
+    if graded and cross.shape[-2]:
+        rest, more = _orthogonal(rest, torch.cat(units, -2))
+        cross = cross + more
+    return lower[..., :count, :], cross, rest, torch.cat(dependent, -1)
+
+
+def split(joint: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """``eliminated`` of a root ``(..., n, p)`` that may be ``graded``, by the fastest way that keeps its digits.
+
+    Where little is known of some direction, most digits of what is known well go into sums with large numbers, unless
+    each column keeps its own.
+    """
+    if not (is_elementary() or is_traced(joint)):
+        lower = tria(joint)
+        root = lower[..., :count, :count].detach()
+        lengths = root.square().sum(-1).sqrt()
+        if bool((root.diagonal(dim1=-2, dim2=-1) > torch.finfo(joint.dtype).eps ** 0.5 * lengths).all()):
+            none = torch.zeros_like(lengths, dtype=torch.bool)  # the usual case: half of the digits at least
+            return lower[..., :count, :count], lower[..., count:, :count], lower[..., count:, count:], none
+    return eliminated(joint, count, rounding(sum(joint.shape[-2:]) + count, joint.dtype), graded=True)
+
+
+def _orthogonal(rows: Tensor, units: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows without what rounding errors have left along ``units``, and that share of these.
+
+    It is 0 but for rounding, and so is its derivative.
+    """
+    left = rows.detach() @ units.detach().mT
+    return rows - left @ units.detach(), left
 
 
 def dependent(lower: Tensor, terms: int) -> Tensor:

@@ -83,7 +83,8 @@ class Motion(Part):
     Raises:
         ValueError: ``dims`` or ``size`` below 1, ``q`` below 0, not one name or kind for each component, ``angles``
             that are no components, kinds of angles without ``angles``.
-        TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round.
+        TypeError: (where the class is defined) ``linear = True`` without a ``transition``, or the other way round, or
+            with a ``process_noise_at``.
     """
 
     linear: bool = False
@@ -115,6 +116,10 @@ class Motion(Part):
         if isinstance(cls.linear, bool) and cls.linear != has_transition:
             expected = "a transition, received none" if cls.linear else "linear = True beside its transition"
             raise TypeError(f"{cls.__name__}: linear is {cls.linear}: expected {expected}")
+        if cls.linear is True and cls.process_noise_at is not Motion.process_noise_at:
+            expected = "no process_noise_at, as the steps of a linear motion do not depend on the state"
+            hint = "take linear = False and a forward"
+            raise TypeError(f"{cls.__name__}: linear is True: expected {expected}: {hint}")
 
     def __init__(
         self,
@@ -216,7 +221,7 @@ class Motion(Part):
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """The root ``(..., n, r)`` of ``process_noise`` at a predicted mean ``(..., n)``, if it depends on that.
 
-        It is called for nonlinear motions, after a step of ``dt (...)`` seconds.
+        It is called for nonlinear motions, after a step of ``dt (...)`` seconds; a linear one may not have it.
         """
         return process_noise
 
