@@ -5,6 +5,7 @@
     python scripts/regret.py --filters fra,imm_srckf --cells 'flights-*' --flights a.json.gz b.json.gz
     python scripts/regret.py --smooth --cells '2-*' --runs 100
     python scripts/regret.py --filters gpb --cells 'stated-*-none' --runs 100
+    python scripts/regret.py --open 84 --filters gpb --runs 40 --seed 71
 
 Cells: scenario 1 of the bearings experiments with the paper's prior and with a good one, and scenario 2; recorded
 flights by bearings, position and radar; each with outliers none, covariance, std and bursts; simulated ranges with
@@ -16,6 +17,12 @@ defaults, a bank of motions among them, minus 1.  There are two tables: of filte
 where every filter that waits for a measurement before it decides has its later estimate, and the others the only one
 they have.  The 95 % interval is of a bootstrap over the runs, which are the same for all filters; a run is lost above
 2000 m, of ranges above 20 m.
+
+With --open so many cells are drawn at random (scenarios.open_cell): motion, sensor, time steps, outliers, jumps and
+what is stated wrongly.  One table has them sorted by the ratio of filtered errors, those that are lost first, in
+standard deviations of a measured position, with the NEES of positions per dimension; a line below it says the ratio in
+the median, in nine of ten, in 95 of 100 and at worst.  Others are, unless named, srckf, rsrckf, mr_ckf, hghckf, iaukf,
+fra and imm_srckf, of two levels of process noise where a cell has one motion.
 
 With --smooth no filter is compared with another: one table has the errors of each as it filters, 1 and 5 steps later,
 and smoothed, the change from the first to the last, and the NEES of positions per dimension, which is 1 where
@@ -31,7 +38,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from regrets import smoothed
+from regrets import opened, smoothed
 from regrets.cells import Cell, all_cells, chosen_cells
 from regrets.ratios import KINDS, RESAMPLES, both_kinds, errors, not_finite, panels, summary, summary_lines, table
 from regrets.tuning import specialists
@@ -56,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def run() -> None:
         options = parser().parse_args(arguments)
-        (gains if options.smooth else regret)(options)
+        (gains if options.smooth else regret if options.open is None else in_the_open)(options)
 
     return exit_status("regret", run)
 
@@ -70,6 +77,7 @@ def parser() -> argparse.ArgumentParser:
     compared = f"compared with all others (default: {first}), or smoothed (default: {usual})"
     p.add_argument("--filters", metavar="A,B", help=compared)
     p.add_argument("--smooth", action="store_true", help="what smoothing gains")
+    p.add_argument("--open", metavar="CELLS", type=int, help="so many random cells instead, drawn by the seed")
     p.add_argument("--cells", metavar="A,B", default="*", help="names, or patterns such as '1-*-std' (default: all)")
     p.add_argument("--flights", metavar="FILE", nargs="+", type=Path, help="recorded flights (default: samples)")
     p.add_argument("--others", metavar="A,B", help="of all other filters, those that compete (default: all)")
@@ -157,6 +165,44 @@ def prepared(
         scenario = cell.make()
         made[name] = scenario, options.runs if cell.runs is None else cell.runs, filters_of(name, scenario)
     return made
+
+
+def in_the_open(options: argparse.Namespace) -> None:
+    """Random cells, and a table of them when the last one is done.
+
+    Raises:
+        ValueError: arguments that go with other cells alone.
+    """
+    if options.open < 1:
+        raise ValueError(f"open: expected 1 cell or more, received {options.open}")
+    given = {"tuned": options.tuned, "learned": options.learned, "figure": options.figure, "plot": options.plot,
+             "flights": options.flights, "ranges": options.ranges}  # fmt: skip
+    if any(given.values()):
+        received = ", ".join(name for name, value in given.items() if value)
+        raise ValueError(f"open: expected no options for other cells beside it, received {received}")
+    names = compared_filters(track_filters()[0] if options.filters is None else options.filters)
+    others = compared_filters(",".join(opened.OTHERS) if options.others is None else options.others, "others")
+    if not set(others).difference(names):
+        raise ValueError(f"others: expected some beside those compared, received {', '.join(others)}")
+    check_files({"json": options.json}, [])
+    cells = chosen_cells(opened.open_cells(options.open, options.seed), options.cells.split(","))
+    tell, _ = reporters(options.compile, options.quiet)
+    compile = choose(options.compile, options.runs * USUAL_STEPS >= WORTHWHILE, tell)
+    results = {}
+    for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
+        scenario = cell.make()
+        filters = opened.open_filters(scenario, names, others)
+        filters = with_kernels(filters, scenario, options) if compile else filters
+        found = opened.results(scenario, filters, names, runs=options.runs, seed=options.seed)
+        settings = {"steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
+        results[name] = {"runs": options.runs, "settings": settings, **found}
+    of, failures = opened.summary(results, names), Failures()
+    if not options.quiet:
+        print(f"{opened.table(results, names)}\n{opened.summary_lines(of, len(results))}", flush=True)
+    head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "compared": names}
+    with failures.of("json"):
+        write_results(options.json, {**head, "summary": of, "cells": results})
+    failures.end()
 
 
 def compared_filters(listed: str, argument: str = "filters") -> list[str]:

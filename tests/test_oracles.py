@@ -42,6 +42,7 @@ CASES = [
 ] + [
     ("fra_srckf", "fra", {"plain": 0.5, "gate": 4.0, "provisional": "likeliest"}),
     ("fra_srckf", "fra", {"provisional": "plain", "final": "likeliest"}),
+    ("fra_srckf", "fra", {"patience": 2.0, "plain": 1.0}), ("fra", "fra", {"patience": 1.0}), ("fra", "fra", {}),
 ]  # fmt: skip
 
 
@@ -55,6 +56,8 @@ def experiment():
     z[:, 0, 7, 0] = z[:, 1, 0, 1] = torch.nan
     z[:, 1, 20:23] = z[:, 2, 0] = torch.nan
     z[:, 2, -1] += 0.2  # an abnormal last step
+    z[:, 0, 30:34] += 0.3  # outliers of one offset, fewer than ``fra`` has patience with; and more
+    z[:, 2, 40:48] += 0.3
     prior = one.prior._replace(mean=torch.cat([one.prior.mean, other.prior.mean]))
     return both[0], one._replace(z=z.flatten(0, 1), u=one.u[:62], prior=prior)
 
@@ -79,7 +82,7 @@ def test_a_filter_agrees_with_its_oracle(experiment, preset, oracle, options):
     model = model_of(scenario, tracks)
     ours, theirs = dict(options), dict(options)
     if preset == "fra":
-        theirs |= {"decision": "likelihood", "memory": "weighted", "rcond": 0.2}
+        theirs = {"decision": "likelihood", "memory": "weighted", "rcond": 0.2, "patience": 4.0} | theirs
     if "threshold" in options and not np.isscalar(options["threshold"]):
         ours |= {"threshold": torch.from_numpy(options["threshold"]), "per_element": True}
     if "share" in options:
@@ -123,6 +126,7 @@ def test_a_soft_decision_agrees_with_its_oracle(experiment, preset, options, tem
     model = model_of(scenario, tracks)
     f = getattr(presets, preset)(scenario.motion, scenario.sensor, temperature=temperature, **options)
     e = f(tracks.z, tracks.prior, u=tracks.u)
+    options = {"patience": f.patience} | options
     for i, prior in enumerate(priors_of(tracks)):
         expected = oracles.soft_fra(tracks.z[i].numpy(), *prior, model, temperature, **options)
         mean, P = e.mean[i].numpy(), e.covariance[i].numpy()

@@ -28,6 +28,30 @@ def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str) -> di
     return found
 
 
+class Jumps:
+    """Log odds of a jump over an outlier, which decide about steps that were 2.5 gates off or more."""
+
+    def __init__(self, patience: float, gate: float) -> None:
+        self.bound = patience - 0.5 if patience else 0.0
+        self.gate, self.odds, self.on = gate, self.bound, bool(patience)
+
+    def normal(self, p: Prior) -> None:
+        """A normal step with a measurement speaks for the belief."""
+        if self.on and p.seen and p.nis > 0:
+            self.odds = max(self.odds - 1.0, -self.bound)
+
+    def weigh(self, scored: dict[str, float], ahead: dict[str, Prior], nis: float) -> dict[str, float]:
+        """Scores of the branches of a step of this nis, by the odds if it was far off."""
+        others = {name: score for name, score in scored.items() if name != "robust"}
+        best, measured = max(others.values()), any(p.seen for p in ahead.values())
+        if not (self.on and nis > 2.5 * self.gate and measured and math.isfinite(best + scored["robust"])):
+            return scored
+        elsewhere = all(ahead[name].nis > 2.5 * self.gate for name in others)
+        gain = min(best - scored["robust"], -3.0 if elsewhere else 1.0)
+        self.odds = min(max(self.odds + gain, -self.bound), self.bound)
+        return {name: s if name == "robust" else scored["robust"] + self.odds + s - best for name, s in scored.items()}
+
+
 def winner(scored: dict[str, float]) -> str:
     """A tie selects the robust branch, and of the others the adaptive one."""
     return max(scored, key=scored.__getitem__)
@@ -48,6 +72,7 @@ def fra(
     gate: float = 5.991,
     preference: float = 0.0,
     plain: float | None = None,
+    patience: float = 0.0,
     decision: str = "normalised",
     memory: str = "plain",
     provisional: str = "robust",
@@ -63,12 +88,15 @@ def fra(
     odds = prior_odds(preference, plain)
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
+    jumps = Jumps(patience, gate)
     p = compare(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
     for k in range(len(z)):
         psi = huber(p.v, np.broadcast_to(threshold, z.shape[1])[p.seen])
         V_now, V = memories(V, p, psi, memory, options.forgetting)
         kept = shown = unweighted(p)
         abnormal, name, following = bool(p.seen) and not p.nis <= gate, "", None
+        if not abnormal:
+            jumps.normal(p)
         if abnormal:
             fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
             branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": kept}
@@ -76,7 +104,7 @@ def fra(
             name = winner(odds) if final == "likeliest" else final
             if k + 1 < len(z):
                 ahead = {b: compare(*branches[b][:2], z[k + 1], model, k + 1, rule) for b in odds}
-                name = winner(scores(ahead, odds, decision))
+                name = winner(jumps.weigh(scores(ahead, odds, decision), ahead, p.nis))
                 following = ahead[name]
             kept = branches[name]
         flags = {"abnormal": abnormal, "name": name, "provisional": shown[0]}
@@ -108,6 +136,7 @@ def soft_fra(
     gate: float = 5.991,
     preference: float = 0.0,
     plain: float | None = None,
+    patience: float = 0.0,
     decision: str = "likelihood",
     memory: str = "weighted",
     provisional: str = "robust",
@@ -119,6 +148,7 @@ def soft_fra(
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
     mean, P = np.array(mean0, dtype=float), np.array(P0, dtype=float)
+    jumps = Jumps(patience, gate)
     for k in range(len(z)):
         p = compare(mean, P, z[k], model, k, rule)
         psi = huber(p.v, threshold)
@@ -126,6 +156,8 @@ def soft_fra(
         fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
         branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": unweighted(p)}
         abnormal = sigmoid((p.nis - gate) / temperature)
+        if p.nis <= gate:
+            jumps.normal(p)
 
         def mixed(
             shares: dict[str, float], branches: Any = branches, abnormal: float = abnormal
@@ -137,7 +169,7 @@ def soft_fra(
         shares = {"robust": 1.0}
         if k + 1 < len(z):
             ahead = {name: compare(*branches[name][:2], z[k + 1], model, k + 1, rule) for name in odds}
-            shares = softmax(scores(ahead, odds, decision), temperature)
+            shares = softmax(jumps.weigh(scores(ahead, odds, decision), ahead, p.nis), temperature)
         mean, P = mixed(shares)
         steps.append({"mean": mean, "P": P, "provisional": shown})
     return collect(steps)

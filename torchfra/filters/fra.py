@@ -5,6 +5,7 @@ Equation numbers are those of Wang et al. (2021).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from torchfra.gaussian.update import correct, down_weight, down_weighted_density
 from torchfra.hyper import Hyper, Value, brings_batch, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
+from torchfra.numbers import as_number
 from torchfra.robust.weights import Huber, Weights
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
@@ -38,6 +40,11 @@ UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 """Which branch may be the estimate of an abnormal step that no measurement has decided."""
 _ROUNDING = 1e-9
 """Relative difference of two scores that are equal up to rounding, in double precision."""
+_FAR = 2.5
+"""Gates above which an innovation squared is farther than manoeuvres lead from one step to the next."""
+_AGAIN, _ELSEWHERE, _NORMAL = 1.0, -3.0, -1.0
+"""Log odds of a jump over an outlier by a measurement that the adaptive branch alone predicts, at most, as the next
+outlier may have the same offset; by one that lies far from the predictions of all branches; by a normal one."""
 
 
 class FRAState(NamedTuple):
@@ -56,6 +63,8 @@ class FRAState(NamedTuple):
     excess: Tensor
     """``(...)`` normalised innovation squared less the gate."""
     memory: Memory
+    evidence: Tensor
+    """``(...)`` log odds of a jump over an outlier, before the next measurement that is far off."""
 
     @property
     def abnormal(self) -> Tensor:
@@ -90,6 +99,14 @@ class FRAInfo(NamedTuple):
         return (self.abnormal & ~self.adaptive & ~self.plain).to(self.fading).unsqueeze(-1)
 
 
+@tree.event_ranks(excess=0, evidence=0)
+class Undecided(NamedTuple):
+    """What is known of a step before the next measurement: see ``FRAState``."""
+
+    excess: Tensor
+    evidence: Tensor
+
+
 class Choice(NamedTuple):
     """Which branch of an abnormal step was kept, ``(...)`` bool each; the robust one if neither."""
 
@@ -118,6 +135,12 @@ class FRA(Soft, Filter[FRAState]):
     as ``state.belief`` and the final one of the step before as ``state.lagged``.  If the next step has no measurement,
     the estimate stays provisional, and the filter carries its branches on until a measurement comes.
 
+    With ``patience`` one measurement decides alone only where the innovation is not farther off than manoeuvres lead,
+    2.5 gates.  Beyond, two outliers of one offset look like a jump, whose branch, with its larger covariance, predicts
+    the second one.  So there log odds of a jump are kept from step to step: each measurement that the adaptive branch
+    alone predicts adds 1 at most, each normal one takes 1, and one that the robust branch predicts takes all.  They
+    begin in favour of a jump, as a prior may be wrong, and end between ``patience - 1/2`` and its negative.
+
     Hard choices have no gradient with respect to the gate and the scores.  With a ``temperature`` they are soft, for
     training: a step is abnormal with the weight ``sigmoid((nis - gate) / temperature)``, the softmax of the scores over
     the temperature divides that weight among the branches, and the estimate has the moments of all.  Set the
@@ -132,6 +155,8 @@ class FRA(Soft, Filter[FRAState]):
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
         plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).
+        patience: largest number of outliers in a row of one offset that are not to be followed; with the next one a
+            target that has jumped is.  0 for decisions by the next measurement alone (the paper's).
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch with the larger covariance), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
@@ -145,7 +170,7 @@ class FRA(Soft, Filter[FRAState]):
         ValueError: an argument out of its range, or a rule with negative weights.
 
     Source: Wang et al. (2021), section 2.2 and fig. 1; Chang (2014) for the plain branch.  ``preference``,
-    ``provisional``, ``temperature``, ``"likelihood"`` and ``"weighted"`` are additions.
+    ``patience``, ``provisional``, ``temperature``, ``"likelihood"`` and ``"weighted"`` are additions.
     """
 
     fading: Fading
@@ -162,6 +187,7 @@ class FRA(Soft, Filter[FRAState]):
         gate: Value = 5.991,
         preference: Value = 0.0,
         plain: Value | None = None,
+        patience: float = 0.0,
         decision: str = "normalised",
         temperature: float = 0.0,
         memory: str = "plain",
@@ -173,6 +199,8 @@ class FRA(Soft, Filter[FRAState]):
         one_of(provisional=(provisional, UNDECIDED), final=(final, UNDECIDED))
         if self.signed:
             raise ValueError("rule: expected one without negative weights, received one with some")
+        if patience != 0 and not 1 <= as_number(patience) < math.inf:
+            raise ValueError(f"patience: expected 0, or a finite number of 1 or more, received {patience!r}")
         robust, fading = Huber() if robust is None else robust, Fading() if fading is None else fading
         check_parts(robust=(robust, Weights), fading=(fading, Fading))
         self.robust, self.fading = robust, fading.for_motion(motion)
@@ -180,14 +208,18 @@ class FRA(Soft, Filter[FRAState]):
         self.preference = Hyper(preference, constraints.real, name="preference")
         self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")
         self.decision, self.memory, self.provisional, self.final = decision, memory, provisional, final
-        self.temperature = temperature
+        self.temperature, self.patience = temperature, patience
 
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: after a normal step, with an empty memory."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
-        return FRAState(
-            belief, belief, belief, belief, belief, normal, self.fading.begin(belief.mean, self.sensor.size)
-        )
+        memory, evidence = self.fading.begin(belief.mean, self.sensor.size), torch.full_like(normal, self.most_odds)
+        return FRAState(belief, belief, belief, belief, belief, normal, memory, evidence)
+
+    @property
+    def most_odds(self) -> float:
+        """Largest log odds of a jump over an outlier."""
+        return self.patience - 0.5 if self.patience else 0.0
 
     def without_memory(self, state: FRAState) -> FRAState:
         """A state with an empty memory of innovations."""
@@ -203,7 +235,7 @@ class FRA(Soft, Filter[FRAState]):
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the step before is decided, then this one is normal or forks."""
-        lagged, kept = self.decide_before(state, frame)
+        lagged, kept, evidence = self.decide_before(state, frame)
         prediction, whitened = self.compare_predicted(lagged if mix is None else mix(lagged), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
@@ -214,8 +246,9 @@ class FRA(Soft, Filter[FRAState]):
         )  # eq. (36)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
+        evidence = torch.where((excess <= 0) & (nis > 0), (evidence + _NORMAL).clamp_min(-self.most_odds), evidence)
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
-        state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory)
+        state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, evidence)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
         # Only interacting models, which give a ``mix``, weigh their models by this evidence.
@@ -227,30 +260,59 @@ class FRA(Soft, Filter[FRAState]):
         prediction = self.predicted(belief, frame)
         return prediction, self.compare(prediction.belief, frame)
 
-    def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice]:
-        """The final estimate of the step before, decided by this measurement, and which of its branches was kept."""
+    def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice, Tensor]:
+        """The final estimate of the step before, by this measurement, which branch was kept, and the evidence."""
+        given = (*state.branches, Undecided(state.excess, state.evidence), frame)
         if self.soft:
-            scores = self.score(*state.branches, frame)
-            kept = best(scores)
-            return self.weighted(scores, state.excess, state.branches), Choice(*(state.abnormal & x for x in kept))
+            scores, evidence = self.score(*given)
+            kept = Choice(*(state.abnormal & x for x in best(scores)))
+            return self.weighted(scores, state.excess, state.branches), kept, evidence
         no = torch.zeros_like(state.abnormal)
-        kept = self.where_abnormal(state.abnormal, self.decide, (*state.branches, frame), Choice(no, no))
-        return chosen(kept, state.branches), kept
+        kept, evidence = self.where_abnormal(state.abnormal, self.decide, given, (Choice(no, no), state.evidence))
+        return chosen(kept, state.branches), kept, evidence
 
-    def decide(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Choice:
-        """The branch of the largest score; a tie goes to the robust one."""
-        return best(self.score(robust, adaptive, plain, frame))
+    def decide(
+        self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
+    ) -> tuple[Choice, Tensor]:
+        """The branch of the largest score, a tie goes to the robust one; and the evidence with this measurement."""
+        scores, evidence = self.score(robust, adaptive, plain, before, frame)
+        return best(scores), evidence
 
-    def score(self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, frame: Frame) -> Tensor:
-        """Scores ``(branches, ...)`` of the branches' predictions of this measurement; minus infinity if one failed."""
+    def score(
+        self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
+    ) -> tuple[Tensor, Tensor]:
+        """Scores ``(branches, ...)`` of the branches by this measurement, and the evidence with it.
+
+        A score is minus infinity if the branch has failed.
+        """
         branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
         _, whitened = self.compare_predicted(tree.stack(branches, 0), frame)
         root, normalised = innovation(whitened)
-        score = -0.5 * normalised.square().sum(-1)
+        nis = normalised.square().sum(-1)
+        score = -0.5 * nis
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         score = score + self.odds(score[0])
-        return torch.where(score.isfinite(), score, -torch.inf)
+        score = torch.where(score.isfinite(), score, -torch.inf)
+        return self.by_evidence(score, nis, before) if self.patience else (score, before.evidence)
+
+    def by_evidence(self, score: Tensor, nis: Tensor, before: Undecided) -> tuple[Tensor, Tensor]:
+        """Scores of steps that were far off by the log odds of a jump; and these, with this measurement.
+
+        Args:
+            score: ``(branches, ...)`` by this measurement alone.
+            nis: ``(branches, ...)`` its normalised innovation squared in each branch.
+            before: of the step that is decided.
+        """
+        robust, others = score[0], score[1:]
+        other, gate = others.amax(0), self.gate(before.excess)
+        known = robust.isfinite() & other.isfinite() & (nis.amax(0) > 0)
+        far = known & (before.excess > (_FAR - 1) * gate)
+        most = torch.where(nis[1:].amin(0) > _FAR * gate, _ELSEWHERE, _AGAIN)
+        gain = torch.minimum(other - robust, most)
+        evidence = torch.where(far, (before.evidence + gain).clamp(-self.most_odds, self.most_odds), before.evidence)
+        by_odds = torch.where(others.isfinite(), robust + evidence + (others - other), -torch.inf)
+        return torch.cat([score[:1], torch.where(far, by_odds, others)]), evidence
 
     def odds(self, like: Tensor) -> Tensor:
         """``(branches, ...)`` log odds over the adaptive branch before the next measurement, for tracks ``(...)``."""

@@ -25,8 +25,8 @@ def fra_srckf(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.1, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
-    preference: Value = 0.0, plain: Value | None = None, decision: str = "normalised", temperature: float = 0.0,
-    memory: str = "plain", provisional: str = "robust", final: str = "robust",
+    preference: Value = 0.0, plain: Value | None = None, patience: float = 0.0, decision: str = "normalised",
+    temperature: float = 0.0, memory: str = "plain", provisional: str = "robust", final: str = "robust",
     rule: Callable[[int], Rule] = third_degree, learn: Collection[str] = (),
 ) -> FRA:  # fmt: skip
     """Robust or adaptive at abnormal steps, as the next measurement decides.  Source: Wang et al. (2021), section 2.2.
@@ -47,6 +47,7 @@ def fra_srckf(
         gate: normalised innovation squared above which a step is abnormal: ``filters.FRA``.
         preference: log odds of the robust branch before the next measurement: ``filters.FRA``.
         plain: log odds of a plain branch, None for no such branch: ``filters.FRA``.
+        patience: outliers in a row of one offset that are not followed: ``filters.FRA``.
         decision: branches are compared by the ``"normalised"`` innovation or the ``"likelihood"``.
         temperature: 0 for hard decisions, above for soft ones, to train by: ``filters.FRA``.
         memory: innovations count ``"plain"``, or ``"weighted"`` by the robust weights: ``filters.FRA``.
@@ -58,8 +59,8 @@ def fra_srckf(
     update = robust_update(sensor, robust, threshold, per_element, learn)
     fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
     f = FRA(motion, sensor, robust=update, fading=fading, rule=rule, gate=gate, preference=preference,
-            plain=plain, decision=decision, temperature=temperature, memory=memory, provisional=provisional,
-            final=final)  # fmt: skip
+            plain=plain, patience=patience, decision=decision, temperature=temperature, memory=memory,
+            provisional=provisional, final=final)  # fmt: skip
     return with_learning(f, learn)
 
 
@@ -69,11 +70,11 @@ def fra(
     motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
     robust: Weights | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
     rcond: float = 0.2, states: States = None, share: Share = None, trace: str = "full", gate: Value = 5.991,
-    preference: Value = 0.0, plain: Value | None = None, decision: str = "likelihood", temperature: float = 0.0,
-    memory: str = "weighted", provisional: str = "robust", final: str = "robust",
+    preference: Value = 0.0, plain: Value | None = None, patience: float = 4.0, decision: str = "likelihood",
+    temperature: float = 0.0, memory: str = "weighted", provisional: str = "robust", final: str = "robust",
     rule: Callable[[int], Rule] = third_degree, values: str | None = None, learn: Collection[str] = (),
 ) -> FRA:  # fmt: skip
-    """This package's filter: ``fra_srckf`` with other defaults for ``decision``, ``memory`` and ``rcond``.
+    """This package's filter: ``fra_srckf`` with other defaults for ``decision``, ``memory``, ``patience``, ``rcond``.
 
     Args:
         motion: how targets move.
@@ -91,6 +92,7 @@ def fra(
         gate: normalised innovation squared above which a step is abnormal: ``filters.FRA``.
         preference: log odds of the robust branch before the next measurement: ``filters.FRA``.
         plain: log odds of a plain branch, None for no such branch: ``filters.FRA``.
+        patience: outliers in a row of one offset that are not followed: ``filters.FRA``.
         decision: branches are compared by the predictive ``"likelihood"`` or the ``"normalised"`` innovation.
         temperature: 0 for hard decisions, above for soft ones, to train by: ``filters.FRA``.
         memory: innovations count ``"weighted"`` by the robust weights, or ``"plain"``: ``filters.FRA``.
@@ -103,6 +105,6 @@ def fra(
     return fra_srckf(
         motion, sensor, threshold=threshold, per_element=per_element, robust=robust, weakening=weakening,
         forgetting=forgetting, fading_max=fading_max, rcond=rcond, states=states, share=share, trace=trace, gate=gate,
-        preference=preference, plain=plain, decision=decision, temperature=temperature, memory=memory,
-        provisional=provisional, final=final, rule=rule, learn=learn,
+        preference=preference, plain=plain, patience=patience, decision=decision, temperature=temperature,
+        memory=memory, provisional=provisional, final=final, rule=rule, learn=learn,
     )  # fmt: skip
