@@ -33,8 +33,8 @@ COLUMNS = {
 }
 FILTERS = ("gpb", "gpb_one_motion", "ukf", "srckf", "mr_ckf", "rsrckf", "asrckf", "rmckf", "fra_srckf",
            "fra_srckf_literal", "fra", "imm_srckf", "imm_rsrckf", "imm_fra")  # fmt: skip
-SINGLE = 10
-"""Runs that are timed one by one."""
+TIMED, SINGLE = ("1, bad prior, covariance", "2, covariance"), 3
+"""Columns of which times are measured, and how many runs of them one by one."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,7 +57,8 @@ def compare(options: argparse.Namespace) -> None:
     """
     check_files({"json": options.json})
     columns: dict[str, dict[str, Any]] = {}
-    for column, (name, settings) in COLUMNS.items():
+    for column in TIMED if options.one_by_one else COLUMNS:
+        name, settings = COLUMNS[column]
         scenario = make_scenario(name, **settings)
         filters = bearings.filters(scenario, options.filters.split(","))
 

@@ -86,14 +86,14 @@ def study(options: argparse.Namespace) -> None:
         raise ValueError(f"trainings: expected at most {len(STUDENT) + 1}, received {options.trainings}")
     ways = {name: temperatures(name) for name in options.ways.split(",")}
     starts = {start: numbers_in("starts", start.replace(":", ",")) for start in options.starts.split(",")}
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet")}
     cells: dict[str, Any] = {}
     for name in options.cells.split(","):
         make, outliers = CELLS[name]
         cells[name] = of_cell(make(outliers), ways, starts, options)
         if not options.quiet:
             print(f"{name}\n{table(cells[name])}", flush=True)
-    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet")}
-    write_results(options.json, {**settings, "cells": cells})
+        write_results(options.json, {**settings, "cells": cells})  # after each, as all of them take long
 
 
 def temperatures(way: str) -> tuple[float, float]:

@@ -167,6 +167,26 @@ def test_links_and_images_lead_to_what_is_there(name):
     assert not broken, broken
 
 
+def sections_of(text):
+    """The parts of a document from one heading of the first or second level to the next."""
+    return re.split(r"^(?=##? )", text, flags=re.M)
+
+
+def pictures_of(text):
+    return re.findall(r"!\[[^\]]*\]\(([^)\s]+)\)", text)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_beside_every_picture_stands_the_command_that_draws_it(name):
+    for section in sections_of((ROOT / name).read_text(encoding="utf-8")):
+        assert not pictures_of(section) or list(commands_of(section)), section.splitlines()[0]
+
+
+def test_every_picture_of_the_results_is_shown():
+    shown = {(p.parent / link).resolve() for p in DOCUMENTS for link in pictures_of(p.read_text(encoding="utf-8"))}
+    assert set((ROOT / "scripts/results").glob("*.png")) <= shown
+
+
 def test_the_readme_is_one_page():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= WORDS
 

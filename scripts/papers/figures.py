@@ -20,6 +20,8 @@ from torchfra.plotting.style import TITLE, line_styles, without_box, words
 
 _ROOM = 30.0
 """Upper limit of errors, as a factor on their median over all lines; a name at the upper edge is beyond."""
+_SHOWN = 1.3
+"""Upper limit of errors with a sign, as a factor on the size that 95 % of them have at most."""
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
 
@@ -211,9 +213,8 @@ def errors_along(errors: dict[str, Tensor], dt: float, ylabel: str, title: str) 
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(errors)
     lines = {name: _band(axes, dt, of, styles[name]) for name, of in errors.items()}
-    # The quartiles of all but the worst filter fit: one that does not follow at all would flatten the others.
-    sizes = sorted(float(of.abs().quantile(0.75, 0).max()) for of in errors.values())
-    room = 1.15 * sizes[max(len(sizes) - 2, 0)]
+    # A filter that does not follow at all leaves the axes, which would be flat otherwise.
+    room = _SHOWN * float(torch.stack(list(errors.values())).abs().nanquantile(0.95))
     axes.set(xlabel="time, s", ylabel=ylabel, title=words(title, TITLE), ylim=(-room, room))
     return named(figure, {axes: lines})
 
