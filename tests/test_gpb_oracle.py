@@ -176,6 +176,15 @@ def test_the_lowest_of_three_levels_keeps_a_belief_of_its_own(sensor):
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 2, r))
 
 
+def test_the_lowest_and_the_highest_of_three_levels_keep_beliefs_of_their_own():
+    """Which for the oracle are motions, the same as the first."""
+    case, motion = position(), ConstantAcceleration(0.05)
+    options, r = regimes((0.9, 0.5, 0.6, 0.9), (0.5, 0.2, 0.2, 0.1), (0.1, 1.0, 60.0), (), separate=1)
+    r = r._replace(motions=[1, 0, 2])
+    f = presets.gpb(motion, case.sensor, **options | {"separate_levels": (0, 2)})
+    same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 3, r))
+
+
 def test_two_levels_of_the_first_of_three_motions_keep_beliefs_of_their_own():
     case, motions = position(), bank()
     stay, restart = (0.9, 0.5, 0.6, 0.9, 0.2), (0.4, 0.2, 0.1, 0.15, 0.15)
@@ -193,6 +202,16 @@ def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far()
     same(e, expected(case, [carried(motion, 1.0)], r, prior=wide))
     error = (e.mean[:, :2] - tensor(path())).norm(dim=-1)
     assert (error[1:] < 20).all()
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_noise_that_is_learned(sensor):
+    case, motion, (options, r) = sensor(), ConstantAcceleration(0.05), regimes(*TWO)
+    f = presets.gpb(motion, case.sensor, noise="learned", noise_doubt=0.9, noise_memory=6.0, **options)
+    estimate, found = f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)], r, noise=(0.9, 6.0))
+    same(estimate, found)
+    torch.testing.assert_close(estimate.info.noise, tensor(found["noise"]), rtol=1e-9, atol=0.0)
+    assert (estimate.info.noise - 1).abs().max() > 0.1
 
 
 @pytest.mark.slow

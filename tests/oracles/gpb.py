@@ -59,6 +59,7 @@ class OutlierModes(NamedTuple):
     inform: bool = True  # whether an outlier changes the belief
     same_offset: float = 0.0  # probability that an outlier after another has its offset; of linear sensors
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
+    noise: tuple[float, float] | None = None  # what is learned of it: std of its log variance, and measurements kept
 
     def over(self, seconds: float) -> Array:
         """The transition (2,2) between two measurements."""
@@ -253,13 +254,28 @@ def is_first(block: list[int], z: Array, q: OutlierModes) -> bool:
     return all(math.isnan(z[i]) for other in q.blocks[: q.blocks.index(block)] for i in other)
 
 
-def without_outliers(belief: Belief, z: Array, q: OutlierModes, model: Model, k: int) -> tuple[float, Belief]:
-    """The measurement taken as stated: its log density, and the belief after it."""
-    total = 0.0
+def without_outliers(
+    belief: Belief, z: Array, q: OutlierModes, model: Model, k: int
+) -> tuple[float, Belief, list[Array]]:
+    """The measurement taken as stated: its log density, the belief after it, and what it says about the noise."""
+    total, noise = 0.0, []
     for block in q.blocks:
-        score, *after = updated(belief, z, block, model, k, 1.0, is_first(block, z, q))
+        first = is_first(block, z, q)
+        noise.append(about_noise(belief, z, block, model, k, first))
+        score, *after = updated(belief, z, block, model, k, 1.0, first)
         belief, total = (after[0], after[1]), total + score
-    return total, belief
+    return total, belief, noise
+
+
+def about_noise(belief: Belief, z: Array, block: list[int], model: Model, k: int, first: bool) -> Array:
+    """Derivative (2,) of an inlier's log density by the log of its noise's scale, and how sharp it is."""
+    alone = np.full(len(z), np.nan)
+    alone[block] = z[block]
+    m, P = read(belief, alone, model, k), belief[1][:READS, :READS]
+    R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
+    Pzz = m.Pzz if first else m.Pxz.T @ np.linalg.inv(P) @ m.Pxz + R
+    S, root = np.linalg.inv(Pzz), np.linalg.cholesky(R)
+    return 0.5 * np.array([m.e @ S @ R @ S @ m.e - np.trace(S @ R), (np.diag(root.T @ S @ root) ** 2).sum()])
 
 
 def with_outliers(
@@ -272,12 +288,13 @@ def with_outliers(
     again: Array,
     path: Belief,
     last: Array,
-) -> tuple[float, Belief, list[float]]:
+) -> tuple[float, Belief, list[float], list[Array]]:
     """Each block an inlier, or an outlier with probability `prior` (B,): log density, belief, and P(outlier) of each.
 
-    Of these `again` (B,) have the offset that they had in the measurement before: z has changed as the `path` says.
+    Also what inliers say about the noise. Of the outliers `again` (B,) have the offset that they had in the measurement
+    before: z has changed as the `path` says.
     """
-    total, outlier = 0.0, []
+    total, outlier, noise = 0.0, [], []
     for block, share, chance in zip(q.blocks, prior, again, strict=True):
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
         furthest = max(q.sizes[-1], nis_per_element(belief, z, block, model, k, offsets[-1]))
@@ -295,10 +312,11 @@ def with_outliers(
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
+        noise.append(weights[0] * about_noise(belief, z, block, model, k, first))
         belief = matched([(w, *part[1:]) for w, part in zip(weights, parts, strict=True)])
         outlier.append(sum(weights[1:]))
         total += score
-    return total, belief, outlier
+    return total, belief, outlier, noise
 
 
 def unchanged(change: Array, block: list[int], path: Belief, model: Model, k: int) -> float:
@@ -358,6 +376,7 @@ class State(NamedTuple):
     outlier: Array  # (B,) of each block, in the mode with outliers
     last: Array  # (m,) the measurement
     elapsed: float = 0.0  # s since the last measurement
+    noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
 
 
 def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlier: float, factor: float) -> State:
@@ -366,7 +385,8 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
     beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in MODES for m in range(count)}
     log_regimes = np.log(np.array([share * regimes.first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
-    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf)
+    noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise)
 
 
 class Hypothesis(NamedTuple):
@@ -378,6 +398,7 @@ class Hypothesis(NamedTuple):
     log_weight: float
     belief: Belief
     outlier: Array  # (B,)
+    noise: Array  # (B,2)
 
 
 def hypotheses(
@@ -391,12 +412,17 @@ def hypotheses(
         again = same_offset_probabilities(q, c.outlier, transition, c.last, z, before)
         if np.isnan(z).all():
             mode = np.eye(2)[before]  # until a measurement says more
-        score, belief = without_outliers(predictions[before, r], z, q, model, k)
+        score, belief, noise = without_outliers(predictions[before, r], z, q, model, k)
         weight = log_chance[before, r]
-        found.append(Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, np.zeros(len(prior))))
+        found.append(
+            Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, np.zeros(len(prior)), np.array(noise))
+        )
         path = moved.get((before, r), predictions[before, r])
-        score, belief, outlier = with_outliers(predictions[before, r], z, q, model, k, prior, again, path, c.last)
-        found.append(Hypothesis(1, r, before, weight + log(mode[1]) + score, belief, np.array(outlier)))
+        score, belief, outlier, noise = with_outliers(
+            predictions[before, r], z, q, model, k, prior, again, path, c.last
+        )
+        weight += log(mode[1]) + score
+        found.append(Hypothesis(1, r, before, weight, belief, np.array(outlier), np.array(noise)))
     return found
 
 
@@ -404,6 +430,24 @@ def merged(every: list[Hypothesis]) -> tuple[float, Belief]:
     """Log weight and moments of some hypotheses together."""
     total = log_sum([h.log_weight for h in every])
     return total, matched([(math.exp(h.log_weight - total), *h.belief) for h in every])
+
+
+def forgotten(noise: Array, q: OutlierModes, z: Array) -> Array:
+    """What is known (B,2) of the noise at a measurement: what was, and that it may have changed since."""
+    doubt, memory = q.noise or (0.0, 1.0)
+    rows = []
+    for (mean, variance), block in zip(noise, q.blocks, strict=True):
+        kept = 1.0 if np.isnan(z[block]).all() else math.exp(-1 / memory)
+        rows.append([kept * mean, kept**2 * variance + (1 - kept**2) * doubt**2])
+    return np.array(rows)
+
+
+def louder(model: Model, k: int, noise: Array, q: OutlierModes) -> Model:
+    """The model with its noise as large as is known."""
+    scale = np.ones(sum(len(block) for block in q.blocks))
+    for (mean, _), block in zip(noise, q.blocks, strict=True):
+        scale[block] = math.exp(mean)
+    return model._replace(SR=np.sqrt(scale)[:, None] * at(model.SR, k))
 
 
 def step(
@@ -418,6 +462,10 @@ def step(
 ) -> tuple[State, dict[str, Any], Belief]:
     """One step: the state after it, its output, and the one-step smoothed belief of the step before."""
     motion, nothing = regimes.all_motions, bool(np.isnan(z).all())
+    known = c.noise
+    if known is not None:
+        known = forgotten(known, q, z)
+        model = louder(model, k, known, q)
     seconds = 0.0 if q.dt is None else c.elapsed + q.dt[k]
     with np.errstate(divide="ignore"):
         if regimes.seconds is None:
@@ -451,10 +499,15 @@ def step(
         "mean": mean, "P": P, "regimes": np.exp(log_regimes).sum(0), "outlier": outlier,
         "log_likelihood": log_likelihood, "nis": fit(expected.e, expected.Pzz)[0],
     }  # fmt: skip
+    if known is not None:
+        score, sharpness = np.sum([math.exp(h.log_weight) * h.noise for h in every], axis=0).T
+        variance = 1 / (1 / known[:, 1] + sharpness)
+        known = np.stack([known[:, 0] + variance * score, variance], 1)
+        output["noise"] = np.exp(known[:, 0])
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
-        return State(after, log_regimes, c.outlier, z, seconds), output, lagged
-    return State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z), output, lagged
+        return State(after, log_regimes, c.outlier, z, seconds, known), output, lagged
+    return State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known), output, lagged
 
 
 def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: OutlierModes) -> Result:
@@ -490,7 +543,8 @@ def gpb(
     """One track z (T,m), NaN missing; of the model only sensor and noise are used.
 
     Keys: mean (T,n), P (T,n,n), lagged_mean, lagged_P (of the last step as filtered), regimes (T,R), outlier (T,B),
-    log_likelihood (T,) of the mixture, nis (T,) of the Gaussian with the moments of all predictions.
+    log_likelihood (T,) of the mixture, nis (T,) of the Gaussian with the moments of all predictions; noise (T,B), the
+    learned scale of its variance.
     """
     c = start(np.array(mean0, dtype=float), np.array(P0, dtype=float), regimes, modes, prior_outlier, prior_inflation)
     steps, lagged = [], []

@@ -68,7 +68,7 @@ def gpb(
     *,
     manoeuvres: str | None = None,
     noise_levels: Values | None = None,
-    separate_levels: int | None = None,
+    separate_levels: int | Sequence[int] | None = None,
     manoeuvre_factors: Values | None = None,
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
@@ -104,8 +104,8 @@ def gpb(
             arguments that follow: ``presets.regimes.MANOEUVRES``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
-        separate_levels: the number of lowest levels that keep beliefs of their own; the others share one.  None is the
-            value of ``manoeuvres``, and 0 for one level.  With 0 the calm level can hardly be
+        separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
+            share one.  None is the value of ``manoeuvres``, and 0 for one level.  With 0 the calm level can hardly be
             distinguished from the others, and errors of targets that hardly manoeuvre are far larger.
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.

@@ -52,12 +52,13 @@ class Regimes(Part):
     manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
     ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
 
-    The levels of a motion share a belief, except for the lowest ``separate_levels``, which keep beliefs of their own:
-    while a target moves as calmly as such a level states, the covariance of its belief shrinks accordingly.  So there
-    are ``S = K + separate_levels + C`` beliefs: of each motion, of these levels, then of climbs.
+    The levels of a motion share a belief, except for ``separate_levels``, which keep beliefs of their own: while a
+    target moves as calmly as such a level states, the covariance of its belief shrinks accordingly, and while it is as
+    agile, its mean follows.  So there are ``S = K + (separate levels) + C`` beliefs: of each motion, of these levels,
+    then of climbs.
 
-    If ``vertical`` components are given, each separate level has a climb beside it, so ``C`` is ``separate_levels``,
-    else 0.  In a climb the vertical process noise is the stated one and all other noise that of the level: a sensor
+    If ``vertical`` components are given, each separate level that is lower than all others has a climb beside it; else
+    ``C`` is 0.  In a climb the vertical process noise is the stated one and all other noise that of the level: a sensor
     with precise ranges or range rates and a coarse elevation shows a turn at once and a climb late.  A climb has a
     belief of its own, and the level's self-transition probability; the two share its entry of the restart distribution.
 
@@ -75,7 +76,8 @@ class Regimes(Part):
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations its
             weight falls with its size, as a single large innovation is rather an outlier.
-        separate_levels: the number of lowest levels with beliefs of their own, fewer than all.
+        separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
+            of any.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
 
     Raises:
@@ -91,7 +93,7 @@ class Regimes(Part):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
-        separate_levels: int = 0, vertical: Sequence[int] = (),
+        separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -105,10 +107,7 @@ class Regimes(Part):
                 raise ValueError(f"{name}: expected a sequence of numbers, received {value.item():g}")
         self.motions, self.level_count = motions, levels.shape[-1]
         self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
-        if separate_levels not in range(max(self.level_count, 1)):
-            raise ValueError(
-                f"separate_levels: expected a number from 0 to {self.level_count - 1}, received {separate_levels!r}"
-            )
+        own = _levels(separate_levels, self.level_count)
         kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
         count = kinds + motions - 2  # of regimes
         self.by_kind = motions < 3 or stay.shape[-1:] != (count,)
@@ -116,16 +115,16 @@ class Regimes(Part):
         for name, value in ((sojourn, stay), ("restart", begin)):
             if value.shape[-1:] != (kinds if self.by_kind else count,):
                 raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
-        self.vertical, self.climb_count = tuple(vertical), separate_levels if vertical else 0
+        calm = sum(level == i for i, level in enumerate(own))  # lower than all others
+        self.vertical, self.climb_count = tuple(vertical), calm if vertical else 0
         scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
         self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + scaled)
         """The index of each regime's motion."""
-        self.beliefs = motions + separate_levels + self.climb_count
+        self.beliefs = motions + len(own) + self.climb_count
         """The number of beliefs, ``S``."""
-        separate, climbs = range(motions, motions + separate_levels), range(motions + separate_levels, self.beliefs)
-        self.belief_of = (
-            *separate, *(0,) * (self.level_count - separate_levels), *range(1, motions), *climbs, *(0,) * scaled
-        )  # fmt: skip
+        levels_own = (motions + own.index(i) if i in own else 0 for i in range(self.level_count))
+        climbs = range(motions + len(own), self.beliefs)
+        self.belief_of = (*levels_own, *range(1, motions), *climbs, *(0,) * scaled)
         """The index of each regime's belief."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
         """The indices of the first belief's regimes."""
@@ -376,3 +375,20 @@ class Regimes(Part):
         jumps = jumps.expand(1, self.jump_count, *batch)
         rest = jumps.new_full((1, self.level_count + self.motions - 1 + self.climb_count, *batch), others)
         return torch.cat([rest, manoeuvres, jumps], MOTION)
+
+
+def _levels(separate: int | Sequence[int], count: int) -> tuple[int, ...]:
+    """The indices of the separate levels, ascending.
+
+    Raises:
+        ValueError: not fewer than all ``count`` levels, or one that is none of them.
+    """
+    if isinstance(separate, Sequence):
+        if all(i in range(count) for i in separate) and len(set(separate)) == len(separate) < max(count, 1):
+            return tuple(sorted(separate))
+    elif separate in range(max(count, 1)):
+        return tuple(range(separate))
+    raise ValueError(
+        f"separate_levels: expected a number from 0 to {count - 1}, or so many different indices of {count} levels, "
+        f"received {separate!r}"
+    )
