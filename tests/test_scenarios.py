@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchfra import metrics, presets, scenarios
-from torchfra.catalogue import SCENARIOS, make_scenario
+from torchfra.catalogue import SCENARIOS, filters_for, make_scenario, scenario_filters
 
 
 def estimated(scenario, tracks):
@@ -54,3 +54,13 @@ def test_where_coordinates_are_the_same_conversion_changes_nothing(make):
     assert (scenario.position, scenario.velocity) == (scenario.truth_position, scenario.truth_velocity)
     estimate = estimated(scenario, scenario.simulate(2, 0))
     assert scenario.cartesian(estimate) is estimate
+
+
+@pytest.mark.parametrize("name", list(SCENARIOS))
+def test_every_filter_that_goes_with_a_scenario_is_made_around_its_models(name):
+    options = [{"motion": motion} for motion in ("velocity", "acceleration", "turn", "bank")]
+    for more in options if name == "as-stated" else [{}]:
+        scenario = make_scenario(name, **more)
+        names = filters_for(scenario)
+        assert list(scenario_filters(names, scenario)) == names
+        assert len(names) > 1
