@@ -110,8 +110,8 @@ def with_gradients(f: Any, estimate: Estimate) -> Estimate:
     if not learned or all(x.requires_grad for x in estimate[:4]):
         return estimate
     nothing = torch.stack([0 * x.sum() for x in learned]).sum()
-    parts = (x if x.requires_grad else x + nothing.to(x) for x in estimate[:4])
-    return Estimate(*parts, *estimate[4:])
+    tied: dict[str, Any] = {name: x + nothing.to(x) for name, x in zip(estimate._fields[:4], estimate[:4], strict=True)}
+    return estimate._replace(**{name: x for name, x in tied.items() if not getattr(estimate, name).requires_grad})
 
 
 def without_failed_gradients(

@@ -132,7 +132,8 @@ def eliminated(a: Tensor, count: int, least: float, *, graded: bool = False) -> 
     """
     first = a[..., :count, :].detach()
     scale = least * (first.abs() if graded else _norms(first))
-    columns, units, dependent, rest = [], [], [], a
+    units: list[Tensor] = []
+    columns, dependent, rest = [], [], a
     for j in range(count):
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         if graded and units:
