@@ -20,8 +20,8 @@ def white(rng, count):
     return 3.0 * rng.standard_normal((count, 2))
 
 
-def smoothed_by_the_receiver(rng, count, kept=np.exp(-1 / 30)):
-    errors = 3.0 * rng.standard_normal((count, 2))
+def smoothed_by_the_receiver(rng, count):
+    errors, kept = 3.0 * rng.standard_normal((count, 2)), np.exp(-1 / 30)
     for k in range(1, count):
         errors[k] = kept * errors[k - 1] + np.sqrt(1 - kept**2) * errors[k]
     return errors
