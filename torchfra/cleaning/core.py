@@ -15,7 +15,7 @@ from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_height
 from torchfra.cleaning.catalogue_filters import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.correlation import correlated_errors, widened
-from torchfra.cleaning.flags import flags
+from torchfra.cleaning.flags import MATTERS, flags
 from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
 from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
@@ -36,6 +36,8 @@ _LITTLE_GAIN = 0.75
 """Share of the standard deviation of a fix above which its estimate is hardly more certain than the fix."""
 _OPEN = 0.5
 """Sigma is unsure if one below this share of it is not ruled out."""
+_REPEATED = 0.5
+"""Factor on the stated standard deviations below which a track does not show them: its receiver has smoothed it."""
 _WORTHWHILE = 20_000
 """Fewest fixes of a process, whose start takes as long as cleaning some thousands."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
@@ -210,25 +212,53 @@ def _clean_batch(
     errors = correlated_errors([tracks[i] for i in kept], [kinds[i][0] for i in kept], [found[i] for i in kept])
     for i, error in zip(kept, errors, strict=True):
         results[i] = widened(results[i], error)
-    return results
+    return [_as_stated(*of) for of in zip(results, tracks, strict=True)]
+
+
+def _as_stated(one: Cleaned, steps: Steps) -> Cleaned:
+    """The result with the standard deviations that the file states, where the track does not show its own.
+
+    The residuals of fixes that a receiver has smoothed, or of ones too far apart, say nothing of how good they are, so
+    no estimate is more certain than its fix.
+    """
+    found = one.found
+    shown = found.sigma >= _REPEATED and not found.sigma_unsure
+    if one.recording.sigma is None or "sigma" not in found.estimated or shown:
+        return one
+    d = one.raw.shape[1]
+    at = np.maximum.accumulate(np.where(one.row >= 0, np.arange(len(one.time)), 0))  # of the last fix
+    more = np.maximum(steps.std[at] ** 2 - np.diagonal(one.covariance, axis1=1, axis2=2)[:, :d], 0.0)
+    covariance = one.covariance.copy()
+    covariance[:, range(d), range(d)] += more
+    note = "Standard deviations are as stated: fixes differ from the path by less than that, or are too far apart"
+    found = replace(
+        found, sigma=1.0, estimated=found.estimated - {"sigma"}, sigma_unsure="", notes=(*found.notes, note)
+    )
+    return replace(one, covariance=covariance, found=found)
 
 
 def _of_answer(recording: Recording, steps: Steps, answer: Answer, found: Found) -> Cleaned:
     """The result of the default filter for a track."""
     regimes = np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1)
-    return replace(_result(recording, steps, *answer[:5], found, REGIMES, regimes), parameters=answer.parameters)
+    result = _result(recording, steps, *answer[:5], found, REGIMES, regimes, answer.height)
+    return replace(result, parameters=answer.parameters)
 
 
 def _result(
     recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
-    found: Found, names: tuple[str, ...], regimes: Array,
+    found: Found, names: tuple[str, ...], regimes: Array, sigma_of_height: float = math.nan,
 ) -> Cleaned:  # fmt: skip
-    """A track with its estimates, flags and segments, and its mean NIS."""
+    """A track with its estimates, flags and segments, and its mean NIS; the height's sigma is that of all if NaN."""
     fix = (steps.row >= 0) & ~np.isnan(steps.raw[:, :2]).any(1)  # an altitude may be missing
     origin, d = recording.origin, steps.raw.shape[1]
     height = to_geodetic(mean[:, :3], origin)[2] if origin is not None and d == 3 else None
     listed = segments(steps.time, mean, covariance, height)
-    flag = flags(fix, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
+    sigma = np.full(d, found.sigma if recording.sigma is None else max(found.sigma, 1.0))
+    if not math.isnan(sigma_of_height):
+        sigma[2] = sigma_of_height
+    off = (steps.raw - mean[:, :d]) / (sigma * steps.std)
+    matters = (np.linalg.norm(off[:, :2], axis=1) > MATTERS) | (np.abs(off[:, 2:]) > MATTERS).any(1)
+    flag = flags(fix & matters, nis, outlier, manoeuvre, inside(steps.time, listed), GATE[d])
     good = fix & ~np.isnan(steps.raw).any(1) & (flag != "outlier")
     mean_nis = float(nis[good].mean() / d) if good.any() else math.nan
     found = replace(found, nis=mean_nis, stated=recording.sigma is not None)

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
 
+MATTERS = 3.0
+"""Distance from the path, in standard deviations of a fix, that an outlier exceeds: the path may go through a fix that
+contradicts those before it."""
 _DOUBTFUL, _MANOEUVRE = 0.2, 0.5
 """Least probabilities of an unclear fix, and of a manoeuvre."""
 

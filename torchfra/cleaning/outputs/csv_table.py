@@ -42,8 +42,8 @@ def _cells(name: str, values: NDArray[Any]) -> tuple[str, list[Any]]:
         # csv of Python 3.10 cannot read "\0".
         quoted = {v: _quoted(str(v).replace("\0", r"\x00")) for v in set(values.tolist())}
         return "%s", [quoted[v] for v in values.tolist()]
-    if name.startswith("cov_"):
-        form, values = "%.6g", values + 0.0  # none is written as -0
+    if name.startswith(("cov_", "std_")):  # of any size: digits follow the value
+        form, values = "%.6g" if name.startswith("cov_") else "%.4g", values + 0.0  # none is written as -0
     else:
         digits = max((_DIGITS.get(word, 3) for word in name.split("_")), default=3)
         form, values = f"%.{digits}f", np.where(np.abs(values) < 0.5 / 10**digits, 0.0, values)

@@ -233,7 +233,9 @@ def _method(found: Found) -> str:
 
 def sigma_in_words(sigma: float, stated: bool) -> str:
     """The standard deviation of a fix, or the factor on what the file states of each."""
-    return f"{sigma:.2g} times as stated" if stated else metres(sigma)
+    if not stated:
+        return metres(sigma)
+    return "as stated" if sigma == 1 else f"{sigma:.2g} times as stated"
 
 
 def _how(found: Found, name: str) -> str:
