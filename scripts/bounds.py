@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def known_cells() -> dict[str, Cell]:
-    """All that have a bound: scenarios of the catalogue at their defaults, and the cells of scripts/regret.py."""
+    """All of them: scenarios of the catalogue at their defaults, and the cells of scripts/regret.py."""
     return {name: Cell(partial(make_scenario, name)) for name in SCENARIOS} | all_cells()
 
 
@@ -70,7 +70,8 @@ def bounds(options: argparse.Namespace) -> None:
     every = {names[number]: of for number, of in done}
     found = {name: of for name in names if (of := every[name]) is not None}
     if not found:
-        raise ValueError(f"filters: expected some that go with {options.cells}, received {options.filters}")
+        expected = f"a cell that has a bound, and filters that go with it, among {options.cells}"
+        raise ValueError(f"cells, filters: expected {expected}, received {options.filters or 'all filters'}")
     if not options.quiet:
         print(table(found))
         print(summary(found), flush=True)
@@ -78,8 +79,13 @@ def bounds(options: argparse.Namespace) -> None:
 
 
 def of_cell(cell: str, listed: list[str] | None, runs: int, seed: int) -> Found | None:
-    """The bound of a cell, and of each filter the error, the ratio to it and the lowest step; None without filters."""
+    """The bound of a cell, and of each filter the error, the ratio to it and the lowest step; None without either.
+
+    Banks and missing measurements have no bound: see ``Scenario.law``.
+    """
     scenario = known_cells()[cell].make()
+    if scenario.law is None:
+        return None
     known = filters_for(scenario)
     names = known if listed is None else [name for name in listed if name in known]
     if not names:

@@ -5,6 +5,7 @@ import math
 from fnmatch import fnmatchcase
 from types import SimpleNamespace
 
+import bounds
 import numpy as np
 import pytest
 import regret
@@ -336,6 +337,15 @@ def test_what_cannot_be_done_in_a_late_cell_is_said_before_the_first_run(monkeyp
     assert "some that go with stated-velocity-0.1-none, received vsimm_srckf" in capsys.readouterr().err
     assert regret.main(["--smooth", "--filters", "alphabeta", "--cells", "stated-velocity-0.1-none"]) == 2
     assert "constant gains have no process noise" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("short_tracks")
+def test_a_cell_without_a_bound_is_left_out_of_the_table_of_bounds(tmp_path, capsys):
+    path, small = tmp_path / "b.json", ["--filters", "srckf", "--runs", "2", "--jobs", "1", "--quiet"]
+    assert bounds.main(["--cells", "stated-bank-0.1-none,stated-turn-0.1-none", *small, "--json", str(path)]) == 0
+    assert list(json.loads(path.read_text())["cells"]) == ["stated-turn-0.1-none"]
+    assert bounds.main(["--cells", "stated-bank-0.1-none", *small]) == 2
+    assert "cells, filters: expected a cell that has a bound" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- the picture
