@@ -19,13 +19,15 @@ def prior_odds(preference: float, plain: float | None) -> dict[str, float]:
     return {"robust": preference, "adaptive": 0.0} | ({} if plain is None else {"plain": plain})
 
 
-def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str) -> dict[str, float]:
-    """How well each branch predicts the next measurement: feedback decision of section 2.2."""
+def scores(
+    ahead: dict[str, Prior], odds: dict[str, float], decision: str, jumps: Jumps, nis: float
+) -> dict[str, float]:
+    """How well each branch predicts the next measurement: feedback decision of section 2.2; `nis` is of this step."""
     found = {}
-    for name, odd in odds.items():
+    for name in odds:
         score = ahead[name].log_likelihood if decision == "likelihood" else -0.5 * ahead[name].nis
-        found[name] = score + odd if math.isfinite(score) else -math.inf
-    return found
+        found[name] = score if math.isfinite(score) else -math.inf
+    return {name: score + odds[name] for name, score in jumps.weigh(found, ahead, nis).items()}
 
 
 class Jumps:
@@ -42,11 +44,10 @@ class Jumps:
 
     def weigh(self, scored: dict[str, float], ahead: dict[str, Prior], nis: float) -> dict[str, float]:
         """Scores of the branches of a step of this nis, by the odds if it was far off."""
-        others = {name: score for name, score in scored.items() if name != "robust"}
-        best, measured = max(others.values()), any(p.seen for p in ahead.values())
+        best, measured = scored["adaptive"], any(p.seen for p in ahead.values())
         if not (self.on and nis > 2.5 * self.gate and measured and math.isfinite(best + scored["robust"])):
             return scored
-        elsewhere = all(ahead[name].nis > 2.5 * self.gate for name in others)
+        elsewhere = ahead["adaptive"].nis > 2.5 * self.gate
         gain = min(best - scored["robust"], -3.0 if elsewhere else 1.0)
         self.odds = min(max(self.odds + gain, -self.bound), self.bound)
         return {name: s if name == "robust" else scored["robust"] + self.odds + s - best for name, s in scored.items()}
@@ -104,7 +105,7 @@ def fra(
             name = winner(odds) if final == "likeliest" else final
             if k + 1 < len(z):
                 ahead = {b: compare(*branches[b][:2], z[k + 1], model, k + 1, rule) for b in odds}
-                name = winner(jumps.weigh(scores(ahead, odds, decision), ahead, p.nis))
+                name = winner(scores(ahead, odds, decision, jumps, p.nis))
                 following = ahead[name]
             kept = branches[name]
         flags = {"abnormal": abnormal, "name": name, "provisional": shown[0]}
@@ -169,7 +170,7 @@ def soft_fra(
         shares = {"robust": 1.0}
         if k + 1 < len(z):
             ahead = {name: compare(*branches[name][:2], z[k + 1], model, k + 1, rule) for name in odds}
-            shares = softmax(jumps.weigh(scores(ahead, odds, decision), ahead, p.nis), temperature)
+            shares = softmax(scores(ahead, odds, decision, jumps, p.nis), temperature)
         mean, P = mixed(shares)
         steps.append({"mean": mean, "P": P, "provisional": shown})
     return collect(steps)

@@ -292,9 +292,10 @@ class FRA(Soft, Filter[FRAState]):
         score = -0.5 * nis
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        score = score + self.odds(score[0])
-        score = torch.where(score.isfinite(), score, -torch.inf)
-        return self.by_evidence(score, nis, before) if self.patience else (score, before.evidence)
+        score, evidence = torch.where(score.isfinite(), score, -torch.inf), before.evidence
+        if self.patience:
+            score, evidence = self.by_evidence(score, nis, before)
+        return score + self.odds(score[0]), evidence
 
     def by_evidence(self, score: Tensor, nis: Tensor, before: Undecided) -> tuple[Tensor, Tensor]:
         """Scores of steps that were far off by the log odds of a jump; and these, with this measurement.
@@ -305,13 +306,13 @@ class FRA(Soft, Filter[FRAState]):
             before: of the step that is decided.
         """
         robust, others = score[0], score[1:]
-        other, gate = others.amax(0), self.gate(before.excess)
-        known = robust.isfinite() & other.isfinite() & (nis.amax(0) > 0)
+        adaptive, gate = score[1], self.gate(before.excess)
+        known = robust.isfinite() & adaptive.isfinite() & (nis.amax(0) > 0)
         far = known & (before.excess > (_FAR - 1) * gate)
-        most = torch.where(nis[1:].amin(0) > _FAR * gate, _ELSEWHERE, _AGAIN)
-        gain = torch.minimum(other - robust, most)
+        most = torch.where(nis[1] > _FAR * gate, _ELSEWHERE, _AGAIN)
+        gain = torch.minimum(adaptive - robust, most)
         evidence = torch.where(far, (before.evidence + gain).clamp(-self.most_odds, self.most_odds), before.evidence)
-        by_odds = torch.where(others.isfinite(), robust + evidence + (others - other), -torch.inf)
+        by_odds = torch.where(others.isfinite(), robust + evidence + (others - adaptive), -torch.inf)
         return torch.cat([score[:1], torch.where(far, by_odds, others)]), evidence
 
     def odds(self, like: Tensor) -> Tensor:

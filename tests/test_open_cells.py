@@ -1,0 +1,213 @@
+"""Random cells are the same for any number of runs and cells, and have what they say; filters keep promises in them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchfra import presets
+from torchfra.scenarios import OpenCell, draw_cell, open_cell
+from torchfra.scenarios.open_cells import KINDS, LONGEST, MOTIONS, SENSORS, SHORTEST, SPACINGS
+
+SEED, CELLS, RUNS = 2027, 40, 3
+LARGEST_SPIKE = 1e100
+
+
+def standardised(cell, tracks, scenario):
+    """How far measurements are from the truth, in standard deviations ``(B, T, m)``."""
+    sensor = replace(cell, stated_std=1.0).scenario().sensor
+    gap = sensor.difference(tracks.z, sensor(tracks.truth, tracks.u))
+    return gap / sensor.std()
+
+
+# ---------------------------------------------------------------- what is drawn
+
+
+def test_a_cell_and_its_runs_do_not_depend_on_how_many_there_are():
+    first, again = (open_cell(7, seed=3) for _ in range(2))
+    few, many = first.simulate(2, 5, first=1), again.simulate(300, 5)
+    assert torch.equal(few.z, many.z[1:3])
+    assert torch.equal(few.prior.mean, many.prior.mean[1:3])
+    assert draw_cell(7, seed=3) == draw_cell(7, seed=3) != draw_cell(7, seed=4)
+    assert not torch.equal(
+        open_cell(0, seed=3).simulate(1, 5).z[..., :2], open_cell(14, seed=3).simulate(1, 5).z[..., :2]
+    )
+
+
+def test_cells_have_every_kind_motion_sensor_and_spacing_and_steps_within_their_bounds():
+    drawn = [draw_cell(i, seed=SEED) for i in range(400)]
+    for field, values in (("kind", KINDS), ("motion", MOTIONS), ("sensor", SENSORS), ("spacing", SPACINGS)):
+        assert {getattr(cell, field) for cell in drawn} == set(values)
+    assert min(cell.size for cell in drawn) < 5 < 3e5 < max(cell.size for cell in drawn)
+    for i in range(0, 60, 4):
+        dt = torch.as_tensor(open_cell(i, seed=SEED).dt)
+        assert SHORTEST <= dt.min() <= dt.max() <= LONGEST
+
+
+def test_drawn_numbers_are_those_of_any_processor():
+    cell = draw_cell(3, seed=1)
+    assert (cell.kind, cell.motion, cell.sensor, cell.spacing) == ("quantised", "acceleration", "radar", "even")
+    assert (cell.index, cell.dt) == pytest.approx((0.76473591, 25.7011063), rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["spikes", "element", "quantised", "pairs", "bursts", "one-sided", "half", "first"])
+def test_outliers_are_of_the_size_the_share_and_the_elements_that_are_said(kind):
+    cell = OpenCell(kind, size=1000.0, share=0.1, length=3, one_sided=True)
+    scenario = cell.scenario()
+    off = standardised(cell, scenario.simulate(256, 1), scenario)
+    out = off.norm(dim=-1) > 100
+    expected = {"half": 0.5, "first": 0.01}.get(kind, 0.1)
+    assert out.double().mean() == pytest.approx(expected, rel=0.1)
+    sizes = off[out]
+    if kind == "element":
+        assert ((sizes.abs() > 100).sum(-1) == 1).all()
+    if kind == "quantised":
+        assert ((sizes / 1000 - (sizes / 1000).round()).abs() < 0.01).all()
+    else:
+        assert ((sizes.norm(dim=-1) / 1000 - 1).abs() < 0.01).all()
+    if kind in ("one-sided", "half"):
+        assert (sizes > -6).all()
+    if kind == "first":
+        assert (out[:, :3].sum(-1) == 1).all()
+
+
+def test_bursts_have_one_offset_if_they_are_shorter_than_what_is_followed():
+    for length, follow, same in ((4, 5, True), (6, 5, False), (6, 7, True)):
+        cell = OpenCell("bursts", size=1000.0, share=0.02, length=length)
+        scenario = cell.scenario(follow=follow)
+        off = standardised(cell, scenario.simulate(64, 1), scenario)
+        out = off.norm(dim=-1) > 100
+        near = (off[:, 1:] - off[:, :-1]).norm(dim=-1)[out[:, 1:] & out[:, :-1]] < 10
+        assert near.double().mean() > 0.85 if same else near.double().mean() < 0.05
+
+
+@pytest.mark.parametrize(("kind", "follow"), [("moved", 5), ("reset", 3)])
+def test_after_a_jump_the_truth_is_unknown_until_the_estimate_has_to_be_there(kind, follow):
+    scenario = OpenCell(kind, size=300.0, index=0.01).scenario(follow=follow)
+    tracks = scenario.simulate(20, 1)
+    unknown = tracks.truth.isnan().any(-1)
+    assert (unknown.sum(-1) == follow - 1).all()
+    at = unknown.int().argmax(-1)
+    for z, truth, step in zip(tracks.z, tracks.truth, at.tolist(), strict=True):
+        jumped = (z[step] - z[step - 1] - truth[step - 1, 2:4]).norm()
+        assert jumped == pytest.approx(300, rel=0.05)
+        speed = (truth[step + follow, 2:4] - truth[step - 1, 2:4]).norm()
+        assert (speed > 1) == (kind == "moved")
+
+
+def test_what_is_stated_wrongly_does_not_change_the_tracks():
+    right, wrong = (OpenCell("spikes", stated_q=q, stated_std=s).scenario() for q, s in ((1.0, 1.0), (0.01, 2.0)))
+    assert torch.equal(right.simulate(2, 1).z, wrong.simulate(2, 1).z)
+    assert wrong.motion.q() == pytest.approx(0.01 * float(right.motion.q()))
+    assert wrong.sensor.std() == pytest.approx(2 * float(right.sensor.std()))
+
+
+@pytest.mark.parametrize(("wrong", "message"), [
+    ({"kind": "worse"}, "kind: expected one of"), ({"dt": 0.0}, "dt: expected a finite value above 0"),
+    ({"share": 1.5}, "share: expected one from 0 to 1"), ({"length": 0}, "length: expected a whole number of 1"),
+])  # fmt: skip
+def test_a_cell_out_of_range_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        OpenCell(**wrong).scenario()
+    with pytest.raises(ValueError, match="steps: expected a whole number of 30"):
+        OpenCell().scenario(steps=3)
+    with pytest.raises(ValueError, match="cell, seed: expected whole numbers from 0"):
+        open_cell(-1)
+
+
+# ---------------------------------------------------------------- what fra promises
+
+
+@pytest.mark.parametrize("index", [0.03, 0.3])
+@pytest.mark.parametrize(("kind", "length"), [("pairs", 2), ("bursts", 3), ("bursts", 4)])
+@pytest.mark.parametrize("size", [10.0, 30.0, 1e4])
+def test_fra_is_no_worse_than_its_robust_part_where_outliers_come_in_bursts(index, kind, length, size):
+    cell = OpenCell(kind, index=index, size=size, length=length, std=2.0)
+    scenario, calm = cell.scenario(), replace(cell, kind="none").scenario()
+    tracks, z = scenario.simulate(40, 1), scenario.simulate(40, 1).z
+    z[:, :6] = calm.simulate(40, 1).z[:, :6]  # before that a prior that is off looks the same
+    errors = []
+    with torch.no_grad():
+        for preset in (presets.fra, presets.rsrckf):
+            mean = preset(scenario.motion, scenario.sensor).compile()(z, tracks.prior, dt=scenario.dt).mean
+            errors.append((mean - tracks.truth)[..., :2].square().sum(-1).mean(0).sqrt().mean())
+    assert errors[0] < 1.05 * errors[1]
+
+
+@pytest.mark.parametrize(("patience", "last"), [(1, 1), (2, 2), (4, 4)])
+def test_fra_follows_a_jump_with_the_measurement_after_as_many_as_it_has_patience_with(patience, last):
+    scenario = OpenCell(index=0.03).scenario(steps=40)
+    tracks = scenario.simulate(8, 3)
+    f = presets.fra(scenario.motion, scenario.sensor, patience=patience)
+    z = tracks.z.clone()
+    z[:, 20:] += 100.0
+    info = f(z, tracks.prior, dt=scenario.dt).info
+    far = (info.provisional.mean - tracks.truth)[..., :2].norm(dim=-1)
+    followed = (far[:, 20:] > 120).int().argmax(-1)
+    assert (info.adaptive[:, 20 : 20 + last - 1]).sum() == 0
+    assert info.adaptive[:, 20 + last - 1].all()
+    assert (followed >= last).all()
+
+
+def test_the_paper_s_filter_has_no_patience():
+    scenario = OpenCell("pairs", size=100.0).scenario()
+    tracks = scenario.simulate(4, 1)
+    f, patient = (presets.fra_srckf(scenario.motion, scenario.sensor, patience=p) for p in (0, 4))
+    assert f.patience == presets.fra_srckf(scenario.motion, scenario.sensor).patience == 0
+    one, other = (x(tracks.z, tracks.prior, dt=scenario.dt).mean for x in (f, patient))
+    assert not torch.equal(one, other)
+    with pytest.raises(ValueError, match="patience: expected 0, or a finite number of 1 or more"):
+        presets.fra(scenario.motion, scenario.sensor, patience=0.5)
+
+
+# ---------------------------------------------------------------- what gpb promises
+
+
+def spiked(cell, seed, size):
+    """Two runs of a cell without anything wrong, and the same with a spike in the middle."""
+    scenario = replace(cell, kind="none").scenario(steps=30)
+    tracks = scenario.simulate(2, seed)
+    z = tracks.z.clone()
+    z[:, 20] += size * scenario.sensor.std() * torch.tensor([1.0, -1.0, 1.0, -1.0])[: z.shape[-1]]
+    z = torch.where(scenario.sensor.angles, scenario.sensor.difference(z, torch.zeros_like(z)), z)
+    return scenario, tracks, z
+
+
+@pytest.mark.slow
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(0, 100))
+def test_an_estimate_is_finite_whatever_a_measurement_is(number, seed, exponent):
+    scenario, tracks, z = spiked(draw_cell(number, seed=SEED), seed, 10.0**exponent)
+    estimate = presets.gpb(scenario.motion, scenario.sensor)(z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    assert estimate.mean.isfinite().all()
+    assert estimate.scale_tril.isfinite().all()
+
+
+@pytest.mark.slow
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(1.5, 100))
+def test_a_spike_of_any_size_moves_the_next_estimate_by_less_than_three_standard_deviations(number, seed, exponent):
+    cell = replace(draw_cell(number, seed=SEED), stated_q=1.0, stated_std=1.0, turn=False)
+    scenario, tracks, z = spiked(cell, seed, 10.0**exponent)
+    f = presets.gpb(scenario.motion, scenario.sensor)
+    moved, still = (f(x, tracks.prior, u=tracks.u, dt=scenario.dt) for x in (z, tracks.z))
+    gap = (moved.mean - still.mean)[:, 21, :2]
+    std = still.scale_tril[:, 21, :2].norm(dim=-1)
+    assert (gap.abs() < 3 * std).all()
+
+
+@pytest.mark.slow
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.integers(-12, 12), st.integers(-6, 6))
+def test_units_that_are_a_power_of_two_change_nothing(number, seed, metres, seconds):
+    cell = replace(draw_cell(number, seed=SEED), motion="velocity")
+    length, time = 2.0**metres, 2.0**seconds
+    scenario = replace(cell, dt=1.0, spacing="even").scenario(steps=30)
+    other = replace(cell, dt=time, spacing="even", std=length * cell.std).scenario(steps=30)
+    means = []
+    for s in (scenario, other):
+        tracks = s.simulate(2, seed)
+        means.append(presets.gpb(s.motion, s.sensor, durations="steps")(tracks.z, tracks.prior, dt=s.dt).mean)
+    torch.testing.assert_close(length * means[0][..., :2], means[1][..., :2], rtol=1e-9, atol=1e-9 * length * cell.std)
