@@ -345,6 +345,29 @@ def out_of_range(module: nn.Module) -> Tensor | None:
     return bad if traced or bool(bad.any()) else None
 
 
+def spoilt(f: Any, state: Any) -> Any:
+    """The state, whose means are NaN for each track with a hyperparameter that is NaN or out of its range.
+
+    A choice takes NaN for no, and goes on: a gate of NaN would let every measurement pass, or none.  So a filter's
+    state is spoilt where it enters a step.
+    """
+    bad = out_of_range(f)
+    return state if bad is None else _with_nan(state, bad, state.belief.mean.dim() - 1)
+
+
+def _with_nan(state: Any, bad: Tensor, rank: int) -> Any:
+    """The state with NaN for every field ``mean`` where ``bad (...)``, of ``rank`` dimensions."""
+    if not isinstance(state, tuple):
+        return state
+    if not hasattr(state, "_fields"):
+        return tuple(_with_nan(part, bad, rank) for part in state)
+    parts = {name: _with_nan(part, bad, rank) for name, part in zip(state._fields, state, strict=True)}
+    if isinstance(mean := parts.get("mean"), Tensor):
+        each = bad.reshape(bad.shape + (1,) * (mean.dim() - rank))
+        parts["mean"] = torch.where(each, torch.nan, mean)
+    return type(state)(**parts)
+
+
 def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
     """The hyperparameters of a module that have certain names, by their path.
 

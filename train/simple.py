@@ -12,6 +12,7 @@ import argparse
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -69,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
     before = error(f, test)
     validation = fresh(VALIDATION_RUNS, VALIDATION_SEED)
     optimiser = torch.optim.Adam(f.parameters(), lr=RATE)
-    run = {"iteration": 0, "best": float("inf"), "improved": 0}
+    run: dict[str, Any] = {"iteration": 0, "best": float("inf"), "improved": 0}
     best = {name: x.clone() for name, x in f.state_dict().items()}
 
     # ---- from where it stopped

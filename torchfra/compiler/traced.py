@@ -12,8 +12,8 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
-from torchfra.filters.failures import spoilt
 from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
+from torchfra.hyper import spoilt
 from torchfra.types import Gaussian
 
 

@@ -9,10 +9,9 @@ from typing import Any, Protocol
 import torch
 
 from torchfra import tree
-from torchfra.filters.failures import spoilt
 from torchfra.filters.records import Kept, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
-from torchfra.hyper import same_values
+from torchfra.hyper import same_values, spoilt
 from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]

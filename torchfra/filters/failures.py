@@ -16,29 +16,6 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.types import Cause, Estimate, Failure, Gaussian
 
 
-def spoilt(f: Any, state: Any) -> Any:
-    """The state, whose means are NaN for each track with a hyperparameter that is NaN or out of its range.
-
-    A choice takes NaN for no, and goes on: a gate of NaN would let every measurement pass, or none.  So a filter's
-    state is spoilt where it enters a step.
-    """
-    bad = out_of_range(f)
-    return state if bad is None else _with_nan(state, bad, state.belief.mean.dim() - 1)
-
-
-def _with_nan(state: Any, bad: Tensor, rank: int) -> Any:
-    """The state with NaN for every field ``mean`` where ``bad (...)``, of ``rank`` dimensions."""
-    if not isinstance(state, tuple):
-        return state
-    if not hasattr(state, "_fields"):
-        return tuple(_with_nan(part, bad, rank) for part in state)
-    parts = {name: _with_nan(part, bad, rank) for name, part in zip(state._fields, state, strict=True)}
-    if isinstance(mean := parts.get("mean"), Tensor):
-        each = bad.reshape(bad.shape + (1,) * (mean.dim() - rank))
-        parts["mean"] = torch.where(each, torch.nan, mean)
-    return type(state)(**parts)
-
-
 def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
     """The step at which each track has failed, and the cause.
 
@@ -55,12 +32,12 @@ def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaus
         total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()
         if math.isfinite(total.item()):
             return Failure(*(torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE))))
-    bad = Gaussian(mean, root).failed
+    bad, values = Gaussian(mean, root).failed, out_of_range(f)
     step = torch.where(bad.any(-1), bad.to(torch.int64).argmax(-1), -1)
     reasons = {
         Cause.PRIOR: prior.failed,
         Cause.MEASUREMENT: _by_then(measurements.z.isinf().flatten(-1 - f.scans).any(-1), step, f.scans),
-        Cause.VALUE: bad.new_zeros(()) if (values := out_of_range(f)) is None else values,
+        Cause.VALUE: bad.new_zeros(()) if values is None else values,
     }
     if measurements.u is not None:
         reasons[Cause.INPUT] = _by_then(~measurements.u.isfinite().all(-1), step, f.scans)

@@ -11,11 +11,10 @@ from torchfra import tree
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.checks import check_lengths
 from torchfra.filters.engine import backward_pass
-from torchfra.filters.failures import spoilt
 from torchfra.filters.fusion import joined
 from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import Frame, Measurements, Time
-from torchfra.hyper import Part
+from torchfra.hyper import Part, spoilt
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Innovation
 

@@ -159,6 +159,10 @@ def check_seconds(dt: Time, dtype: torch.dtype, zero_dt: bool = True) -> None:
         _refuse("dt", f"seconds above 0 {'(or just 0) ' * zero_dt}and finite in {dtype}", exact, bad)
 
 
+class LostDigits(RuntimeWarning):
+    """Single precision has rounded away digits that a filter needs."""
+
+
 def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
     """Warns of what single precision has rounded away before it came: nobody sees that in an estimate.
 
@@ -170,7 +174,7 @@ def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
         return
     if isinstance(dt, Tensor) and dt.dtype is torch.float32 and dt.numel() > 1 and not bool(dt.any()):
         hint = "take the differences of times in float64 (float32 holds Unix times in steps of 128 s)"
-        warnings.warn(f"dt: all time steps are 0 in float32: {hint}", RuntimeWarning, stacklevel=2)
+        warnings.warn(f"dt: all time steps are 0 in float32: {hint}", LostDigits, stacklevel=2)
     if z.dtype is torch.float32:
         with torch.no_grad():
             deviation = sensor.measurement_noise(z, std, noise).std.expand_as(z)
@@ -181,7 +185,7 @@ def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
             apart, noise_of = (f"{float(x[..., i].nanmedian()):.2g}" for x in (step, deviation))
             held = f"element {i} in steps of {apart}, and its noise has a standard deviation of {noise_of}"
             hint = "take float64, or subtract an origin there"
-            warnings.warn(f"z: float32 holds {held}: {hint}", RuntimeWarning, stacklevel=2)
+            warnings.warn(f"z: float32 holds {held}: {hint}", LostDigits, stacklevel=2)
 
 
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:
