@@ -9,6 +9,8 @@ from test_gpb import ANCHORS, MOTION, PRIOR, VALUES, measured
 from torch.testing import assert_close
 
 from torchfra import metrics, presets, scenarios, tree
+from torchfra.association import Clutter
+from torchfra.filters.gpb.noise import NoiseScale
 from torchfra.sensors import Position, Ranges
 
 RANGES = Ranges(ANCHORS[:2], 2.0)
@@ -106,6 +108,31 @@ def test_gradients_are_those_of_finite_differences_and_finite_at_extreme_outlier
         (slope,) = torch.autograd.grad(e.info.noise.sum() + e.mean.sum(), far)
         assert e.info.noise.isfinite().all()
         assert slope.isfinite().all()
+
+
+def test_in_clutter_each_target_has_learned_noise_of_its_own():
+    sensor, prior = Position(5.0), tree.map_tensors(lambda x: x.expand(2, *x.shape), PRIOR)
+    f = presets.jpda(MOTION, sensor, clutter=Clutter(1e6), inner=lambda motion, own: learned(own))
+    mean = prior.mean.clone()
+    mean[1, :2] += 400.0
+    path = mean[:, None, :2] + torch.arange(1, 13, dtype=torch.float64)[:, None] * torch.tensor([9.0, 0.0])
+    noise = torch.randn(2, 12, 2, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    z = path + noise * torch.tensor([2.0, 12.0])[:, None, None]
+    scans = torch.cat([z.transpose(0, 1), z[:1, :, :].transpose(0, 1) + 150.0], 1)  # (12, 3, 2), the last clutter
+    state = f.init(prior._replace(mean=mean))
+    for scan in scans:
+        state, _ = f.step(state, scan)
+    assert all(x.isfinite().all() for x in tree.flatten(state))
+    known = next(x for x in walk(state) if isinstance(x, NoiseScale))
+    assert known.log_scale[0] < 0 < known.log_scale[1]
+
+
+def walk(x):
+    """A tree's named tuples."""
+    if isinstance(x, tuple):
+        yield x
+        for part in x:
+            yield from walk(part)
 
 
 def test_another_word_is_refused():

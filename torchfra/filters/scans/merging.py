@@ -11,6 +11,7 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB, GPBState
+from torchfra.filters.gpb.noise import NoiseScale
 from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.mixture import log_sum, moment_match
@@ -116,7 +117,14 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         averaged(states.duration, log_weights),
         None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
         tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # it is not known whose measurement it was
+        None if states.noise is None else _of_noise(states.noise, log_weights),
     )
+
+
+def _of_noise(noise: NoiseScale, log_weights: Tensor) -> NoiseScale:
+    """Merges what is known of the noise by its moments."""
+    mean, square = averaged((noise.log_scale, noise.log_scale.square() + noise.variance), log_weights)
+    return NoiseScale(mean, square - mean.square())
 
 
 def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
