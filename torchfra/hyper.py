@@ -185,7 +185,7 @@ class Hyper(nn.Module):
         """
         raw = self.raw.detach()
         value = transform_to(self.constraint)(raw)
-        bad = value.isnan()
+        bad: Tensor = value.isnan()
         if not self.sums_to_one:
             bad = bad | ((raw.abs() == torch.inf) & ~self.constraint.check(value))
         return bad.flatten(-self.event_dim).any(-1) if self.event_dim else bad

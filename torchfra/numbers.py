@@ -77,8 +77,8 @@ def unmasked(values: Any) -> Any:
     """
     if not isinstance(values, np.ma.MaskedArray):
         return values
-    floating = values if values.dtype.kind == "f" else values.astype(np.float64)
-    return floating.filled(np.nan)  # type: ignore[no-untyped-call]
+    floating: Any = values if values.dtype.kind == "f" else values.astype(np.float64)
+    return floating.filled(np.nan)
 
 
 def as_numbers(value: Any, name: str) -> Tensor:

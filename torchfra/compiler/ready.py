@@ -173,7 +173,7 @@ class WholeTracks:
 
     def __init__(self, kernel: TrackKernel | Learning, tensors: Sequence[Tensor]) -> None:
         self._kernel = kernel
-        tree = kernel.made._replace(failure=Failure(*tensors[:2]))
+        tree = kernel.made._replace(failure=Failure(tensors[0], tensors[1]))
         self._made = unflattener(tree, [*kernel.places, -2, -1])
         self.fit = guard(tensors)
 

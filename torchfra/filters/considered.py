@@ -82,5 +82,6 @@ def considered(f: Filter, copies: E) -> E:
     one: E = tree.map_tensors(lambda x: x[0], copies)
     if isinstance(copies, Estimate) and copies.failure is not None:
         which = copies.failure.step.argmax(0, keepdim=True)  # a copy that failed, if one did
-        one = one._replace(failure=Failure(*(x.gather(0, which)[0] for x in copies.failure[:2]), copies.failure.values))
+        step, cause = (x.gather(0, which)[0] for x in copies.failure[:2])
+        one = one._replace(failure=Failure(step, cause, copies.failure.values))
     return one._replace(scale_tril=tria(hstack(one.scale_tril, slope)))

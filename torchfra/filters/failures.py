@@ -31,7 +31,8 @@ def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaus
         # If a belief is not finite, neither is the next score: three sums are a cheaper test than every root.
         total = scores.sum() + mean.select(-2, -1).sum() + root.select(-3, -1).sum()
         if math.isfinite(total.item()):
-            return Failure(*(torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE))))
+            step, cause = (torch.full(tracks, value, device=mean.device) for value in (-1, int(Cause.NONE)))
+            return Failure(step, cause)
     bad, values = Gaussian(mean, root).failed, out_of_range(f)
     step = torch.where(bad.any(-1), bad.to(torch.int64).argmax(-1), -1)
     reasons = {

@@ -75,8 +75,8 @@ def judged(
     lost = int((change.abs() > LOST * change.abs().median()).sum())
     ordered = change[drawn].sort(1).values
     middle = (ordered[:, (count - 1) // 2] + ordered[:, count // 2]) / 2
-    figures = (_figure(x, count) for x in (one, other, other - one, middle))
-    return Judged(*figures, lost)
+    first, second, difference, usual = (_figure(x, count) for x in (one, other, other - one, middle))
+    return Judged(first, second, difference, usual, lost)
 
 
 def _figure(x: Tensor, count: int) -> Figure:

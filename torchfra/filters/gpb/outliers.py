@@ -412,7 +412,7 @@ def sequential(
 
 def _small(dtype: torch.dtype) -> float:
     """A power of two by which numbers whose squares overflow are multiplied, so that they do not."""
-    return 0.25 * float(torch.finfo(dtype).tiny) ** 0.5
+    return 0.25 * math.sqrt(torch.finfo(dtype).tiny)
 
 
 def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
