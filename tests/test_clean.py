@@ -137,7 +137,7 @@ def test_rows_of_several_targets_whose_level_has_no_name_are_not_taken_for_one(w
     index = pandas.to_datetime(1_600_000_000 + time, unit="s")
     data = pandas.DataFrame(measured[:, :2], columns=["x", "y"], index=index)
     both = pandas.concat({"a": data, "b": data + 500.0})
-    with pytest.raises(ValueError, match="targets do, .*such as id='level_0'"):
+    with pytest.raises(ValueError, match=r"targets do, .*such as id='level_0'"):
         torchfra.clean(both, **settings())
     assert torchfra.clean(both, id="level_0", **settings())["clean_x"].notna().all()
 

@@ -1,4 +1,5 @@
-"""Every format of the table is recognised by a file of ten lines and read as it is meant; what is not known is refused."""
+# ruff: noqa: E501
+"""Every format of the table is recognised by a file of ten lines and read as meant; else it is refused."""
 
 from __future__ import annotations
 
@@ -58,8 +59,12 @@ FILES = {
         lambda i, a, o: f"{1000 * (START + i)},{i},{a},{o},3,1000"),
     "AIS of the Danish Maritime Authority": table("# Timestamp,Type of mobile,MMSI,Latitude,Longitude,Name",
         lambda i, a, o: f"03/06/2024 08:15:{i:02},Class A,219000001,{a},{o},FERRY"),
-    "AIS": table("MMSI,BaseDateTime,LAT,LON,VesselName".replace("BaseDateTime", "DateTime"),
+    "AIS": table("MMSI,BaseDateTime,LAT,LON,VesselName",
         lambda i, a, o: f"219000001,{day(i)},{a},{o},FERRY"),
+    "Wildlife Computers": table("DeployID,Ptt,Date,Type,Quality,Latitude,Longitude",
+        lambda i, a, o: f"S1,9,08:15:{i:02} 03-Jun-2024,Argos,{'AB3'[i % 3]},{a},{o}"),
+    "Columbus": table("INDEX,TAG,DATE,TIME,LATITUDE N/S,LONGITUDE E/W,HEIGHT",
+        lambda i, a, o: f"{i},T,240603,0815{i:02},{a}N,{o}E,1000"),
     "Movebank": table("event-id,visible,timestamp,location-long,location-lat,individual-local-identifier",
         lambda i, a, o: f"{i},true,{day(i)}.000,{o},{a},seal"),
     "Argos": table("id,date,loc_class,lon,lat", lambda i, a, o: f"t1,{day(i)},{'AB3'[i % 3]},{o},{a}"),
@@ -90,6 +95,8 @@ FILES = {
 }  # fmt: skip
 METRES = {
     "PX4, vehicle_local_position": table("timestamp,x,y,z,xy_valid,z_valid", lambda i, a, o: f"{10**6 * i},0,{i},-9,1,1"),
+    "OptiTrack": table("Format Version,1.23,Length Units,Meters,Coordinate Space,Global\n\n,,Drone,Drone,Drone\nFrame,Time (Seconds),X,Y,Z",
+        lambda i, a, o: f"{i},{i}.0,{i},1.{i},0"),
     "TUM": table("# timestamp tx ty tz qx", lambda i, a, o: f"{START + i} {i} 0 3 0.5"),
     "EuRoC": table("#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]", lambda i, a, o: f"{START + i}000000000,{i},0,3"),
     "NGSIM": table("Vehicle_ID,Frame_ID,Global_Time,Local_X,Local_Y", lambda i, a, o:
@@ -259,7 +266,7 @@ def test_rows_of_several_targets_within_whole_seconds_are_not_spread(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,car,lat,lon\n" + "".join(f"{day(i // 4)},{'abcd'[i % 4]}{i % 4},{50 + i % 4},{7 + i / 1e6}\n"
                                                    for i in range(160)))  # fmt: skip
-    with pytest.raises(AskError, match="as rows of several targets do.*such as id='car'"):
+    with pytest.raises(AskError, match=r"as rows of several targets do.*such as id='car'"):
         read(path)
     assert len(read(path, id="car")) == 4
 
@@ -270,7 +277,7 @@ def test_a_clock_in_one_number_is_refused_with_the_form_that_reads_it(tmp_path):
         read(walk(tmp_path / "a.csv", stamps))
     clock = [f"{12:02}{38 + i // 60:02}{i % 60:02}" for i in range(200)]
     with pytest.raises(
-        AskError, match="hours, minutes and seconds in one number: say time='time', time_format='%H%M%S'"
+        AskError, match=r"hours, minutes and seconds in one number: say time='time', time_format='%H%M%S'"
     ):
         read(walk(tmp_path / "a.csv", clock))
     (track,) = read(tmp_path / "a.csv", time="time", time_format="%H%M%S")
@@ -344,3 +351,13 @@ def test_what_a_library_reads_says_what_to_install(tmp_path, monkeypatch, packag
     )
     with pytest.raises(ImportError, match=rf'needs the package {package}: pip install "torchfra\[formats\]"'):
         read(path)
+
+
+def test_the_date_of_a_clock_is_the_one_that_is_called_alike_and_utc_goes_before_local_time(tmp_path):
+    path = tmp_path / "collar.csv"
+    path.write_text(
+        "LMT_Date,LMT_Time,UTC_Date,UTC_Time,lat,lon\n"
+        + "".join(f"04.06.2024,01:59:{i:02},03.06.2024,23:59:{i:02},{50 + i / 1e5},7\n" for i in range(ROWS))
+    )
+    (track,) = read(path)
+    assert track.time[0] == START + (23 - 8) * 3600 + 44 * 60

@@ -41,9 +41,12 @@ _DATED = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch",
 _PARTS = {"year": "%Y", "month": "%m", "day": "%d", "hour": "%H", "minute": "%M", "min": "%M", "second": "%S",
           "seconds": "%S", "sec": "%S"}  # fmt: skip
 _FEW, _FINER = 0.1, 2
-"""Share of the times of a clock that may not have been set yet; how many times as many moments a column of times has to have, to be taken although another has the date."""
+"""Share of the times of a clock that may not have been set yet; how many times as many moments a
+column of times has to have, to be taken although another has the date."""
 _PARTS_OF_SECONDS = {"msec": "ms", "msecs": "ms", "usec": "us", "usecs": "us", "nsec": "ns", "nsecs": "ns",
                      "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns"}  # fmt: skip
+_LOCAL = {"local", "lmt", "lcl"}
+"""Words of names of times that are not UTC."""
 _FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords"}
 _SAID = {"us": "microseconds", "ns": "nanoseconds", "excel": "days of Excel", "mjd": "modified Julian days",
          "matlab": "days of Matlab", "jd": "Julian days", "apple": "seconds since 2001, as Apple counts",
@@ -104,7 +107,8 @@ class Clock:
             time[rows] += _DAY * np.cumsum(steps < -_DAY / 2)
         elif self.dated and len(rows) and np.median(time[rows]) < YEAR_1980:
             raise AskError(
-                f"column {self.column}: expected years from 1980 on, received earlier ones, which look like times since "
+                f"column {self.column}: expected years from 1980 on, received earlier ones, which look like times "
+                "since "
                 "a start: name another column, or their unit, such as ", {"time_format": "seconds"},
             )  # fmt: skip
         return time
@@ -157,7 +161,7 @@ def clock_of(
     if not clocks:
         raise next(iter(refusals.values())) if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: (not clock.dated, count_of(clock.form) is not None,
-                                          "local" in name_words(clock.columns[-1])))  # fmt: skip
+                                          bool(_LOCAL & {*name_words(clock.columns[-1])})))  # fmt: skip
     if refusals and not best.dated and candidates[0] in refusals:
         raise refusals[candidates[0]]
     moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
@@ -187,7 +191,7 @@ def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = Fals
     if weeks:
         return _text((weeks[0], name), "gps_ms" if _unit(name) == "ms" else "gps", texts)
     if plain(name) in _FRAMES:
-        raise AskError(f"column {name}: expected times, received numbers of frames: say how many a second has, such as ",
+        raise AskError(f"column {name}: expected times, received numbers of frames: say how many a second has: ",
                        {"time_format": "25fps"})  # fmt: skip
     *front, last = name_words(name) or [""]
     for other in head.names if last in ("s", "sec", "secs", "second", "seconds") and len(columns) == 1 else ():
@@ -201,12 +205,15 @@ def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = Fals
         return _numeric(name, values, sure)
     forms = forms_of(texts) or forms_of(texts[:1])
     if forms and is_clock(forms[0]):
+        alike = ["date" if word == "time" else word for word in name_words(name)]
         dates = [date for date in found(head.names, "date") if date not in columns] if not sure else []
+        dates.sort(key=lambda date: name_words(date) != alike)  # that of the same clock first
         for date in dates:
             both = texts_of(joined(head.cells, (date, *columns)))
             if dated := forms_of(both):
                 return _chosen((date, *columns), dated, both, name)
-            raise AskError(f"column {date}: expected dates such as 2024-05-06, received {texts_of(head.cells(date))[:1]} "
+            raise AskError(f"column {date}: expected dates such as 2024-05-06, received "
+                           f"{texts_of(head.cells(date))[:1]} "
                            "beside times of the day: say how both are written, such as ",
                            {"time": f"{date},{name}", "time_format": "%d%m%y %H:%M:%S"})  # fmt: skip
     return _chosen(columns, forms, texts, name)
@@ -227,7 +234,8 @@ def _chosen(columns: tuple[str, ...], forms: list[str], texts: list[str], name: 
         raise AskError(f"column {name}: {texts[0]!r} may have the day, the month or the year first: say ", *choices[1:])
     zone = forms[0].rpartition(" ")[2]
     if zone.isalpha() and zone.isupper() and zone not in ("Z", "UTC", "GMT"):
-        raise AskError(f"column {name}: zone {zone} of {texts[0]!r} has several meanings or changes with the season: write "
+        raise AskError(f"column {name}: zone {zone} of {texts[0]!r} has several meanings or changes with the season: "
+                       "write "
                        "an offset such as -06:00 instead, or use ", {"time_format": forms[0]},
                        ", which reads the times as UTC")  # fmt: skip
     return replace(_text(columns, forms[0], texts), sure=not re.match("%[dm][-/]%[dm]", forms[0]))
@@ -303,16 +311,19 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
     if stated:
         return Clock((name,), _count(stated, False), stated, False)
     middle = float(np.median(values)) if len(values) else 0.0
-    asks = ({"time": name, "time_format": form} for form in ("seconds", "ms", "us"))
+    likely = ("excel",) if 3e4 < middle < 6e4 else ("seconds", "ms", "us")
+    asks = ({"time": name, "time_format": form} for form in likely)
     choices = [part for ask in asks for part in (" or ", ask)][1:]
     if plain(name) in _DATED and not sure and len(values) > 1:
-        raise AskError(f"column {name}: expected times since 1970, received {values.min():.15g} to {values.max():.15g}: "
+        raise AskError(f"column {name}: expected times since 1970, received {values.min():.15g} to "
+                       f"{values.max():.15g}: "
                        "name another column, or say their unit: ", *choices)  # fmt: skip
     if packed := _packed(values):
         raise AskError(f"column {name}: expected times, received {values[0]:.15g}, which looks like hours, minutes and "
                        "seconds in one number: say ", {"time": name, "time_format": packed})  # fmt: skip
     if middle > _LATEST:
-        raise AskError(f"column {name}: expected seconds since a start or since 1970, received {values[0]:.15g}, which is "
+        raise AskError(f"column {name}: expected seconds since a start or since 1970, received {values[0]:.15g}, "
+                       "which is "
                        "another unit, or no count but a date or a clock in one number: say ", *choices, " or ",
                        {"time_format": "%H%M%S"}, ", or name another column")  # fmt: skip
     return Clock((name,), _count("seconds", False), "seconds", False)

@@ -74,8 +74,8 @@ def csv_sheet(
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
     asked = bool(options and options.columns)
     longer = Counter[str]() if repairs is None and asked else repairs
-    return Sheet(names, _parts(rows, names, longer, cut=repairs is None and asked, lines=format.lines if format else ""),
-                 tuple(said), commas=sign != ",", format=format, longer=longer if repairs is None else None)  # fmt: skip
+    parts = _parts(rows, names, longer, cut=repairs is None and asked, lines=format.lines if format else "")
+    return Sheet(names, parts, tuple(said), sign != ",", format, longer=longer if repairs is None else None)
 
 
 def _wide(head: bytes) -> str:
@@ -140,7 +140,7 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
         if one and fits and (places_in(cells) or not _is_row(cells)):
             at, sign = i, one
             break
-    above, names = [line for line in lines[:at]], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
+    above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
     units = [line for line in above if "unit" in line.lower() and _LENGTH.search(line)]
     if units and not options.units and not bare:
         unit = _LENGTH.search(units[0])
@@ -192,7 +192,8 @@ def _beneath(
             break
         other = next((i for i in at if OTHER_UNIT.fullmatch(cells[i].strip("[]()"))), None)
         if other is not None and not options.units:
-            raise ValueError(f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the header: "
+            raise ValueError(f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the "
+                             "header: "
                              "convert them")  # fmt: skip
         words.append(cells)
     comment = _split(above[-1].lstrip(' \t"#%/'), sign) if above and _is_comment(above[-1]) and sign != " " else []
@@ -212,10 +213,11 @@ def _is_unit(cell: str) -> bool:
 def _is_header(names: list[str], options: ReadOptions) -> bool:
     """Whether a line names places, or the columns that are asked for, or those of a format."""
     asked = {name for several in options.columns.values() for name in several if not name.isdigit()}
+    full = [*filter(None, names)]
     if len(names) < 2:
         return False
     return asked <= {*names} if asked else bool(places_in(names) or format_of(names)) or (
-        bool(found(names, "time")) and not any(map(_is_number, names)) and len({*names}) == len(names) > 2)  # fmt: skip
+        bool(found(names, "time")) and not any(map(_is_number, full)) and len({*full}) == len(full) > 2)  # fmt: skip
 
 
 def _is_row(cells: Sequence[str]) -> bool:
@@ -267,7 +269,8 @@ def _parts(
         if lines:
             return (row + [""] * width)[:width] if len(row) >= width / 2 else []
         if longer is None or (cut and len(row) < width):
-            raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}; rows with more are read by "
+            raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}; rows with more are "
+                           "read by "
                            "their first fields where options name the columns, such as ", {"time": names[0]},
                            f"; or the header is another line than that of {listed(names)}")  # fmt: skip
         if cut:

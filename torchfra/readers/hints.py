@@ -41,7 +41,8 @@ def unclear(head: Head, lacking: str, known: Mapping[str, str]) -> AskError:
     cells = {name: texts_of(head.cells(name))[:_CELLS] for name in head.names[:_COLUMNS] if name}
     listed = [f"{name} ({', '.join(text[:_LONGEST] for text in texts) or 'empty'})" for name, texts in cells.items()]
     more = f" and {len(head.names) - _COLUMNS} more" if len(head.names) > _COLUMNS else ""
-    return AskError(f"expected {lacking}, which no name of a column says: name columns, or number them from 1 on, such as ",
+    return AskError(f"expected {lacking}, which no name of a column says: name columns, or number them from 1 on, such "
+                    "as ",
                     options, f"; columns: {', '.join(listed)}{more}")  # fmt: skip
 
 
@@ -51,10 +52,14 @@ def likely(head: Head, known: Mapping[str, str]) -> dict[str, str]:
     texts = {name: texts_of(head.cells(name)[:200]) for name in names}
     values = {name: values_of(texts[name]) for name in names}
     values = {name: column for name, column in values.items() if len(column) and len(column) == len(texts[name])}
-    said = [name for name in names if {*name_words(name)} & _TIMES or found([name], "time")]
+    said = [
+        name
+        for name in names
+        if {*name_words(name)} & _TIMES or found([name], "time") or plain(name).startswith("frame")
+    ]
     growing = [name for name, column in values.items() if len(column) > 1 and (np.diff(column) > 0).all()]
     written = [name for name in names if name not in values and texts[name] and forms_of(texts[name][:20])]
-    times = [*(name for name in said if name in (*growing, *written)), *written, *growing, *said]
+    times = [*(name for name in said if name in (*growing, *written)), *written, *said, *growing]
     times = [known["time"]] if "time" in known else times
     options = {"time": times[0]} if times else {}
     rest = {name: column for name, column in values.items() if name not in times[:1]}

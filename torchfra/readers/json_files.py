@@ -53,7 +53,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
             if all(isinstance(row, list) for row in rows):
                 return _rows_sheet(several, format)
     if objects and all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
-        fixes = [{"time": _sum(one["now"], -fix.get("seen_pos", 0)), **fix} for one in several for fix in one["aircraft"]
+        fixes = [{"time": _sum(one["now"], -fix.get("seen_pos", 0)), **fix}
+                 for one in several for fix in one["aircraft"]
                  if isinstance(fix, dict) and "lat" in fix]  # fmt: skip
         return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
     if (streams := _streams(parsed)) is not None:
@@ -94,8 +95,10 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _records(several: list[Any]) -> tuple[list[dict[str, Any]], str]:
-    """The records of parsed JSON: those of the list whose own names say where something was, with what the objects around
-    it say of a target; or else the outermost list of objects; and the name of that list.
+    """The records of parsed JSON, and the name of the list that they are in.
+
+    They are those of the list whose own names say where something was, with what the objects around it say of a target;
+    or else the outermost objects.
     """
     if several and all(isinstance(one, list) for one in several):  # in parts
         several = [record for part in several for record in part]

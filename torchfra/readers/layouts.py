@@ -49,8 +49,8 @@ PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0)
 _HEIGHTS = ("altitude", "z")
 _OPTIONS = {"latitude": "lat", "longitude": "lon", "altitude": "alt"}
 _ADVICE = (
-    ": latitudes and longitudes may be swapped, or be degrees and minutes in one number (4730.5), parts of degrees (1e-7), "
-    "or metres; the options lat and lon name columns of degrees, x and y of metres"
+    ": latitudes and longitudes may be swapped, or be degrees and minutes in one number (4730.5), parts of degrees "
+    "(1e-7), or metres; the options lat and lon name columns of degrees, x and y of metres"
 )
 
 
@@ -186,7 +186,7 @@ def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
 
 
 def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict[str, str]:
-    """Columns that say which target a row is of, what else it is called, and what marks a new position or a wrong one."""
+    """Columns that say which target a row is of, what else it is called, and what marks a new or a wrong position."""
     ids = (
         [" ".join(roles["id"])] if "id" in roles else [one for one in found(head.names, "id") if not _counts(one, head)]
     )
@@ -221,7 +221,7 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
             advice = (", or ", *instead_of(word)) if "x" in columns else ()
             raise AskError(f"column {column}: expected metres or degrees, received {word}: convert them", *advice)
         if column in lengths and word and word not in LENGTHS and not options.units and "deg" in word:
-            raise AskError(f"column {column}: expected lengths, received an angle: latitudes and longitudes are named by ",
+            raise AskError(f"column {column}: expected lengths, received an angle: degrees are named by ",
                            {"lat": "LAT", "lon": "LON"})  # fmt: skip
     if down := [column for column in lengths if {"down", "depth"} & {*name_words(column)} or plain(column) == "posd"]:
         raise ValueError(f"column {down[0]}: expected heights, which grow upwards: name a column of its negative")
@@ -254,8 +254,11 @@ def _kind(role: str, column: str, length: float, format: Format | None) -> Kind 
     if unit(column) in ("semicircles", "e7"):
         degrees = 180 / 2**31 if unit(column) == "semicircles" else 1e-7
     limit = _LIMITS[role] / abs(degrees) * (1 + 1e-9)
-    return Kind(f"degrees within +-{_LIMITS[role]:g}" if degrees == 1 else f"at most {limit:g}", limit=limit, unit=degrees,
-                absent=(*absent, *PLACEHOLDERS) if degrees == 1 else absent, sides=_SIDES[role] if degrees == 1 else "", advice=_ADVICE)  # fmt: skip
+    kind = Kind(f"at most {limit:g}", limit=limit, unit=degrees, absent=absent, advice=_ADVICE)
+    if degrees != 1:
+        return kind
+    said, absent = f"degrees within +-{_LIMITS[role]:g}", (*absent, *PLACEHOLDERS)
+    return replace(kind, said=said, absent=absent, sides=_SIDES[role])
 
 
 def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:

@@ -33,7 +33,8 @@ NAMES = {
     "time": """t time timestamp timestamps datetime dateandtime utc timeutc utctime datetimeutc utcdatetime timestamputc
         unixtime unix epoch unixtimestamp gpstime stamp fixtime elapsed elapsedtime elapsedrealtime timeelapsed
         timesincestart timesinceboot timeboot millis ms seconds sec secs isotime ts tst tow itow timeofweek sow
-        timeofday secondsofday sod tod gpst gmt localtime timelocal datelocal recordedat devicetime date day""",
+        timeofday secondsofday sod tod gpst gmt localtime timelocal datelocal recordedat basedatetime devicetime
+        date day""",
     "week": "week gpsweek weeknumber weekno wn gwk",
     "date": "date day utcdate dateutc gpsdate localdate datelocal",
     "x": "x east easting e posx px", "y": "y north northing n posy py",
@@ -63,7 +64,8 @@ _KNOWN = {name: role for role, ranks in reversed(_RANKS.items()) for name in ran
 _LONG = ("x", "y", "z", "altitude", "sigma", "sigma_x", "sigma_y", "sigma_z", "semi_major", "semi_minor")
 _IN_FRONT = {
     "gps", "gnss", "pos", "position", "location", "loc", "field", "coord", "coords", "coordinate", "coordinates",
-    "utm", "enu", "pose", "point", "header", "record", "geo", "transform", "translation", "str", "osd", "attributes", "suunto", "sml", "sample", "fix", "lmt",
+    "utm", "enu", "pose", "point", "header", "record", "geo", "transform", "translation", "str", "osd",
+    "attributes", "suunto", "sml", "sample", "fix", "lmt",
 }  # fmt: skip
 """Words that stand in front of a name and add nothing to it."""
 _BEHIND = {"utc", "gmt", "zulu", "local", "utm", "enu", "wgs84"}

@@ -94,7 +94,10 @@ def noise_of(
     if "sigma" not in asked and (variances := _variances(head)):
         said = f"sigma: roots of {', '.join(variances[:3])}"
         return Noise(dict.fromkeys(variances, Kind(unit=unit**2)), (said,), roots_of_variances)
-    words = {column: {*map(word_of, head.cells(column))} - {""} for column in found(names, "argos_class")[:1]}
+    words = {
+        column: {*map(word_of, head.cells(column))} - {""}
+        for column in asked.get("argos_class", found(names, "argos_class")[:1])
+    }
     classes = {column: _CLASS for column, every in words.items() if every and every <= _CLASSES.keys()}
     ellipse = [column for part in _ELLIPSE for column in found(names, part)[:1]]
     if "sigma" not in asked and len(ellipse) == len(_ELLIPSE):

@@ -30,13 +30,13 @@ the ways between rows in order of time are as in the file, where a count begins 
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
 _HOUR, _DAYS, _YEAR = 3600.0, 20 * 86_400.0, 366 * 86_400.0
-"""Seconds: by which clocks are put back, once a year; and by which dates leap whose days and months are turned round."""
+"""Seconds: by which clocks are put back, once a year; and by which dates leap that are turned round."""
 _COARSE = (60.0, 1.0)
 """Whole minutes and seconds, in which several rows may be."""
 _NEIGHBOURS = 1.5
 """How much farther apart rows of a moment may be than those of two moments, if all are of one target."""
 _ENOUGH, _NULL_ISLAND = 25, 1.0
-"""Numbers beside a placeholder from which on it differs from them for sure; degrees around 0, 0 without anything else."""
+"""Numbers beside a placeholder from which on it differs from them for sure; degrees around 0, 0 without any other."""
 
 
 def plural(word: str) -> str:
@@ -104,8 +104,9 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
 
 
 def _filled_down(ids: list[str], *, asked: bool) -> tuple[list[str], int]:
-    """Names of targets, with that above where there is none and merged cells have it in their first row, or where the
-    caller names the column; and how many.
+    """Names of targets, those above where there are none; and how many of these.
+
+    So merged cells are written, which have a name in their first row; or the caller names the column.
     """
     several = Counter(filter(None, ids))
     if "" not in ids or not several or not ids[0] or not (asked or max(several.values()) == 1):
@@ -312,12 +313,12 @@ class _Columns:
             )
             raise AskError(
                 f"expected times that go on, received ones that begin anew in data row {index[back[0] + 1] + 1}, "
-                f"{self.clock.column}, as of {cause}: name another column, or one that tells the pieces apart, such as ",
+                f"{self.clock.column}, as of {cause}: name another column, or one that tells pieces apart, such as ",
                 {"id": self._likely_id},
             )  # fmt: skip
 
     def _check_dates(self, time: Array, index: NDArray[np.intp]) -> None:
-        """Refuses times of a clock that is put back by an hour, and dates of which a spreadsheet has turned some round."""
+        """Refuses times of a clock that is put back by an hour, and dates that a spreadsheet has turned round."""
         steps = np.diff(time)
         back = np.flatnonzero(steps < 0)
         if not len(back) or not self.clock.is_local or self.layout.stated.time_format or not (steps > 0).any():
@@ -329,7 +330,8 @@ class _Columns:
                 "back at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
             )
         if not self.clock.sure and (steps > _DAYS).any() and steps.min() < -_DAYS:
-            raise AskError(f"expected days that go on, received leaps to and fro {where}, as where a spreadsheet has turned "
+            raise AskError(f"expected days that go on, received leaps to and fro {where}, as where a spreadsheet has "
+                           "turned "
                            "days and months round: write all such as 2024-05-06 10:31; or they are right: ",
                            {"time_format": self.clock.form})  # fmt: skip
 

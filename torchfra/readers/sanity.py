@@ -65,7 +65,8 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
         return
     speeds = [speed_across(recording) for recording in judged]
     if not layout.stated.time_format and _FASTEST_METRES < min(speeds) < _FASTEST:
-        raise AskError(f"expected metres in {x} and {y}, received a speed of {min(speeds):,.0f} m/s: say their unit, such as ",
+        raise AskError(f"expected metres in {x} and {y}, received a speed of {min(speeds):,.0f} m/s: say their unit, "
+                       "such as ",
                        {"units": "mm"}, ", or ", {"units": "m"}, " if they are metres")  # fmt: skip
     places = np.concatenate([recording.position[:, :2] for recording in judged])
     steps = np.concatenate([np.abs(np.diff(recording.position[:, :2], axis=0)).max(1) for recording in judged])
@@ -73,7 +74,8 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
     moved = max(np.ptp(recording.position[:, :2], 0).max() for recording in judged)
     lies = (np.abs(places).max(0) <= _DEGREES).all() and np.abs(np.median(places, 0)).max() > 1
     if lies and moved > 5 * np.median(steps) and fine.mean() > 0.5 and _AS_DEGREES[0] < max(speeds) < _AS_DEGREES[1]:
-        raise AskError(f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: say ",
+        raise AskError(f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: "
+                       "say ",
                        {"lat": y, "lon": x}, "; or ", {"units": "m"}, " if they are metres")  # fmt: skip
 
 

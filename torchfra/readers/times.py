@@ -86,8 +86,9 @@ def is_clock(form: str) -> bool:
 
 
 def forms_of(texts: Sequence[str]) -> list[str]:
-    """How to read texts: ``"iso"`` or forms of ``strptime``, those that read all of them; several where the first of
-    a date may be the day, the month or the year; empty where none does.
+    """How to read texts: ``"iso"`` or forms of ``strptime``, those that read all of them.
+
+    There are several where the first of a date may be the day, the month or the year, and none of other texts.
     """
     if all(map(_ISO.fullmatch, texts)):
         return ["iso"]

@@ -133,7 +133,7 @@ def _gpx_sheet(text: str) -> Sheet:
 
 
 def _kml_sheet(root: ElementTree.Element) -> Sheet:
-    """Tracks of the extension gx; where there are none, placemarks with a point and a time, which are pins otherwise."""
+    """Tracks of the extension gx; where there are none, placemarks with a point and a time, else pins."""
     rows, pins, lines = list[Point](), list[Point](), 0
     for number, placemark in enumerate(one for one in root.iter() if _tag(one) == "Placemark"):
         parts = list(placemark.iter())
