@@ -6,6 +6,8 @@ from __future__ import annotations
 import json
 import math
 import re
+import struct
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -361,3 +363,33 @@ def test_the_date_of_a_clock_is_the_one_that_is_called_alike_and_utc_goes_before
     )
     (track,) = read(path)
     assert track.time[0] == START + (23 - 8) * 3600 + 44 * 60
+
+
+def test_the_first_filled_sheet_of_a_workbook_is_read_as_csv_is(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    sheet = book.create_sheet("track")
+    for row in (["made by me"], ["Time", "Lat", "Lon", "Vehicle"]):
+        sheet.append(row)
+    for i in range(ROWS):
+        sheet.append([datetime(2024, 6, 3, 8, 15, i), LATITUDES[i], LONGITUDES[i], None if i else "Van 1"])
+    book.save(tmp_path / "track.xlsx")
+    (track,) = read(tmp_path / "track.xlsx")
+    assert (track.name, track.time[0], len(track.time)) == ("Van 1", START, ROWS)
+
+
+def test_records_of_fit_are_read_and_laps_are_not(tmp_path):
+    utils = pytest.importorskip("fitdecode.utils")
+    fields = bytes([253, 4, 0x86, 0, 4, 0x85, 1, 4, 0x85])  # timestamp, position_lat, position_long
+    lap = bytes([0x41, 0, 0]) + struct.pack("<HB", 19, 1) + bytes([253, 4, 0x86])
+    body = bytes([0x40, 0, 0]) + struct.pack("<HB", 20, 3) + fields + lap
+    for i in range(ROWS):
+        place = (round(LATITUDES[i] / SEMICIRCLE), round(LONGITUDES[i] / SEMICIRCLE))
+        body += b"\x00" + struct.pack("<Iii", START + i - 631_065_600, *place)
+        body += b"\x01" + struct.pack("<I", START + i - 631_065_600)
+    head = struct.pack("<BBHI4s", 14, 0x10, 2132, len(body), b".FIT")
+    data = head + struct.pack("<H", utils.compute_crc(head)) + body
+    (tmp_path / "run.fit").write_bytes(data + struct.pack("<H", utils.compute_crc(data)))
+    (track,) = read(tmp_path / "run.fit")
+    assert track.time.tolist() == [START + i for i in range(ROWS)]
+    assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)

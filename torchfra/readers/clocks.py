@@ -210,8 +210,8 @@ def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = Fals
         dates.sort(key=lambda date: name_words(date) != alike)  # that of the same clock first
         for date in dates:
             both = texts_of(joined(head.cells, (date, *columns)))
-            if dated := forms_of(both):
-                return _chosen((date, *columns), dated, both, name)
+            if ways := forms_of(both):
+                return _chosen((date, *columns), ways, both, name)
             raise AskError(f"column {date}: expected dates such as 2024-05-06, received "
                            f"{texts_of(head.cells(date))[:1]} "
                            "beside times of the day: say how both are written, such as ",

@@ -34,6 +34,8 @@ _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 short = _SHORT.repr
 """What came, for an error message, cut off where it is long or deep."""
+_LARGEST = 1e30
+"""Numbers of larger size hold nothing of a track, and their sums may be none."""
 HEAD = 1000
 """Rows that are looked at before all are read."""
 
@@ -119,7 +121,7 @@ def values_of(cells: Iterable[Any]) -> Array:
     for cell in cells:
         with suppress(TypeError, ValueError, OverflowError):
             values.append(number(cell.replace(",", ".")) if isinstance(cell, str) else float(cell))
-    return np.array([value for value in values if value == value])
+    return np.array([value for value in values if abs(value) < _LARGEST])
 
 
 def texts_of(cells: Iterable[Any]) -> list[str]:
@@ -162,8 +164,10 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
         return np.where(np.isnat(nano), np.nan, nano.astype(np.int64) / 1e9)
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu" and kind.form and not count_of(kind.form):
         cells = [None if cell != cell else f"{cell:.17g}" for cell in cells.tolist()]  # whose digits are the text
-    values = cells.astype(np.float64) if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu" else None
-    values = _plain(cells, kind) if values is None else values
+    if isinstance(cells, np.ndarray):
+        values = cells.astype(np.float64) if cells.dtype.kind in "fiu" else None
+    else:
+        values = _plain(cells, kind)
     if values is None or kind.words:
         convert = _converter(kind)
         values = np.empty(len(cells))

@@ -196,7 +196,7 @@ def _sum(start: Any, seconds: Any) -> float:
         (one for one in (start, seconds) if isinstance(one, bool) or not isinstance(one, int | float)), None
     ):
         raise ValueError(f"expected a number of seconds, received {short(other)}")
-    return round(start + seconds, 3)
+    return round(float(start + seconds), 3)
 
 
 def _streams(parsed: Any) -> Sheet | None:

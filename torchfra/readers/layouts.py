@@ -107,8 +107,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     try:
         clock, unused = clock_of(head._replace(names=rest), options, roles, format)
     except LookupError:
-        moments = [one for one in rest if getattr(head.cells(one), "dtype", None) is not None
-                   and head.cells(one).dtype.kind == "M"]  # fmt: skip
+        moments = [one for one in rest if isinstance(cells := head.cells(one), np.ndarray) and cells.dtype.kind == "M"]
         if len(moments) != 1:
             known = {_OPTIONS.get(role, role): column for role, column in columns.items() if role not in _HEIGHTS}
             raise unclear(head, "a time", known) from None
@@ -143,8 +142,8 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         values = [numbers(joined(head.cells, kind.joined) if kind.joined else head.cells(one), kind, one)
                   for one in (clock.column, *(columns[role] for role in _PLACES if role in columns))
                   if (kind := wanted[one]) is not None]  # fmt: skip
-        known = roles.get("id") or ((columns["id"],) if "id" in columns else ())
-        ids = likely_ids(head, values[0], np.stack(values[1:], 1), unread, known)
+        named = roles.get("id") or ((columns["id"],) if "id" in columns else ())
+        ids = likely_ids(head, values[0], np.stack(values[1:], 1), unread, named)
     source = Source(name, public, clock.form, length, word, lines, ids)
     return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, unread)
 

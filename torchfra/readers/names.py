@@ -81,7 +81,7 @@ def name_words(name: str) -> list[str]:
     return re.findall(r"[^\W_]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
 
 
-@lru_cache(4096)
+@lru_cache(2**16)
 def _parted(name: str) -> tuple[str, str]:
     """A name without what adds nothing to it, and its unit: a word of ``LENGTHS`` or ``TIMES``, or another; or ""."""
     words, unit = name_words(name), ""

@@ -108,12 +108,12 @@ def read_table(
         if start[8:12] == b".FIT":
             return fit_sheet(file)
         if is_workbook(start, suffix):
-            file = io.BufferedReader(io.BytesIO(workbook_text(path, max_bytes)))  # type: ignore[arg-type]
+            file = io.BufferedReader(io.BytesIO(workbook_text(path, max_bytes)))
         elif start[:1] == b"<":
             return xml_sheet(file, max_bytes)
         elif is_nmea(start, suffix):
             return nmea_sheet(file, max_bytes)
-        if said := next((said for sign, at, said in _NO_TEXTS if start[at:].startswith(sign)), ""):
+        elif said := next((said for sign, at, said in _NO_TEXTS if start[at:].startswith(sign)), ""):
             raise ValueError(f"expected text, received {said}")
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 

@@ -149,15 +149,15 @@ def seconds_of(text: str, form: str) -> float:
     behind = (
         r"(?<=[0-9])\.[0-9]+(?= ?(?:[AaPp][Mm])? ?(?:Z|UTC|GMT|[+-][0-9:]+)?$)" if last else r"(?<=:[0-9]{2})\.[0-9]+"
     )
-    part = re.search(behind, text) if "%f" not in bare and "%S" in bare else None
-    if part:
-        text = text[: part.start()] + text[part.end() :]
+    parts = re.search(behind, text) if "%f" not in bare and "%S" in bare else None
+    if parts:
+        text = text[: parts.start()] + text[parts.end() :]
     if re.search("%[aA]", bare):
         text, bare = _WEEKDAYS.sub("", text, count=1).strip(), re.sub("%[aA]", "", bare).strip()
     if re.search("%[bB]", bare):  # as numbers: names in ``strptime`` are those of the locale
         text, bare = _WORD.sub(_number_of_month, text, count=1), re.sub("%[bB]", "%m", bare)
     moment = datetime.strptime(re.sub(" +", " ", text), bare)
-    seconds = float(part[0]) if part else 0.0
+    seconds = float(parts[0]) if parts else 0.0
     if is_clock(form):
         return seconds + (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     return seconds + _since_1970(moment)

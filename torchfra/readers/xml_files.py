@@ -62,9 +62,7 @@ def _elements_sheet(tree: ElementTree.Element, format: Xml) -> Sheet:
             targets[tag] += 1
             known |= {"id": f"{tag} {targets[tag]}"}
         if tag == format.fix:
-            records.append(
-                known | {_tag(part): part.text.strip() for part in element.iter() if (part.text or "").strip()}
-            )
+            records.append(known | {_tag(part): text for part in element.iter() if (text := (part.text or "").strip())})
         for inner in element if tag != format.fix else ():
             add(inner, known)
 
