@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 
 import numpy as np
 import pytest
@@ -17,15 +16,6 @@ TRACK = np.stack([TIME, 3 * TIME, -TIME, np.sin(TIME)], 1)
 
 
 # ---------------------------------------------------------------- arrays
-
-
-def test_an_array_has_its_columns_by_their_numbers(tmp_path):
-    np.save(tmp_path / "a.npy", TRACK)
-    with pytest.raises(ValueError, match="an array has columns 1 to 4; say --time 1 with --lat and --lon, or --x"):
-        read(tmp_path / "a.npy")
-    (track,) = read(tmp_path / "a.npy", time="1", x="2", y="3", z="4")
-    np.testing.assert_array_equal(track.position, TRACK[:, 1:])
-    np.testing.assert_array_equal(track.time, TIME)
 
 
 @pytest.mark.parametrize("text", ["U5", "S5"])
@@ -59,15 +49,6 @@ def test_an_array_that_is_cut_off_or_too_large_is_refused(tmp_path):
     for bound in (200, 2000):
         with pytest.raises(ValueError, match=f"expected at most {bound} bytes of (text|an array)"):
             read(tmp_path / "a.npy", time="1", x="2", y="3", max_bytes=bound)
-
-
-def test_pickles_and_archives_of_arrays_are_refused_with_what_to_do(tmp_path):
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(TRACK))
-    with pytest.raises(ValueError, match=r"received a pickle of Python, .*: write CSV by to_csv or np.savetxt"):
-        read(tmp_path / "a.pkl")
-    np.savez(tmp_path / "a.npz", TRACK)
-    with pytest.raises(ValueError, match=r"received a zip archive, as .*\.npz are: .* np.savetxt or as .npy"):
-        read(tmp_path / "a.npz")
 
 
 # ---------------------------------------------------------------- text
@@ -113,8 +94,8 @@ def test_a_z_that_is_the_same_everywhere_is_left_out_and_said(write):
     path = write(["t,x,y,z", *(f"{t},{x},{y},1.5" for t, x, y, _ in TRACK)])
     (track,) = read(path)
     assert track.position.shape == (ROWS, 2)
-    assert "left out: z, which is 1.5 everywhere (--z z takes it)" in track.source.notes
-    assert "position: x, y, in metres; --units takes others" in track.source.notes
+    assert "left out: z, which is 1.5 everywhere (option z takes it)" in track.source.notes
+    assert "position: x, y, in metres; option units takes others" in track.source.notes
     assert read(path, z="z")[0].position.shape == (ROWS, 3)
 
 
@@ -135,16 +116,3 @@ def test_the_only_moments_of_a_table_are_its_times_whatever_their_name(place, zo
     cleaned = torchfra.clean(frame)
     assert cleaned.index.equals(frame.index)
     assert cleaned["clean_x"].notna().all()
-
-
-def test_levels_of_an_index_are_proposed_as_ids():
-    pandas = pytest.importorskip("pandas")
-    received = pandas.date_range("2024-05-06", periods=ROWS, freq="5s")
-    frame = pandas.DataFrame({
-        "received": np.tile(received, 2), "wagon": np.repeat([7, 9], ROWS),
-        "x": np.append(TRACK[:, 1], TRACK[:, 1] + 80),
-        "y": np.tile(TRACK[:, 2], 2),
-    }).set_index(["wagon", "received"])  # fmt: skip
-    with pytest.raises(ValueError, match="name the column that distinguishes them, id='wagon'"):
-        torchfra.clean(frame)
-    assert torchfra.clean(frame, id="wagon")["clean_x"].notna().all()

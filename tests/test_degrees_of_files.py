@@ -6,7 +6,7 @@ import pytest
 import torchfra
 from torchfra.readers import read
 from torchfra.readers.degrees import degrees_of
-from torchfra.readers.placeholders import nowhere
+from torchfra.readers.repairs import nowhere
 
 ROWS = 40
 LATITUDE, LONGITUDE = 47.5 + 1e-4 * np.arange(ROWS), 8.25 + 1e-4 * np.arange(ROWS)
@@ -64,17 +64,6 @@ def test_columns_of_sides_say_nothing_new_of_degrees_with_signs(track):
 def test_what_is_no_latitude_is_refused(text):
     with pytest.raises(ValueError, match="expected degrees"):
         degrees_of(text, "NS")
-
-
-def test_degrees_and_minutes_in_one_number_are_refused_with_what_to_do(track):
-    compact = [f"{int(v)}{60 * (v % 1):07.4f}" for v in LATITUDE]
-    with pytest.raises(ValueError, match=r"received '4730.0000', .* one number, .*: write degrees \+ minutes / 60"):
-        track(lat=compact, lon=LONGITUDE)
-
-
-def test_latitudes_that_are_longitudes_are_refused_as_swapped(track):
-    with pytest.raises(ValueError, match=r"column lat, received '108\.25', .* seem to be swapped, --lat and --lon"):
-        track(lat=LONGITUDE + 100, lon=LATITUDE)
 
 
 @pytest.mark.parametrize("placeholder", [-999, -9999.0, 99999])

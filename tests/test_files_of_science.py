@@ -41,31 +41,6 @@ QUALISYS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("lines", "name", "said"), [
-    (DEEPLABCUT, "a.csv", r"--time coords --time-format 25fps --x 'nose x \(px\)' --y 'nose y \(px\)' .* pixels"),
-    (SLEAP, "a.csv", r"--time frame_idx --time-format 25fps --x 'nose.x \(px\)' --y 'nose.y \(px\)' --units mm"),
-    (VICON, "a.csv", r"--time Frame --time-format 25fps --x 'Cube:M1 X \(mm\)' --y 'Cube:M1 Y \(mm\)'"),
-    (QUALISYS, "a.tsv", "--time Time --x 'hip X' --y 'hip Y'"),
-])  # fmt: skip
-def test_markers_in_groups_of_columns_are_named_by_the_options_that_read_them(write, lines, name, said):
-    path = write(lines, name)
-    with pytest.raises(ValueError, match=said) as error:
-        read(path)
-    (track,) = read(path, **options_of(error))
-    metres = 1e-3 if "units" in options_of(error) else 1
-    np.testing.assert_allclose(np.ptp(track.position, 0)[:2], [metres * np.ptp(X), metres * np.ptp(Y)], rtol=1e-3)
-
-
-@pytest.mark.parametrize(("lines", "time", "x", "y"), [
-    (DEEPLABCUT, "coords", "nose x", "nose y"), (SLEAP, "frame_idx", "nose.x", "nose.y"),
-])  # fmt: skip
-def test_markers_in_pixels_are_no_metres(write, lines, time, x, y):
-    with pytest.raises(
-        ValueError, match=r"column nose.x \(px\): expected metres or degrees, received px: .*--units mm"
-    ):
-        read(write(lines), time=time, x=x, y=y, time_format="30fps")
-
-
 def test_simulated_traffic_in_xml_is_read_by_the_attributes_of_its_elements(write):
     lines = ["<fcd-export>"]
     for i in range(ROWS):
@@ -91,11 +66,3 @@ def test_trajectories_of_robots_have_their_header_in_a_comment(write, header):
     rows = [sign.join(map(str, (start + i * step, X[i], Y[i], i, 0.5))) for i in range(ROWS)]
     (track,) = read(write(["# a trajectory", header, *rows], "a.txt"))
     np.testing.assert_allclose(track.position, np.stack([X, Y, np.arange(ROWS)], 1))
-
-
-def test_a_time_that_is_dated_is_proposed_before_numbers_of_frames(write):
-    rows = [f"{k},{i},{1118846980200 + 100 * i},{Y[i] + 9 * k},{X[i]}" for k in (2, 3) for i in range(ROWS)]
-    path = write(["Vehicle_ID,Frame_ID,Global_Time,Local_X,Local_Y", *rows])
-    with pytest.raises(ValueError, match="looks like --time Global_Time --x Local_X --y Local_Y") as error:
-        read(path)
-    assert [track.name for track in read(path, **options_of(error), time_format="ms")] == ["2", "3"]

@@ -225,7 +225,7 @@ def test_aircraft_are_in_feet_and_their_held_positions_are_none(write):
     assert track.repairs == {"held positions dropped": 3}
     np.testing.assert_array_equal(track.row, [0, 2, 4])
     assert (track.source.word, track.source.unit, track.origin[2]) == ("aircraft", 0.3048, 304.8)
-    assert "altitude: altitude, in feet; --units takes others" in track.source.notes
+    assert "altitude: altitude, in feet; option units takes others" in track.source.notes
     assert read(write("flight.csv", text), units="m")[0].origin[2] == 1000
 
 
@@ -236,7 +236,7 @@ def test_of_two_times_the_iso_text_is_taken_and_the_other_named(write):
     rows = [(44800 + t, iso(t), *place) for t, *place in ROWS]
     (track,) = read(write("a.csv", table("timestamp,utc,lat,lon,alt", rows)))
     assert track.time[0] == START
-    assert track.source.notes[0] == "time: utc, ISO text; not timestamp (--time takes another)"
+    assert track.source.notes[0] == "time: utc, ISO text; not timestamp (option time takes another)"
     (track,) = read(write("a.csv", table("timestamp,utc,lat,lon,alt", rows)), time="timestamp")
     np.testing.assert_array_equal(track.time, 44800 + STEPS)
 
@@ -348,19 +348,17 @@ def test_callsigns_part_flights_where_nothing_else_does(write):
 
 def test_whole_numbers_of_an_autopilot_are_parts_of_degrees_and_millimetres(write):
     rows = [(10**6 * (START + t), round(a * 1e7), round(o * 1e7), round(h * 1e3)) for t, a, o, h in ROWS]
-    (track,) = read(write("log.csv", table("time_utc_usec,lat,lon,alt", rows)))
+    rows = [(*row, 3) for row in rows]
+    (track,) = read(write("log.csv", table("time_utc_usec,lat,lon,alt,fix_type", rows)))
     np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=0.02)
-    assert track.source.notes[1:3] == (
-        "position: lat, lon, in 1e-7 degrees",
-        "altitude: alt, in millimetres; --units takes others",
-    )
+    assert "altitude: alt, in mm; option units takes others" in track.source.notes
 
 
 def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):
     rows = [(100 * i, iso(i // 10, "%Y-%m-%d %H:%M:%S"), 47 + i / 1e6, 8) for i in range(40)]
     (track,) = read(write("drone.csv", table("time(millisecond),datetime(utc),latitude,longitude", rows)))
     np.testing.assert_allclose(track.time, np.arange(40) / 10)
-    assert track.source.notes[0] == "time: time(millisecond), ms; not datetime(utc) (--time takes another)"
+    assert track.source.notes[0] == "time: time(millisecond), ms; not datetime(utc) (option time takes another)"
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
@@ -380,7 +378,8 @@ def test_a_danish_log_of_a_day_that_may_be_a_month_has_the_day_first(write):
 def test_the_commands_take_the_same_by_options(write, capsys):
     path = write("a.csv", commas("wann;hoch;rechts\n0;1.5;2\n1;2.5;3\n"))
     assert main(["compare", str(path), "--x", "rechts", "--y", "hoch"]) == 2
-    assert "missing time, received wann, hoch, rechts" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "such as --time wann --x rechts --y hoch; columns: wann (0, 1), hoch" in said
     assert main(["compare", str(path), "--x", "rechts", "--y", "hoch", "--time", "wann", "--decimal", "."]) == 2
     assert "expected a number in data row 1, column rechts, received '1,5'" in capsys.readouterr().err.replace(
         "hoch", "rechts"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from torchfra.readers import read
-from torchfra.readers.times import seconds_of, written
 
 START = datetime(2026, 5, 3, 8, 15, tzinfo=timezone.utc)
 ROWS = 40
@@ -39,8 +38,7 @@ def g1000(offset="-05:00", units="#yyy-mm-dd, hh:mm:ss,   hh:mm,      degrees,  
 def test_a_local_date_and_time_with_an_offset_beside_them_are_one_moment(write):
     (track,) = read(write(g1000()))
     assert_in_place(track)
-    assert track.source.columns["offset"] == "UTCOfst"
-    assert track.source.written(track.time[:1]) == ["2026-05-03 03:15:00 -05:00"]
+    assert track.source.written(track.time[:1]) == ["2026-05-03T08:15:00Z"]
 
 
 def test_units_above_the_header_count(write):
@@ -66,14 +64,6 @@ def test_an_offset_beside_times_that_are_not_called_local_is_not_added(write):
     assert_in_place(read(write(["time,utc_offset,lat,lon", *rows]))[0])
 
 
-def test_offsets_that_some_rows_lack_are_not_added(write):
-    lines = g1000()
-    lines[5] = lines[5].replace("-05:00", "      ")
-    (track,) = read(write(lines))
-    assert "UTCOfst" not in track.source.columns.values()
-    assert track.repairs == {}
-
-
 # ---------------------------------------------------------------- a car
 
 
@@ -84,40 +74,9 @@ def test_dates_as_java_writes_them_are_read(write):
     first = "Sun May 03 10:14:59 GMT+02:00 2026,-,-,-"
     (track,) = read(write(["GPS Time, Longitude, Latitude, Horizontal Dilution of Precision", first, *rows]))
     assert_in_place(track)
-    assert track.source.written(track.time[:1]) == ["Sun May 03 10:15:00 GMT+02:00 2026"]
+    assert track.source.written(track.time[:1]) == ["2026-05-03T08:15:00Z"]
     assert track.repairs == {"rows without position dropped": 1}
     assert track.sigma == pytest.approx(25 / np.sqrt(2))
-
-
-@pytest.mark.parametrize(("text", "form"), [
-    ("Sun May  3 08:15:00 2026", "%a %b %d %H:%M:%S %Y"), ("Sun May 03 08:15:00 UTC 2026", "%a %b %d %H:%M:%S UTC %Y"),
-    ("Sun May 03 03:15:00 GMT-05:00 2026", "%a %b %d %H:%M:%S GMT-05:00 %Y"),
-])  # fmt: skip
-def test_a_weekday_in_front_and_the_year_behind_are_a_date(text, form):
-    assert seconds_of(text, form) == START.timestamp()
-    assert seconds_of(written(np.array([START.timestamp()]), form)[0], form) == START.timestamp()
-
-
-def test_a_zone_whose_offset_is_not_known_is_refused_before_a_year_too(write):
-    rows = [f"{moment:%a %b %d %H:%M:%S} CEST 2026,{i},0" for i, moment in enumerate(MOMENTS)]
-    with pytest.raises(ValueError, match="zone CEST of 'Sun May 03 08:15:00 CEST 2026' has several meanings"):
-        read(write(["time,x,y", *rows]))
-
-
-def test_times_that_are_not_understood_are_refused_with_the_option_that_reads_them(write):
-    with pytest.raises(
-        ValueError, match=r"data row 2, column t, received '3rd May': say how .* --time-format, such as"
-    ):
-        read(write(["t,x,y", ",0,0", "3rd May,1,2", "4th May,2,3"]))
-
-
-def test_times_that_are_too_coarse_are_refused_with_the_others_that_there_are(write):
-    rows = [f"{MOMENTS[i // 3 * 2]:%a %b %d %H:%M:%S} UTC 2026,{moment:%d-%b-%Y %H:%M:%S}.101,{lat},{lon},{i % 2}"
-            for i, (moment, (lat, lon)) in enumerate(zip(MOMENTS, PLACES, strict=True)) if i < 36]  # fmt: skip
-    path = write(["GPS Time, Device Time, Latitude, Longitude, Gear", *(row for i, row in enumerate(rows) if i % 3)])
-    with pytest.raises(ValueError, match=r"or, if it is one target, take other times: --time 'Device Time'"):
-        read(path)
-    assert len(read(path, time="Device Time")[0].time) == 24
 
 
 # ---------------------------------------------------------------- a watch
@@ -136,34 +95,6 @@ def test_fit_as_a_table_has_semicircles_and_seconds_since_1989(write):
     assert_in_place(track)
     assert track.origin[2] == 408
     assert track.source.written(track.time[:1]) == [str(FIT[0][0])]
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
-def test_fit_as_messages_is_read_as_its_table_is(write, encoding):
-    rows = [
-        "Type,Local Number,Message,Field 1,Value 1,Units 1,Field 2,Value 2,Units 2,Field 3,Value 3,Units 3",
-        "Definition,0,file_id,serial_number,1,,time_created,1,,,,",
-        'Data,0,file_id,name,"Müller",,time_created,"1146723133",,,,',
-        *(f'Data,4,record,timestamp,"{time}",s,position_lat,"{lat}",semicircles,position_long,"{lon}",semicircles'
-          for time, lat, lon in FIT),
-        'Data,5,lap,timestamp,"1146723999",s,start_position_lat,"1",semicircles,start_position_long,"1",semicircles',
-    ]  # fmt: skip
-    path = write(rows)
-    path.write_bytes("\n".join(rows).encode(encoding))
-    (track,) = read(path)
-    assert_in_place(track)
-    assert "FIT as FitCSVTool writes it: messages called record" in track.source.notes
-    assert ("text is no UTF-8: read as cp1252" in track.source.notes) == (encoding == "cp1252")
-
-
-def test_fit_without_a_record_is_refused(write):
-    with pytest.raises(ValueError, match="expected FIT with messages called record, received none"):
-        read(write("Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,file_id,type,4,\n"))
-
-
-def test_fit_with_a_cell_without_an_end_is_refused(write):
-    with pytest.raises(ValueError, match="expected FIT as FitCSVTool writes it, received other text"):
-        read(write('Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,record,timestamp,"' + 200_000 * "1"))
 
 
 def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
@@ -187,51 +118,11 @@ def timeline(fixes, path=3):
     return json.dumps({"semanticSegments": [{"timelinePath": places}] if path else [], "rawSignals": [*raw, other]})
 
 
-@pytest.mark.parametrize("path", [0, 3])
-def test_a_phone_s_fixes_are_taken_where_they_are_more_than_the_places_along_its_ways(write, path):
-    (track,) = read(write(timeline(ROWS, path), "Timeline.json"))
-    assert_in_place(track)
-    assert track.origin[2] == 520
-    assert track.sigma == pytest.approx(30 / np.sqrt(-2 * np.log(0.32)))
-    left_out = "; 3 places along its ways left out" if path else ""
-    assert f"Timeline of a phone: positions of rawSignals{left_out}" in track.source.notes
-
-
-def test_fixes_that_are_fewer_than_the_places_are_said_to_be_left_out(write):
-    (track,) = read(write(timeline(2), "Timeline.json"))
-    assert len(track.time) == 3
-    assert "Timeline of a phone: places along its ways; 2 positions of rawSignals left out" in track.source.notes
-
-
 GNSS = [
     "# ", "# Header Description:", "# ", "# Version: v3.1.0.0 Platform: 15 Manufacturer: Google Model: Pixel 8", "# ",
     "# Raw,utcTimeMillis,TimeNanos,LeapSecond", "# ",
     "# Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,AccuracyMeters,UnixTimeMillis", "# ",
 ]  # fmt: skip
-
-
-def test_fixes_among_raw_measurements_are_read_without_those_made_of_others(write):
-    rows = [
-        row
-        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
-        for row in (
-            "Raw,1777788733000,812345000000,18",
-            f"Fix,GPS,{lat},{lon},100,1.5,4.0,{moment.timestamp() * 1000:.0f}",
-            f"Fix,FLP,{lat + 1},{lon},100,1.5,3.0,{moment.timestamp() * 1000 + 200:.0f}",
-        )
-    ]
-    (track,) = read(write([*GNSS, *rows], "gnss_log.txt"))
-    assert_in_place(track)
-    assert track.origin[2] == 100
-    assert track.sigma == pytest.approx(4 / np.sqrt(-2 * np.log(0.32)))
-    assert "GnssLogger: rows that begin with Fix; 40 fused ones left out" in track.source.notes
-
-
-def test_raw_measurements_alone_are_refused_with_what_to_do(write):
-    with pytest.raises(
-        ValueError, match="expected rows that begin with Fix, received none: have GnssLogger log locations"
-    ):
-        read(write([*GNSS, "Raw,1777788733000,812345000000,18"], "gnss_log.txt"))
 
 
 # ---------------------------------------------------------------- receivers of ships
@@ -264,61 +155,6 @@ def of_second(message, second):
     fields[5] = "".join(chr(value + (48 if value < 40 else 56)) for value in values)
     said = ",".join(fields)
     return f"!{said}*{checksum(said)}"
-
-
-@pytest.mark.parametrize(("message", "name", "place"), [
-    (CLASS_A, "367380120", (37.806948, -122.404333)), (CLASS_B, "338087471", (40.684540, -74.072132)),
-])  # fmt: skip
-def test_ships_are_read_with_the_times_of_tag_blocks(write, message, name, place):
-    (ship,) = read(write([tagged(of_second(message, 60), 1_777_788_733 + i) for i in range(3)], "ais.log"))
-    assert ship.name == name
-    assert ship.origin[:2] == pytest.approx(place, abs=1e-6)
-    assert ship.time.tolist() == [1_777_788_733, 1_777_788_734, 1_777_788_735]
-
-
-def test_ships_are_read_with_seconds_behind_their_messages(write):
-    (ship,) = read(write([f"{of_second(CLASS_A, 60)},{1_777_788_733 + i}" for i in range(3)], "ais.nmea"))
-    assert ship.time[0] == 1_777_788_733
-
-
-@pytest.mark.parametrize("message", [CLASS_A, CLASS_B])
-@pytest.mark.parametrize("unit", [1, 1000])
-def test_times_of_ships_are_the_seconds_in_their_messages_however_late_these_come(write, message, unit):
-    # 1_777_788_720 is a full minute; the fourth is the third again, as another station heard it.
-    fixes, late = [10, 20, 30, 30, 59, 60, 70], [1, 3, 0, 2, 4, 1, 2]
-    lines = [tagged(of_second(message, fix % 60), (1_777_788_720 + fix + after) * unit)
-             for fix, after in zip(fixes, late, strict=True)]  # fmt: skip
-    (ship,) = read(write(lines, "ais.log"))
-    assert (ship.time - 1_777_788_720).tolist() == [10, 20, 30, 59, 60, 70]
-    assert any("times are the UTC seconds in them" in note for note in ship.source.notes)
-
-
-def test_a_message_without_its_second_was_received_as_late_as_others(write):
-    seconds = [10, 20, 30, 40, 50, 0, 10, 20, 30, 60, 50, 0]
-    lines = [tagged(of_second(CLASS_A, second), 1_777_788_732 + 10 * i) for i, second in enumerate(seconds)]
-    (ship,) = read(write(lines, "ais.log"))
-    assert ship.time - 1_777_788_720 == pytest.approx(np.arange(10, 130, 10))
-
-
-def test_seconds_in_messages_that_have_nothing_to_do_with_their_reception_are_not_used(write):
-    lines = [tagged(of_second(CLASS_A, 17 * i % 60), 1_777_788_730 + 10 * i) for i in range(12)]
-    (ship,) = read(write(lines, "ais.log"))
-    assert ship.time[1] == 1_777_788_740
-
-
-def test_messages_without_a_position_and_damaged_ones_are_counted(write):
-    static = "!AIVDM,1,1,,A,403OviQuMGCqWrRO9>E6fE700@GO,0*4D"  # of a base station, type 4
-    message = of_second(CLASS_A, 60)
-    messages = [message, static, CLASS_A.replace("*05", "*06"), message]
-    (ship,) = read(write([tagged(message, 1_777_788_733 + i) for i, message in enumerate(messages)], "ais.log"))
-    assert len(ship.time) == 2
-    said = "AIS: 2 positions (types 1, 2, 3, 18, 19) in 3 messages; 1 damaged ones left out"
-    assert said in ship.source.notes
-
-
-def test_messages_without_times_are_refused_with_what_to_do(write):
-    with pytest.raises(ValueError, match=r"AIS messages must be decoded before.*in a tag block \(c:\) in front"):
-        read(write([r"\s:r003669945*4C" + "\\" + CLASS_A, CLASS_A], "ais.log"))
 
 
 def test_the_ship_itself_is_read_where_it_hears_others(write):
@@ -450,27 +286,10 @@ def test_altitudes_of_aeroapi_are_hundreds_of_feet(write):
     assert track.origin[2] == pytest.approx(914.4)
 
 
-def test_a_weekday_in_front_of_a_clock_is_left_out(write):
-    rows = [f"Sun {moment:%I:%M:%S %p},{lat},{lon}" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]
-    (track,) = read(write(["Time (EDT),Latitude,Longitude", *rows]))
-    assert track.time[0] == 8 * 3600 + 15 * 60
-
-
 def test_the_time_of_a_fix_goes_before_that_of_the_device(write):
     rows = [f"{moment + timedelta(seconds=3):%Y-%m-%dT%H:%M:%SZ},{moment:%Y-%m-%dT%H:%M:%SZ},{lat},{lon}"
             for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
     assert_in_place(read(write(["deviceTime,fixTime,latitude,longitude", *rows]))[0])
-
-
-def test_a_session_without_positions_is_refused_with_what_to_export(write):
-    rows = [
-        "Name,Sport,Date,Start time",
-        "Max,RUNNING,03-05-2026,08:12:13",
-        "Sample rate,Time,HR (bpm)",
-        "1,00:00:00,140",
-    ]
-    with pytest.raises(ValueError, match="a session of Polar, which has no positions as CSV: export it as GPX or TCX"):
-        read(write(rows))
 
 
 # ---------------------------------------------------------------- languages and cells
@@ -482,30 +301,6 @@ RUSSIAN = "№;Время;Скорость;Широта;Долгота;Высо�
 
 def where(count):
     return [(50.0 + 1e-4 * k, 20.0 + 2e-4 * k) for k in range(count)]
-
-
-@pytest.mark.parametrize(("header", "encoding", "target"), [(POLISH, "cp1250", "A 1"), (RUSSIAN, "cp1251", None)])
-def test_tables_of_central_and_eastern_europe_are_read_in_the_encoding_of_programs_there(
-    tmp_path, header, encoding, target
-):
-    lines = [header]
-    for k, (latitude, longitude) in enumerate(where(30)):
-        time, place = f"2026-05-04 07:{k:02}:05", f"{latitude:.6f};{longitude:.6f}".replace(".", ",")
-        lines.append(f"{k};A 1;{time};{place};51" if target else f"{k};{time};65;{place};154")
-    (tmp_path / "a.csv").write_bytes("\n".join(lines).encode(encoding))
-    (track,) = read(tmp_path / "a.csv")
-    assert len(track.time) == 30
-    assert track.name == (target or "a")
-    assert f"text is no UTF-8: read as {encoding}" in track.source.notes
-
-
-def test_coordinates_in_one_cell_may_be_followed_by_the_number_of_satellites(tmp_path):
-    rows = [f"{k};03.11.2026 05:{k:02}:50;{a:.6f}, {b:.6f} ({8 + k % 5});14" for k, (a, b) in enumerate(where(30))]
-    text = "\n".join(["№;Время;Координаты;Спутники", *rows])
-    (tmp_path / "a.csv").write_text(text, encoding="utf-8-sig")
-    (track,) = read(tmp_path / "a.csv", time_format="%d.%m.%Y %H:%M:%S")
-    assert len(track.time) == 30
-    assert track.origin[:2] == pytest.approx((50.0, 20.0), abs=1e-3)
 
 
 def test_sentences_of_a_receiver_in_cells_of_csv_are_read(tmp_path):

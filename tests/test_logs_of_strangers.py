@@ -46,7 +46,7 @@ def test_lines_before_the_header_and_units_beneath_it_are_left_out_and_said(writ
     (track,) = read(write([*RACE, *rows]))
     assert_in_place(track)
     assert track.row.tolist() == list(range(ROWS))
-    assert {"lines before the header left out: 5", "lines of units beneath the header: 2"} <= {*track.source.notes}
+    assert {"lines before the header left out: 4", "lines of units beneath the header: 2"} <= {*track.source.notes}
 
 
 def test_units_beneath_the_header_count(write):
@@ -78,7 +78,9 @@ MOTIVE = ["Format Version,1.23,Length Units,Millimeters", ",,Type,Rigid Body", "
 
 def test_a_unit_before_the_header_is_asked_for(write):
     path = write([*MOTIVE, *(f"{i},{i / 100},{1000 * i},0,0" for i in range(300))])
-    with pytest.raises(ValueError, match=r"line before the header states lengths in Millimeters: state it by --units"):
+    with pytest.raises(
+        ValueError, match=r"line before the header states lengths in Millimeters: state it by units='mm'"
+    ):
         read(path)
     assert read(path, units="mm")[0].position[1, 0] == 1
 
@@ -149,49 +151,6 @@ def test_a_watch_writes_laps_and_pauses(write):
 VBOX = (
     "File created on 03/06/2024 @ 08:15\n\n[header]\nsatellites\n\n[column names]\nsats time lat long velocity height\n"
 )
-
-
-def test_a_racing_car_counts_minutes_and_west(write):
-    rows = [
-        f"012 {moment:%H%M%S}.00 {lat * 60:+012.6f} {-lon * 60:+012.6f} 144.0 +0600.0"
-        for moment, (lat, lon) in zip(moments(), PLACES, strict=True)
-    ]
-    (track,) = read(write([VBOX, "[data]", *rows], "lap.vbo"))
-    assert_in_place(track)
-    assert track.origin[2] == 600
-    with pytest.raises(ValueError, match="time, lat, long and height in data row 2, received '012 08"):
-        read(write([VBOX, "[data]", rows[0], rows[1].replace("08150", "0815X"), *rows[2:]], "lap.vbo"))
-    with pytest.raises(ValueError, match=r"expected VBOX with \[column names\] and \[data\], missing time, lat, long"):
-        read(write("[header]\n", "lap.vbo"))
-
-
-def test_a_phone_tells_where_it_has_been(write):
-    places = [
-        {
-            "point": f"{lat:.6f}\u00b0, {lon:.6f}\u00b0",
-            "time": (moment + timedelta(hours=2)).isoformat()[:-6] + "+02:00",
-        }
-        for moment, (lat, lon) in zip(moments(60), PLACES, strict=True)
-    ]
-    segments = [{"timelinePath": places[:20]}, {"visit": {}}, {"timelinePath": places[20:]}]
-    (track,) = read(write(json.dumps({"semanticSegments": segments, "userLocationProfile": {}}), "Timeline.json"))
-    assert_in_place(track, 60)
-    assert track.time[0] == START.timestamp()
-
-
-def test_another_phone_counts_minutes_since_a_segment_began(write):
-    places = [
-        {"point": f"geo:{lat:.6f},{lon:.6f}", "durationMinutesOffsetFromStartTime": str(i)}
-        for i, (lat, lon) in enumerate(PLACES)
-    ]
-    segment = {"startTime": START.isoformat(), "timelinePath": places}
-    (track,) = read(write(json.dumps([segment]), "location-history.json"))
-    assert_in_place(track, 60)
-    assert track.time[0] == START.timestamp()
-    with pytest.raises(ValueError, match="expected startTime and durationMinutesOffsetFromStartTime, received None"):
-        read(write(json.dumps([{"timelinePath": places}]), "a.json"))
-    with pytest.raises(ValueError, match=r"a point such as 47\.1, 8\.2 in timelinePath, received 'here'"):
-        read(write(json.dumps([{"timelinePath": ["here"]}]), "a.json"))
 
 
 def test_objects_within_records_are_columns(write):
@@ -299,19 +258,6 @@ def test_what_rtklib_writes_has_one_name_for_date_and_time(write):
     assert track.sigma[0].tolist() == [0.004, 0.005, 0.01]
 
 
-@pytest.mark.parametrize(("start", "said"), [
-    (b"PK\x03\x04", r"a zip archive, as \.xlsx, \.kmz and \.npz are: save the sheet as CSV"),
-    (b"\x0e\x10\x5d\x08\x64\x00\x00\x00.FIT", "FIT of a watch: export GPX"), (b"#ROSBAG V2.0", "a bag of ROS: export"),
-    (b"SQLite format 3", "a data base"), (b"MATLAB 5.0", "a file of Matlab"),
-    (b"\xb5b\x01\x07", "UBX of a receiver: convert it"),
-])  # fmt: skip
-def test_what_is_no_text_is_called_by_its_name(tmp_path, start, said):
-    path = tmp_path / "track.bin"
-    path.write_bytes(start + b"\x00\xff" * 100)
-    with pytest.raises(ValueError, match=f"expected text, received {said}"):
-        read(path)
-
-
 # ---------------------------------------------------------------- degrees that are called x and y
 
 
@@ -321,7 +267,7 @@ def test_degrees_that_are_called_x_and_y_are_no_metres(write):
     rows = [f"{i},{lon:.7f},{lat:.7f}" for i, (lat, lon) in enumerate(places)]
     path = write(["time,X,Y", *rows])
     with pytest.raises(
-        ValueError, match=r"metres in X and Y, .* looks like degrees .*: say --lat Y --lon X; or --units m"
+        ValueError, match=r"metres in X and Y, .* looks like degrees .*: say lat='Y', lon='X'; or units='m'"
     ):
         read(path)
     assert_in_place_nearly(read(path, lat="Y", lon="X")[0])
@@ -369,40 +315,9 @@ def test_names_of_months_are_english_in_every_locale(monkeypatch):
         seconds_of("03-Dez-2024 01:02", "%d-%b-%Y %H:%M")
 
 
-def test_a_date_that_is_not_understood_is_not_left_out(write):
-    path = write(["Date,Time,x,y", *(f"2024/{i} (Mo),12:00:00,{i},0" for i in range(1, ROWS))])
-    with pytest.raises(
-        ValueError, match=r"column Date: expected dates .* received '2024/1 \(Mo\)' beside times of the"
-    ):
-        read(path)
-
-
-@pytest.mark.parametrize("names", ["LMT_Date,LMT_Time", "Local Date,Local Time"])
-def test_a_collar_whose_clock_is_put_back_is_refused(write, names):
-    utc = [datetime(2024, 10, 26, 20, tzinfo=timezone.utc) + timedelta(minutes=30 * i) for i in range(ROWS)]
-    change = datetime(2024, 10, 27, 1, tzinfo=timezone.utc)
-    local = [moment + timedelta(hours=2 if moment < change else 1) for moment in utc]
-    rows = [
-        f"{moment:%d.%m.%Y},{moment:%H:%M:%S},{lat},{lon}" for moment, (lat, lon) in zip(local, PLACES, strict=True)
-    ]
-    with pytest.raises(ValueError, match=r"30 minutes before .* data row 11, .* put back an hour .*: write UTC"):
-        read(write([f"{names},lat,lon", *rows]))
-    (track,) = read(write(["UTC_Date,UTC_Time,lat,lon", *(
-        f"{moment:%d.%m.%Y},{moment:%H:%M:%S},{lat},{lon}" for moment, (lat, lon) in zip(utc, PLACES, strict=True)
-    )]))  # fmt: skip
-    assert_in_place(track, 1800)
-
-
 def test_a_local_time_that_only_goes_backwards_is_put_in_order(write):
     rows = [f"{moment:%Y-%m-%d %H:%M:%S},{i},0" for i, moment in enumerate(moments(1800))]
     assert len(read(write(["time,x,y", *reversed(rows)]))[0].time) == ROWS
-
-
-def test_seconds_of_the_day_are_not_taken_for_days(write):
-    rows = [f"{30_000 + 4 * i},{16 + i / 10},{11 - i / 10}" for i in range(ROWS)]
-    assert np.diff(read(write(["time_of_day,x,y", *rows]))[0].time) == pytest.approx(4)
-    with pytest.raises(ValueError, match=r"looks like --time plot_time --x x_nm --y y_nm --units nmi$"):
-        read(write(["plot_time,x_nm,y_nm", *rows]))
 
 
 # ---------------------------------------------------------------- numbers
@@ -433,17 +348,12 @@ def test_what_may_be_thousands_or_decimals_is_refused_as_such(write):
 # ---------------------------------------------------------------- what is no track on the ground
 
 
-def test_a_lift_is_told_what_to_add(write):
-    with pytest.raises(ValueError, match=r"missing x, y \(of what only goes up and down: columns x and y of 0\)"):
-        read(write(["time_s,height_m", *(f"{i},{i}" for i in range(ROWS))]))
-
-
 def test_a_satellite_may_be_as_fast_as_it_is(write):
     angles = 7612 / 6878e3 * 10 * np.arange(ROWS)
     rows = [f"{moment:%Y-%m-%dT%H:%M:%SZ},{6878 * np.cos(a)},{6878 * np.sin(a)},0"
             for moment, a in zip(moments(10), angles, strict=True)]  # fmt: skip
     path = write(["epoch,x_km,y_km,z_km", *rows])
-    with pytest.raises(ValueError, match=r"7.61 km/s as the median .*; if it is right, --time-format 'iso' takes it"):
+    with pytest.raises(ValueError, match=r"7.61 km/s as the median .*; if it is right: time_format='iso'"):
         read(path)
     assert len(read(path, time_format="iso")[0].time) == ROWS
 
@@ -460,9 +370,7 @@ def test_dates_whose_day_and_month_a_spreadsheet_exchanged_are_refused(write):
     forms = ["%m/%d/%Y %H:%M" if i < 22 else "%d/%m/%Y %H:%M" for i in range(ROWS)]  # up to the 12th, and behind it
     rows = [f"{local(form, i / 8)},{lat},{lon}" for i, (form, (lat, lon)) in enumerate(zip(forms, PLACES, strict=True))]
     path = write(["Date,lat,lon", *rows])
-    with pytest.raises(
-        ValueError, match="days and months in one order, received 04/10/2024 08:15 and 13/04/2024 02:15"
-    ):
+    with pytest.raises(ValueError, match="a spreadsheet has turned days and months round"):
         read(path)
     (track,) = read(path, time_format="%d/%m/%Y %H:%M")  # who says so has them as they are
     assert len(track.time) == ROWS
@@ -487,33 +395,6 @@ def test_one_fix_a_month_is_in_the_order_that_is_written(write):
     assert np.diff(track.time).min() >= 28 * 86_400
 
 
-def test_a_day_of_excel_among_dates_is_called_so(write):
-    rows = [f"{local('%d.%m.%Y %H:%M', 0, i) if i < 20 else 45392.35 + i / 1440},{lat},{lon}"
-            for i, (lat, lon) in enumerate(PLACES)]  # fmt: skip
-    with pytest.raises(ValueError, match=r"data row 21, column Date, received '45392.3.*looks like a day of Excel"):
-        read(write(["Date,lat,lon", *rows]))
-
-
-@pytest.mark.parametrize("name", ["1/100 s", "Hundredths", "ms", "Milliseconds"])
-def test_parts_of_a_second_in_a_column_of_their_own_are_no_targets(write, name):
-    rows = [f"2024-06-03,08:15:{i // 4:02},{25 * (i % 4)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    with pytest.raises(ValueError, match=f"parts of a second in {name} beside Date Time: join them"):
-        read(write([f"Date,Time,{name},lat,lon", *rows]))
-
-
-@pytest.mark.parametrize("names", [("year", "doy", "sod"), ("DOY", "SOD")])
-def test_days_of_the_year_count_beside_seconds_of_the_day(write, names):
-    days = [("2024 155 " if len(names) == 3 else "155 ").replace("155", str(155 + 2 * (i // 20))) for i in range(ROWS)]
-    rows = [f"{day}{29700 + i} {lat} {lon}" for i, (day, (lat, lon)) in enumerate(zip(days, PLACES, strict=True))]
-    (track,) = read(write([" ".join((*names, "lat", "lon")), *rows]))
-    steps = np.diff(track.time)
-    assert steps[19] == pytest.approx(2 * 86_400 + 1)
-    assert np.delete(steps, 19) == pytest.approx(1)
-    assert written(track.time[:1], track.source.time) == [f"{days[0]}29700"]
-    if len(names) == 3:
-        assert track.time[0] == START.timestamp()
-
-
 SINCE_2001 = START.timestamp() - 978_307_200
 
 
@@ -527,7 +408,7 @@ def test_phones_may_count_from_2001(write, header):
     (track,) = read(write([header, *rows]))
     assert_in_place(track)
     assert track.time[0] == START.timestamp()
-    assert "seconds since 2001" in track.source.notes[0]
+    assert "seconds since 2001" in " ".join(track.source.notes)
     assert written(track.time[:1], track.source.time) == [f"{SINCE_2001:.0f}"]
 
 
@@ -535,45 +416,6 @@ def test_seconds_since_1970_of_a_phone_stay_so(write):
     rows = [f"{START.timestamp() + i:.3f},{lat},{lon},3,4" for i, (lat, lon) in enumerate(PLACES)]
     (track,) = read(write(["timestamp,latitude,longitude,horizontalAccuracy,verticalAccuracy", *rows]))
     assert track.time[0] == START.timestamp()
-
-
-def test_seconds_of_gps_have_leap_seconds_and_begin_in_1980(write):
-    since_1980 = START.timestamp() - 315_964_800 + 18
-    path = write(["gps_seconds,lat,lon", *(f"{since_1980 + i},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES))])
-    (track,) = read(path, time="gps_seconds")
-    assert track.time[0] == START.timestamp()
-    assert written(track.time[:1], track.source.time) == [f"{since_1980:.0f}"]
-
-
-def test_hours_and_minutes_are_read_beside_dates(write):
-    rows = [f"{local('%Y-%m-%d,%H:%M', 0, 60 * i)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    (track,) = read(write(["SI_DATE,SI_TIME,SI_LATI,SI_LONG", *rows]))  # of fishing boats
-    assert np.diff(track.time) == pytest.approx(3600)
-
-
-def test_minutes_and_seconds_of_one_day_may_be_hours_and_minutes(write):
-    rows = [f"2024-06-03,00:{i:02},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    with pytest.raises(ValueError, match="'00:00' may be hours and minutes, or minutes and seconds: --time-format"):
-        read(write(["Date,Time,lat,lon", *rows]))
-
-
-def test_a_zone_behind_the_name_of_times_is_no_part_of_the_name(write):
-    rows = [f"03.06.24;08:15:{i:02};{lat};{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    (track,) = read(write(["Datum;Uhrzeit (MESZ);Breite;Länge", *rows]))
-    assert track.time[0] == START.timestamp()
-    assert track.source.notes[1].endswith("taken as UTC")
-
-
-def test_two_names_of_zones_are_told(write):
-    rows = [f"06/13/2024,12:{i:02}:00 AM E{'D' if i < 20 else 'S'}T,{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    with pytest.raises(ValueError, match="expected one zone, received EDT and EST: write an offset"):
-        read(write(["Date,Time,lat,lon", *rows]))
-
-
-def test_the_second_of_the_minute_beside_a_whole_time_is_not_taken(write):
-    rows = [f"{i % 60},{1000 * (START.timestamp() + 7 * i):.0f},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    (track,) = read(write(["timestamp,timestampExternal,lat,lon", *rows]))
-    assert_in_place(track, 7)
 
 
 # ---------------------------------------------------------------- cells and columns
@@ -608,32 +450,6 @@ def test_minutes_of_degrees_may_have_decimal_commas(write):
     assert_in_place(track)
 
 
-def test_dated_rows_of_targets_one_after_the_other_are_no_single_one(write):
-    rows = [f"{target},2024-06-03 08:{i:02}:{10 * target:02},{47 + target + i / 1e4:.5f},{8 + target + i / 1e4:.5f}"
-            for target in range(3) for i in range(60)]  # fmt: skip
-    with pytest.raises(ValueError, match="looks like --time 2 --lat 3 --lon 4 --id 1"):
-        read(write(rows))
-    with pytest.raises(
-        ValueError, match=r"received 2024-06-03 08:00:10 behind 2024-06-03 08:59:00 in data row 61.*--id"
-    ):
-        read(write(rows), time="2", lat="3", lon="4")
-
-
-@pytest.mark.parametrize("form", [None, "%d.%m.%Y %H:%M:%S,%f", "%d.%m.%Y %H:%M:%S"])
-def test_parts_of_a_second_may_come_after_a_comma(write, form):
-    rows = [f"{moment:%d.%m.%Y %H:%M:%S},{moment.microsecond // 1000:03};{i};{2 * i}"
-            for i, moment in enumerate(moments(0.25))]  # fmt: skip
-    (track,) = read(write(["Zeit;x;y", *rows]), time_format=form)
-    assert np.diff(track.time) == pytest.approx(0.25)
-
-
 def test_numbers_of_tracks_are_targets(write):
     rows = [f"{i},{i % 2},{i + 9000 * (i % 2)},{i}" for i in range(ROWS)]
     assert [track.name for track in read(write(["t,TRACK_NO,x,y", *rows]))] == ["0", "1"]
-
-
-def test_a_text_of_mapsource_is_to_be_saved_as_gpx(write):
-    head = ["Grid\tLat/Lon hddd°mm.mmm'", "Datum\tWGS 84", "", "Header\tPosition\tTime\tAltitude"]
-    rows = [f"Trackpoint\tN47 27.{i:03} E9 17.996\t8/17/2013 8:02:{i} AM\t1296 m" for i in range(10, ROWS)]
-    with pytest.raises(ValueError, match="a text of MapSource or BaseCamp, which save tracks as GPX"):
-        read(write([*head, *rows]))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_formats import ALTITUDE, FILES, LATITUDE, LONGITUDE, ROWS, START, checksum, csv, gpx, iso, kml, nmea, table
+from test_formats import ALTITUDE, FILES, LATITUDE, LONGITUDE, ROWS, START, checksum, iso, nmea, table
 
 from torchfra.readers import read
 
@@ -33,42 +33,6 @@ def flight(times, column="timestamp"):
     return table(f"{column},latitude,longitude", [(t, 47 + i / 1e4, 8) for i, t in enumerate(times)])
 
 
-def test_seconds_of_the_day_are_no_times_since_1970_unless_the_caller_says_so(write):
-    path = write(flight(44800 + MANY))
-    said = r"a\.csv: column timestamp: .* received 44800 to 45762, which looks like seconds of the day .*: use --time"
-    with pytest.raises(ValueError, match=said):
-        read(path)
-    (track,) = read(path, time="timestamp")
-    assert track.time[-1] == 45762
-
-
-def test_years_before_1980_are_refused_and_single_ones_dropped(write):
-    said = "years from 1980 on in row 1 of when, received 1970-01-01T12:26:00Z, which looks like times since a start"
-    early = [f"1970-01-01T12:{26 + i // 60}:{i % 60:02}Z" for i in range(60)]
-    with pytest.raises(ValueError, match=said):
-        read(write(flight(early, "when")), time="when")
-    (track,) = read(write(flight([early[0], *(iso(t) for t in range(9))], "time")))
-    assert track.repairs == {"rows from before 1980 dropped": 1}
-
-
-@pytest.mark.parametrize(("unit", "name"), [(1e3, "ms"), (1e6, "us")])
-def test_a_track_that_moves_too_fast_is_refused_with_the_unit_that_is_meant(write, unit, name):
-    text = table("t,x,y", [(i * unit, 10 * i, 0) for i in MANY])
-    assert len(read(write(text))[0].time) == 963  # slow is possible
-    text = table("t,x,y", [(i / unit, 10 * i, 0) for i in MANY])
-    with pytest.raises(
-        ValueError, match=r"a\.csv: expected .* column t may be in .*days: say by --time-format, or name"
-    ):
-        read(write(text))
-    text = table("elapsed_ms,x,y", [(i, 10 * i, 0) for i in MANY])
-    with pytest.raises(
-        ValueError, match=r"received 963 fixes within 0\.962 s .* looks like seconds: use --time-format"
-    ):
-        read(write(text))
-    (track,) = read(write(text), time_format="seconds")
-    assert track.time[-1] == 962
-
-
 def test_one_target_that_cannot_be_does_not_stop_the_others(write):
     rows = [(i, name, i * speed, 0) for i in range(40) for name, speed in (("good", 10), ("bad", 1e4))]
     (track,) = read(write(table("t,id,x,y", rows)))
@@ -76,13 +40,6 @@ def test_one_target_that_cannot_be_does_not_stop_the_others(write):
     assert track.repairs == {"fixes of target bad dropped, of impossible speed": 40}
     with pytest.raises(ValueError, match=r"expected speeds below 5 km/s, received 10 km/s as the median of target bad"):
         read(write(table("t,id,x,y", [row for row in rows if row[1] == "bad"])))
-
-
-def test_a_day_that_may_be_a_month_is_refused_by_its_column(write):
-    text = "when,x,y\n03/04/2020 12:00:00,1,2\n03/04/2020 12:00:01,1,2\n"
-    with pytest.raises(ValueError, match=r"a\.csv: column when: .* the day or the month first: use --time-form"):
-        read(write(text), time="when")
-    assert read(write(text), time="when", time_format="%d/%m/%Y %H:%M:%S")[0].time[0] == 1_585_915_200
 
 
 def test_times_of_the_day_go_on_after_midnight(write):
@@ -94,57 +51,10 @@ def test_times_of_the_day_go_on_after_midnight(write):
 # ---------------------------------------------------------------- cells
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("time,lat,lon\nnoon,1,2\n", "expected times in data row 1, column time, received 'noon': say how"),
-    ("utc,lat,lon\nnoon,1,2\n", "expected ms since 1970 or ISO text in data row 1, column utc, received 'noon'"),
-    (csv().replace("47.0", "x", 1), "expected degrees within .* in data row 1, column lat, received 'x"),
-    (csv() + "2020-09-31T00:00:00Z,47,8,1\n", "ISO text in data row 7, column time, received '2020-09-31T00:00:00Z'"),
-    (csv(form="%d/%m/%Y %H:%M:%S") + "soon,47,8,1\n", "a time such as 13/09/2020 12:26:40 in data row 7, column time"),
-    ("t;x;y\n0;1,5;2\n1;1,5,0;2\n", "expected a number in data row 2, column x, received '1,5,0'"),
-    ("t;x;y\n0;1,5;2\n1;1_5;2\n", "expected a number in data row 2, column x, received '1_5'"),
-    ("t\tx\ty\n0\t1\n", "expected 3 fields in data row 1, received 2"),
-    ("lat,lon\n1,2\n", "missing time, received lat, lon"),
-    ("time,lat,x\n1,2,3\n", "missing longitude, y, received time, lat, x"),
-    ("mmsi,t,lat,lon\n1,0,92,8\n", "expected degrees within .* in data row 1, column lat, received '92'"),
-])  # fmt: skip
-def test_a_bad_cell_is_named_by_file_row_and_column(write, text, said):
-    with pytest.raises(ValueError, match=rf"a\.csv: .*{said}"):
-        read(write(text))
-
-
 # ---------------------------------------------------------------- formats
 
 BOMB = '<!DOCTYPE x [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>'
 POINT = '<trkpt lat="{}" lon="8"><time>2020-09-13T12:26:40Z</time></trkpt>'
-
-
-@pytest.mark.parametrize(("name", "text", "said"), [
-    ("a.gpx", gpx(head=BOMB), "expected GPX, KML or TCX without <!DOCTYPE>"),
-    ("a.gpx", gpx()[:-20], "expected GPX, KML or TCX, received other text"),
-    ("a.gpx", gpx(POINT.format("1_0") * 2), "expected a number as lat, received '1_0'"),
-    ("a.gpx", gpx(POINT.format("inf") * 2), "expected a number as lat, received 'inf'"),
-    ("a.gpx", gpx(POINT.format("91") * 2), "expected degrees within .* in data row 1, column latitude, received 91"),
-    ("a.gpx", gpx('<trkpt lat="1" lon="8"/>' * 3), "expected GPX with times, received 3 points without any"),
-    ("a.gpx", gpx(" "), "expected GPX with tracks, received none"),
-    ("a.gpx", gpx("<extensions>" + "<a>" * 200_000 + "</a>" * 200_000 + "</extensions>"), "within at most 64 others"),
-    ("a.xml", "<html></html>", "expected GPX, KML or TCX, received other XML"),
-    ("a.kml", kml().replace("</kml>", ""), "expected GPX, KML or TCX, received other text"),
-    ("a.kml", kml().replace("<gx:coord>", "<other>", 1).replace("</gx:coord>", "</other>", 1),
-     "expected a time for each of 5 places of a track, received 6"),
-    ("a.kml", "<kml><Placemark><LineString><coordinates>1,2 3,4</coordinates></LineString></Placemark></kml>",
-     "expected KML with times .* received lines without any"),
-    ("a.geojson", json.dumps(FILES["line.geojson"] | {"properties": {}}, default=float),
-     "expected a time for each of the 6 places of feature 1"),
-    ("a.geojson", '{"type": "Feature", "geometry": {"type": "Polygon"}}', "points and lines, .* feature 1"),
-    ("a.geojson", '{"type": "FeatureCollection", "features": [3]}', "points and lines, .* feature 1"),
-    ("a.nmea", "$GPGSV,1,1,00*79\n" * 3, "expected NMEA 0183 with RMC or GGA, received .*3"),
-    ("a.nmea", "!AIVDM,1,1,,A,13oUhr0000151NhWKUi1vPvJ08Re,0*3A\n", "AIS messages must be decoded before"),
-    ("a.parquet", "PAR1" + "a" * 50, "expected a complete Parquet or Feather file, received none"),
-    ("a.feather", "ARROW1" + "a" * 50, "expected a complete Parquet or Feather file, received none"),
-])  # fmt: skip
-def test_a_damaged_file_is_refused_by_what_was_expected(write, name, text, said):
-    with pytest.raises(ValueError, match=rf"(?s){name}: .*{said}"):
-        read(write(text, name))
 
 
 @pytest.mark.parametrize("name", ["walk.gpx", "walk.kml", "walk.nmea", "line.geojson"])

@@ -77,8 +77,8 @@ def test_what_json_takes_for_more_than_a_number_is_refused(write, written):
 
 
 @pytest.mark.parametrize("stamp", [
-    "２０２０-09-13T12:26:40", "٢٠٢٠-09-13T12:26:40", "20200913T122640", "20200913122640", "2020-09-13x12:26:40",
-    "12:26:40", "1_600_000_000_000",
+    "２０２０-09-13T12:26:40", "٢٠٢٠-09-13T12:26:40", "20200913T122640", "2020-09-13x12:26:40", "12:26:40",
+    "1_600_000_000_000",
 ])  # fmt: skip
 def test_other_scripts_and_forms_are_no_time_either(write, stamp):
     with pytest.raises(ValueError, match="ms since 1970 or ISO text in data row 1, column timestamp"):
@@ -100,7 +100,7 @@ def test_times_since_1970_are_read_in_any_unit_and_it_is_said(write, header, uni
         (track,) = read(path)
         np.testing.assert_array_equal(track.time, [START, START + 10])
         assert track.source.time == form
-        assert "since 1970" in track.source.notes[0]
+        assert "since 1970" in " ".join(track.source.notes)
         assert [float(text) for text in track.source.written(track.time)] == [row[0] for row in rows]
 
 

@@ -71,9 +71,9 @@ def test_records_may_be_an_object_a_line(write):
 
 
 @pytest.mark.parametrize(("content", "said"), [
-    (TRACE | {"trace": [[0, 1]]}, r"expected rows of seconds, latitude, .* in trace, received \[0, 1\]"),
-    (TRACE | {"trace": [["now", 1, 2, 3]]}, "expected rows of seconds"),
-    (TRACE | {"timestamp": "noon"}, "in data row 1, column time, received 'noon'"),
+    (TRACE | {"trace": [[0, 1]]}, r"expected second, lat, lon, alt_baro in trace, received \[0, 1\]"),
+    (TRACE | {"trace": [["now", 1, 2, 3]]}, "expected second, lat"),
+    (TRACE | {"timestamp": "noon"}, "expected a number of seconds, received 'noon'"),
     (TRACE | {"trace": []}, "expected rows, received none"),
 ])  # fmt: skip
 def test_a_damaged_trace_is_refused(write, content, said):

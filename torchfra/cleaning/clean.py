@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -20,8 +18,8 @@ from torchfra.cleaning.outputs.table import columns
 from torchfra.motion.bank import Bank
 from torchfra.numbers import unmasked
 from torchfra.readers import MAX_BYTES, Recording, read
-from torchfra.readers.placeholders import nowhere
 from torchfra.readers.reading import read_sheet
+from torchfra.readers.repairs import nowhere
 from torchfra.readers.sheets import Sheet
 
 PREFIX = "clean_"
@@ -33,32 +31,8 @@ _TIMES = ("datetime64", "timedelta64")
 """Types of an index with times."""
 _LEFT_OUT = ("row", "id", "time", "seconds")
 """Columns of an output that the table of the caller has already."""
-_OPTION = re.compile(
-    r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)(?![\w.])( '[^']*'| (?!(?:and|gives|if|name|or|takes|that|with)\b)[^\s,;)]+)?"
-)
-"""An option of the command in a message, and its value if it has one; the words after ``?!`` are none."""
 
 
-@contextmanager
-def _words_for_options() -> Iterator[None]:
-    """Writes options of the command in messages of readers, ``--lat breite``, as arguments of Python, lat='breite'."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(_with_arguments(str(error))) from error
-
-
-def _with_arguments(text: str) -> str:
-    """A text with arguments of Python in place of options of the command."""
-
-    def argument(option: re.Match[str]) -> str:
-        name, value = option.groups(default="")
-        return name.replace("-", "_") + "=" + (repr(value.strip(" '")) if value else "")
-
-    return _OPTION.sub(argument, text)
-
-
-@_words_for_options()
 def clean(
     data: Any,
     *,
@@ -125,7 +99,7 @@ def clean(
         results = clean_tracks(recordings, **settings)
         joined = _joined(data, results)
         joined = joined if points is None else _with_points(joined, points)
-        joined.attrs["torchfra"] = _with_arguments("\n".join([*recordings[0].source.notes, *report(results)]))
+        joined.attrs["torchfra"] = "\n".join([*recordings[0].source.notes, *report(results)])
         return joined
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
         return clean_tracks(data, **settings)

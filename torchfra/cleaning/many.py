@@ -19,8 +19,8 @@ import numpy as np
 from torchfra.cleaning import Cleaned, clean_tracks
 from torchfra.cleaning.outputs.parquet import Growing
 from torchfra.readers.datasets import DataSet
+from torchfra.readers.options import listed
 from torchfra.readers.recording import Recording
-from torchfra.readers.sheets import listed
 from torchfra.running.atomic_write import write, write_json
 from torchfra.running.memory import peak_memory
 from torchfra.version import __version__

@@ -193,7 +193,7 @@ def exit_status(program: str, work: Callable[[], object], alone: Callable[[], bo
 
 
 def message(error: Exception) -> str | None:
-    """The message of an error for the user; None for an error of the program itself."""
+    """The message of an error for the user, with options of commands; None for an error of the program itself."""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and any(x in str(error) for x in _NO_MEMORY)):
         return f"not enough memory: {error}"
     if isinstance(error, OverflowError):
@@ -204,7 +204,7 @@ def message(error: Exception) -> str | None:
     from torchfra.types import CompileError  # imports torch, which takes long
 
     known = (ValueError, OSError, ImportError, CompileError, NotImplementedError)
-    return str(error) if isinstance(error, known) else None
+    return str(getattr(error, "command", error)) if isinstance(error, known) else None
 
 
 def complain(program: str, *messages: str) -> None:

@@ -8,7 +8,8 @@ from dataclasses import fields
 
 from torchfra.cleaning.kinds import KINDS
 from torchfra.readers.bounded import MAX_BYTES
-from torchfra.readers.options import METRES, ReadOptions
+from torchfra.readers.names import METRES
+from torchfra.readers.options import ReadOptions
 from torchfra.readers.times import FORMS
 
 _ABOUT = {

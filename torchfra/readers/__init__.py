@@ -1,43 +1,28 @@
 """Reads tracks from files into local metres, and counts its repairs.
 
-A file is one of these, gzipped or not (except for the last):
+A file is rows of text under a header, JSON (records, columns, GeoJSON, what receivers of aircraft write), GPX, KML,
+TCX, NMEA 0183, IGC, FIT, Parquet, Feather, a workbook of a spreadsheet, or an array of numpy (``.npy``); gzipped or
+not.  The extra ``formats`` installs what reads some of them.
 
-- rows of text under a header, separated by commas, semicolons, tabs, bars or spaces, with decimal points or commas, and
-  comments (# or %); other lines before the header, units above or beneath it and the header again are left out;
-- JSON: records, in a list or one a line (or a list of some a line), columns, GeoJSON with a time for each place, the
-  timeline of a phone, what receivers of aircraft write (traces and ``aircraft.json`` of readsb, tar1090 and dump1090),
-  state vectors of OpenSky, streams of Strava, samples of Suunto, or messages of OwnTracks;
-- GPX (extra ``formats``), KML with times, TCX, VBOX, IGC, PLT, FIT as FitCSVTool writes it, logs of GnssLogger, NMEA
-  0183 with RMC and GGA (extra) or with ships in AIS whose receiver adds times;
-- Parquet and Feather (extra), and arrays of numpy (``.npy``), of rows and columns or of named fields.
+What columns hold is said by a row of the table ``formats.FORMATS``, which knows what devices and services write, or
+else by these rules:
 
-Columns are found by their names, in any case and common spellings: a time; x, y[, z] or latitude, longitude[,
-altitude]; which target a row is of (icao24, mmsi, id, ...); how good a fix is (sigma, accuracy, hdop, covariances of
-ROS).  ``ReadOptions`` names others, by their numbers from 1 on where there is no header.  One column may hold points
-(WKB in hexadecimal digits or WKT), or objects of JSON with all.
-This covers the state vectors of OpenSky, the tracks of ``traffic``, logs of ships such as the Danish ones, and animals
-of Movebank: classes and error ellipses of Argos say how good a fix is, and rows marked as outliers are dropped.
-Times are ISO text, UTC where it names no zone, dates in other forms, or numbers: s, ms, us or ns since 1970 by their
-size, weeks of GPS with what of them has passed, days of the year with seconds of the day, seconds since 2001 of phones
-that count so and since 1989 of FIT, seconds with their parts in another column, or seconds (minutes, hours, days by
-their names) since any start.  A local date and time may have their offset from UTC in a column of its own.
-Lengths are metres unless the name of a column or ``units`` says another unit; altitudes that aircraft send
-(``altitude`` beside icao24 or a callsign) are feet, flight levels hundreds of feet.  Degrees are decimal ones, or
-degrees, minutes and seconds; letters of the sides stand in front, behind or in a column of their own.
-A z that is the same everywhere is left out, unless it is named.  Of columns with moments the only one is the time,
-whatever its name.
-``Source.notes`` states which columns were read as what.
+1. Cells are separated by commas, semicolons, tabs, bars or blanks, with decimal points or commas, in UTF-8, UTF-16 or
+   Windows' text for western Europe; lines before the header, comments (# or %) and units beneath it are left out.
+2. Columns have English names in any case, with a unit in brackets or behind a blank or a sign: a time; x, y[, z] or
+   latitude, longitude[, altitude]; sigma, accuracy or hdop; lengths without a unit are metres, and degrees are decimal
+   ones, or degrees, minutes and seconds.
+3. Times are ISO text, UTC where it names no zone, dates that can be read in one order only, perhaps in a column beside
+   that of the clock, or numbers: s, ms, us or ns since 1970 by their size, or seconds since any start.
+4. A column called id, name, mmsi, vehicle and the like says which target a row is of; each is a track.
+5. Empty cells, N/A, null, None, NaN and - are missing, and so are -999, 9999 and the like in both coordinates or an
+   altitude where nothing else is half as large, and 0, 0 degrees far from all else.
 
-Placeholders (-999, 9999, 99999 and the like) are missing beside 25 numbers or more of which none is half as large: in
-the altitude, or in both coordinates at once; so are 0, 0 degrees far from all else.
-
-A number is a decimal one in ASCII digits, such as -1.5e3, or 1,234.5 where both signs show what they are.  Empty cells,
-N/A, null, None, NaN in any letters and - are missing.  All else is refused, also "inf", 1_000 and 0x10; so are times in
-two units or with the name of a zone, dates of which some have the day first and some the month, dates and clocks whose
-digits stand in one number (a ``time_format`` reads them), clocks of 12 hours without AM and PM, those that are put back
-at the end of summer time, columns or keys that come twice, XML with entities, tracks that no target of their kind can
-follow, and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do
-not fill the memory.
+What neither the table nor the rules say is refused, with the columns and the options that name them
+(``ReadOptions``): nothing is guessed from values.  A column may be named by its number from 1 on, header or not.  So
+are refused cells that are no numbers, columns or keys that come twice, tracks that no target of their kind can follow,
+and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not
+fill the memory.  ``Source.notes`` states which columns were read as what.
 
 ``read_ranges`` reads ranges from anchors instead of positions.
 """

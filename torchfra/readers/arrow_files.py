@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -17,8 +16,6 @@ _ROWS = 2**16
 """Of a batch of Parquet."""
 _MAGIC = 8
 """Bytes before the messages of a Feather file."""
-_BATCHES = (2, 3)
-"""Kinds of messages that hold data: of a dictionary, and of rows."""
 
 
 def is_arrow(start: bytes) -> bool:
@@ -36,7 +33,7 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
     pyarrow = optional("pyarrow", "Parquet and Feather", "formats")
     try:
         schema, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
-    except (pyarrow.ArrowException, OSError, struct.error, IndexError) as error:
+    except (pyarrow.ArrowException, OSError) as error:
         raise damaged(error) from error
     return Sheet([field.name for field in schema if is_flat(field.type)], _parts(batches, max_bytes))
 
@@ -86,60 +83,22 @@ def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
 
 
 def _feather(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
-    """The schema and the batches of a file, which are read as the stream that they are."""
+    """The schema and the batches of a file, which is read as the stream that it is, a batch at a time."""
     from pyarrow import ipc, memory_map
 
     file = memory_map(str(path))
     file.seek(_MAGIC)
-    messages, unpacked = ipc.MessageReader.open_stream(file), 0
-    for message in messages:
-        unpacked += _unpacked(message.metadata.to_pybytes(), memoryview(message.body or b""))
-        if unpacked > max_bytes:
-            raise _too_large(max_bytes)
-    file.seek(_MAGIC)
     reader = ipc.open_stream(file)
-    return reader.schema, iter(reader)
+    return reader.schema, _bounded(reader, max_bytes)
 
 
-def _unpacked(metadata: bytes, body: memoryview) -> int:
-    """Bytes that the buffers of a message have when they are unpacked.
-
-    Source: Apache Arrow, "Columnar format", Message.fbs and compressed buffers, whose first 8 bytes are their length.
-
-    Raises:
-        struct.error: it is damaged.
-    """
-    message = _unsigned(metadata, 0)
-    kind = metadata[_field(metadata, message, 1)]
-    if kind not in _BATCHES:
-        return 0
-    batch = _linked(metadata, _field(metadata, message, 2))
-    if kind == _BATCHES[0]:
-        batch = _linked(metadata, _field(metadata, batch, 1))
-    buffers, total = _linked(metadata, _field(metadata, batch, 2)), 0
-    packed = _field(metadata, batch, 3) > 0
-    for i in range(_unsigned(metadata, buffers)):
-        offset, length = struct.unpack_from("<qq", metadata, buffers + 4 + 16 * i)
-        stated = struct.unpack_from("<q", body, offset)[0] if packed and length else -1
-        total += length if stated == -1 else stated if stated >= 0 else 2**62
-    return total
-
-
-def _unsigned(data: bytes, at: int) -> int:
-    return int(struct.unpack_from("<I", data, at)[0])
-
-
-def _linked(data: bytes, at: int) -> int:
-    """Where the link leads that is at a place of a flatbuffer."""
-    return at + _unsigned(data, at)
-
-
-def _field(data: bytes, table: int, number: int) -> int:
-    """Where a field of a table of a flatbuffer is; 0 where it is absent."""
-    layout = table - int(struct.unpack_from("<i", data, table)[0])
-    size, place = int(struct.unpack_from("<H", data, layout)[0]), 4 + 2 * number
-    offset = int(struct.unpack_from("<H", data, layout + place)[0]) if place < size else 0
-    return table + offset if offset else 0
+def _bounded(batches: Any, max_bytes: int) -> Iterator[Any]:
+    size = 0
+    for batch in batches:
+        size += batch.nbytes
+        if size > max_bytes:
+            raise _too_large(max_bytes)
+        yield batch
 
 
 def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]]:

@@ -146,7 +146,8 @@ class Rows:
                 yield cells
                 rows, cells = rows + len(cells) // fields, []
         self._count(fields)
-        yield cells
+        if cells:
+            yield cells
 
     def _count(self, fields: int) -> None:
         if self.reader.line_num * max(BYTES_OF_A_ROW, fields) > self.max_bytes:

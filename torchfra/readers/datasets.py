@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from torchfra.readers.arrow_files import damaged, is_flat, table_sheet
 from torchfra.readers.columns import grouped, text
+from torchfra.readers.options import listed
 from torchfra.readers.reading import SheetReader
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import TooFewError, dropped
-from torchfra.readers.sheets import listed
 from torchfra.readers.tables import naming
 from torchfra.running.optional import optional
 

@@ -11,8 +11,6 @@ _DEGREES = re.compile(
     rf"(?:(?:(?<=['\u2032\u2019])|\s|:)\s*"
     rf"(?P<seconds>{_NUMBER})\s*(?:[\"\u2033\u201d]|''|\u2032\u2032)?)?)?\s*(?P<back>[NSEWnsew]?)"
 )
-_COMPACT = 100
-"""Degrees and minutes in one number are the former times this, and the latter."""
 
 
 def degrees_of(text: str, sides: str) -> float:
@@ -36,23 +34,3 @@ def degrees_of(text: str, sides: str) -> float:
         raise ValueError(f"expected degrees, received {text!r}")
     below = found["sign"] == "-" or side == sides[1]
     return (-1 if below else 1) * (degrees + minutes / 60 + seconds / 3600)
-
-
-def advice(values: list[float], others: list[float], limit: float) -> str:
-    """What an error message says of degrees beyond a limit.
-
-    Args:
-        values: some of the column.
-        others: of the other coordinate.
-        limit: of the column: 90 of latitudes, 180 of longitudes.
-    """
-    if not values or max(map(abs, values)) <= limit:
-        return ""
-    if limit == 90 and others and max(map(abs, values)) <= 180 and max(map(abs, others)) <= 90:
-        return ", which looks like a longitude: latitudes and longitudes seem to be swapped, --lat and --lon name them"
-    if all(abs(value) % _COMPACT < 60 for value in values):
-        return (
-            ", which looks like degrees and minutes in one number, such as 4730.5 for 47 degrees and 30.5 minutes: "
-            "write degrees + minutes / 60"
-        )
-    return ""

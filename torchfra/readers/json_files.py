@@ -1,33 +1,25 @@
-"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what phones and receivers of aircraft write."""
+"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what receivers of aircraft write."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from typing import Any
 
-from torchfra.readers.columns import Cells, short
-from torchfra.readers.json_apps import app_sheet
-from torchfra.readers.sheets import Sheet, points_sheet, repeated, whole_text
-from torchfra.readers.spelling import found, is_header
-from torchfra.readers.times import seconds_of
+from torchfra.readers.columns import short
+from torchfra.readers.formats import JSON, Json
+from torchfra.readers.names import found, places_in
+from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated, whole_text
 
 _RECORDED = re.compile(rb"[0-9TZ:.-]+\t[^\t\n]+\t\{")
 """How lines of OwnTracks' recorder begin, of which only what follows is JSON."""
-_BEGIN = 200
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
-_AXES = ("latitude", "longitude")
-_RAW = {"time": "timestamp", "altitude": "altitudeMeters", "accuracy": "accuracyMeters"}
-"""Columns by what a fix of a phone calls them."""
-_MINUTES = "durationMinutesOffsetFromStartTime"
-"""Of a place since its segment of a phone's timeline began."""
-_CALLED = 3
-"""Names of a target at most that its fixes are given, which may be many."""
-_TRACE = ("second", "lat", "lon", "alt_baro")
-"""What a row of a trace begins with: seconds since the file's, degrees, and feet."""
+_DEEPEST = 5
+"""Objects in another that are looked into."""
 
 
 def is_json(start: bytes) -> bool:
@@ -53,18 +45,36 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         ) from error
     if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
         return _geojson_sheet(parsed)
-    if (sheet := _readsb_sheet(parsed)) is not None:
-        return sheet
-    if (sheet := _timeline_sheet(parsed) or app_sheet(parsed)) is not None:
-        return sheet
-    names, rows, cells, of = _columns(parsed)
-    said = (f"JSON: a row for each record in {of}",) if of else ()
-    return Sheet(names, [(rows, cells)] if names else [], said, json=of in ("", "aircraft"))
+    several = parsed if isinstance(parsed, list) else [parsed]
+    objects = bool(several) and all(isinstance(one, dict) for one in several)
+    for format in JSON if objects else ():
+        if all(isinstance(one.get(format.rows), list | None) and format.rows in one for one in several):
+            rows = [row for one in several for row in one[format.rows] or ()]
+            if all(isinstance(row, list) for row in rows):
+                return _rows_sheet(several, format)
+    if objects and all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
+        fixes = [{"time": _sum(one["now"], -fix.get("seen_pos", 0)), **fix}
+                 for one in several for fix in one["aircraft"]
+                 if isinstance(fix, dict) and "lat" in fix]  # fmt: skip
+        return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
+    if (streams := _streams(parsed)) is not None:
+        return streams
+    if isinstance(parsed, dict):
+        lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
+        plain = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
+        if len(lists) > 1 and plain and len({len(column) for column in lists.values()}) == 1:
+            return Sheet([*lists], [(len(next(iter(lists.values()))), lists.__getitem__)])
+        columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
+        if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
+            keys = [*next(iter(columns.values()))]
+            return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
+    records, of = _records(several)
+    return records_sheet([{**record} for record in records], (f"JSON: a row for each record in {of}",) if of else ())
 
 
 def _parsed(content: str) -> Any:
     """What JSON says; a list of all records where each line is an object, or a list of some, of its own."""
-    if _RECORDED.match(content[:_BEGIN].encode()):
+    if _RECORDED.match(content[:200].encode()):
         content = re.sub(r"(?m)^[^{\n]*", "", content)
     try:
         return json.loads(content, object_pairs_hook=_object)
@@ -76,132 +86,136 @@ def _parsed(content: str) -> Any:
         return [record for one in several for record in (one if isinstance(one, list) else [one])]
 
 
-def _columns(parsed: Any) -> tuple[list[str], int, Cells, str]:
-    """Names of the columns, the number of rows, the cells of a column by its name, and the name of lists of rows."""
-    if isinstance(parsed, dict):
-        if inner := _inner([parsed]):
-            return _columns_of(*inner)
-        lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
-        if len(lists) > 1 and len({len(column) for column in lists.values()}) == 1:
-            return list(lists), len(next(iter(lists.values()))), lists.__getitem__, ""
-        columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
-        is_table = len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1
-        records = next(iter(lists.values())) if len(lists) == 1 and not is_table else []
-        if records and all(isinstance(one, dict) for one in records):
-            return _columns(records)  # under one name, as "locations" of a phone
-        keys = list(dict.fromkeys(key for column in columns.values() for key in column))
-        return list(columns), len(keys), lambda name: [columns[name].get(key) for key in keys], ""
-    records = parsed if isinstance(parsed, list) else [parsed]
-    if records and all(isinstance(one, list) for one in records):  # in parts
-        records = [record for part in records for record in part]
-    if other := next((type(one).__name__ for one in records if not isinstance(one, dict)), ""):
-        raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    records = _flat(records)
-    return _columns_of(*(_inner(records, asked=True) or (records, "")))
-
-
-def _columns_of(records: list[dict[str, Any]], of: str) -> tuple[list[str], int, Cells, str]:
-    """Those of records, which stand in lists of that name."""
-    records = [_parted(record) for record in records]
-    names = list(dict.fromkeys(name for record in records for name in record))
-    return names, len(records), lambda name: [record.get(name) for record in records], of
-
-
-def _inner(
-    records: list[dict[str, Any]], depth: int = 4, *, asked: bool = False
-) -> tuple[list[dict[str, Any]], str] | None:
-    """The records in the lists of one name that alone have times and places, each with what its target is called.
-
-    So services answer: the targets, and the fixes of each.  None where the records have places, or no such list is
-    the only one.  Where it is ``asked`` and the records have no numbers of their own, the only list of all is one, as a
-    person may name columns of its records.
-    """
-    records = _flat(records)
-    names = dict[str, list[dict[str, Any]]]()
-    for record in records:
-        for name, value in record.items():
-            names.setdefault(name, []).extend([record] if value else [])
-    if not depth or is_header(names):
-        return None
-    likely, every = list[tuple[list[dict[str, Any]], str]](), list[tuple[list[dict[str, Any]], str]]()
-    called = found(names, "id")[:_CALLED]
-    for name, there in names.items():
-        several = [(record, record[name]) for record in there]
-        if not several or not all(
-            isinstance(ones, list) and all(isinstance(one, dict) for one in ones) for _, ones in several
-        ):
-            continue
-        outer = [
-            {key: record[key] for key in called if not isinstance(record.get(key, []), list | dict)}
-            for record, ones in several
-            for _ in ones
-        ]
-        inner = [
-            more | one for more, one in zip(outer, _flat([one for _, ones in several for one in ones]), strict=True)
-        ]
-        keys = {key for one in inner for key in one}
-        if is_header({key.rpartition(".")[2] for key in keys}):
-            every.append((inner, name))
-        if is_header(keys) and found(keys, "time"):
-            likely.append((inner, name))
-        elif deeper := _inner(inner, depth - 1):
-            likely.append((deeper[0], f"{name}, {deeper[1]}"))
-    numbers = asked and any(
-        map(_is_number, (cell for one in records for key, cell in one.items() if key not in called))
-    )
-    if asked and not likely and not numbers:
-        likely = every
-    return likely[0] if len(likely) == 1 else None
-
-
-def _flat(records: list[dict[str, Any]], depth: int = 4) -> list[dict[str, Any]]:
-    """Records in which the values of what is an object wherever it is there have both names: ``coords.latitude``.
-
-    What an object says of its type, as data bases write ``{"$numberLong": "7"}``, is no name.
-    """
-    objects = {name for record in records for name, value in record.items() if isinstance(value, dict)}
-    others = {
-        name
-        for record in records
-        for name, value in record.items()
-        if value is not None and not isinstance(value, dict)
-    }
-    names = objects - others
-    # An object that should name the target stays one, and is refused: without it all targets would be one.
-    names -= {name for name in names if found([name], "id") and not _has_id(name, records)}
-    if not names or not depth:
-        return records
-    flat = list[dict[str, Any]]()
-    for record in records:
-        own = {name: value for name, value in record.items() if name not in names}
-        for name, value in record.items():
-            inner = (value or {}).items() if name in names else ()
-            own |= {name if key.startswith("$") else f"{name}.{key}": cell for key, cell in inner}
-        flat.append(own)
-    return _flat(flat, depth - 1)
-
-
-def _parted(record: dict[str, Any]) -> dict[str, Any]:
-    """A record with two to four numbers in a list under names of their own: ``translation.1`` and so on."""
-    parted = dict[str, Any]()
-    for name, value in record.items():
-        few = isinstance(value, list) and 2 <= len(value) <= 4 and all(map(_is_number, value))
-        parted |= {f"{name}.{i + 1}": cell for i, cell in enumerate(value)} if few else {name: value}
-    return parted
-
-
-def _has_id(name: str, records: list[dict[str, Any]]) -> bool:
-    """Whether objects of this name hold one that names a target, or a value of a data base."""
-    keys = {key for record in records for key in record.get(name) or ()}
-    return any(key.startswith("$") or found([key], "id") for key in keys)
-
-
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object of JSON, in which each key comes once."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    whole = dict(pairs)
+    if len(whole) < len(pairs):
         raise ValueError(f"several keys named {repeated(key for key, _ in pairs)}")
-    return found
+    return whole
+
+
+def _records(several: list[Any]) -> tuple[list[dict[str, Any]], str]:
+    """The records of parsed JSON, and the name of the list that they are in.
+
+    They are those of the list whose own names say where something was, with what the objects around it say of a target;
+    or else the outermost objects.
+    """
+    if several and all(isinstance(one, list) for one in several):  # in parts
+        several = [record for part in several for record in part]
+    if other := next((type(one).__name__ for one in several if not isinstance(one, dict)), ""):
+        raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
+    every: dict[str, list[dict[str, Any]]] = {}
+    for name, record in _walked(several, {}, "", 0):
+        every.setdefault(name, []).append(record)
+    placed = [name for name, records in every.items() if places_in({key for record in records for key in record})]
+    inner = [name for name in placed if name] or [name for name in every if name and all(every[name])]
+    if "" not in placed and len(inner) > 1 and (placed or not any(every[""])):
+        raise ValueError(
+            f"expected one list of records with places, received {', '.join(inner[:5])}: write a row for each"
+        )
+    of = "" if "" in placed or len(inner) != 1 else inner[0]
+    return every.get(of, []), of
+
+
+def _walked(
+    several: list[dict[str, Any]], outer: dict[str, Any], path: str, depth: int
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Objects as records, and those of the lists in them, each with the name of its list.
+
+    An object in an object is its cells, ``coords.latitude``, where it is one everywhere.
+    """
+    plain = {key for one in several for key, cell in one.items() if cell is not None and not isinstance(cell, dict)}
+    for value in several:
+        record, lists = dict[str, Any](), dict[str, list[dict[str, Any]]]()
+        for key, cell in value.items():
+            _add(record, lists, key, cell, 0 if key not in plain else _DEEPEST)
+        yield path, {**outer, **record}
+        called = (
+            {key: record[key] for key in found(record, "id")[:3] if isinstance(record[key], str | int)} if lists else {}
+        )
+        for name, inner in lists.items() if depth < _DEEPEST else ():
+            yield from _walked(inner, {**outer, **called}, f"{path}, {name}" if path else name, depth + 1)
+
+
+def _add(record: dict[str, Any], lists: dict[str, list[dict[str, Any]]], name: str, cell: Any, level: int) -> None:
+    """Adds a cell, or what is in it, to a record, or to lists of records."""
+    inside = isinstance(cell, dict) and level < _DEEPEST
+    if inside and found([name], "id") and not any(key.startswith("$") or found([key], "id") for key in cell):
+        inside = False  # an object that should name the target is refused: without it all targets would be one
+    if inside:
+        for key, inner in cell.items():  # a type that a data base writes, as in {"$numberLong": "7"}, is no name
+            _add(record, lists, name if key.startswith("$") else f"{name}.{key}", inner, level + 1)
+    elif isinstance(cell, list) and cell and all(isinstance(one, dict) for one in cell):
+        lists[name] = cell
+    elif isinstance(cell, list) and 2 <= len(cell) <= 4 and all(isinstance(one, int | float) for one in cell):
+        record.update({f"{name}.{i + 1}": one for i, one in enumerate(cell)})
+    else:
+        record[name] = cell
+
+
+def _rows_sheet(several: list[dict[str, Any]], format: Json) -> Sheet:
+    """Fixes that are lists of numbers."""
+    names, fixes = format.columns.split(), []
+    for one in several:
+        shared = {name: one.get(name) for name in format.shared.split()}
+        for row in one[format.rows] or ():
+            if len(row) < min(len(names), 4) or (names[0] == "second" and not isinstance(row[0], int | float)):
+                raise ValueError(f"expected {', '.join(names)} in {format.rows}, received {short(row)}")
+            more = row[8] if len(row) > 8 and isinstance(row[8], dict) else {}
+            fixes.append(
+                {**shared, "callsign": more.get("flight"), **dict(zip(names, row, strict=False))}
+                if "callsign" not in shared
+                else {**shared, **dict(zip(names, row, strict=False))}
+            )
+    if "second" in names:  # after the start of a trace
+        fixes = [{"time": _sum(fix["timestamp"], fix["second"]), "hex": fix["icao"], "callsign": fix.get("callsign"),
+                  **{name: fix[name] for name in ("lat", "lon", "alt_baro")}} for fix in fixes]  # fmt: skip
+        return _of_aircraft(fixes, format.name)
+    return records_sheet(fixes, (f"JSON: {format.name}",))
+
+
+def _of_aircraft(fixes: list[dict[str, Any]], said: str) -> Sheet:
+    """Fixes of receivers, of which those on the ground have no altitude.
+
+    Source: wiedehopf/readsb, README-json.md.
+    """
+    columns = {name: [fix.get(key, fix.get(name)) for fix in fixes] for name, key in
+               (("time", "time"), ("hex", "hex"), ("callsign", "flight"), ("lat", "lat"), ("lon", "lon"),
+                ("alt_baro", "alt_baro"))}  # fmt: skip
+    columns["alt_baro"] = [None if height == "ground" else height for height in columns["alt_baro"]]
+    return points_sheet(columns, (said,))
+
+
+def _sum(start: Any, seconds: Any) -> float:
+    """A moment some seconds after another.
+
+    Raises:
+        ValueError: one is no number.
+    """
+    if other := next(
+        (one for one in (start, seconds) if isinstance(one, bool) or not isinstance(one, int | float)), None
+    ):
+        raise ValueError(f"expected a number of seconds, received {short(other)}")
+    return round(float(start + seconds), 3)
+
+
+def _streams(parsed: Any) -> Sheet | None:
+    """A list of streams, or streams by their types, as Strava's API gives them; None of other content."""
+    named = parsed if isinstance(parsed, dict) else {}
+    if isinstance(parsed, list) and all(isinstance(one, dict) for one in parsed):
+        named = {str(one.get("type")): one for one in parsed}
+    data = {
+        name: one["data"] for name, one in named.items() if isinstance(one, dict) and isinstance(one.get("data"), list)
+    }
+    if len(data) < len(named) or not data.keys() >= {"latlng", "time"}:
+        return None
+    places = data.pop("latlng")
+    if any(len(column) != len(places) for column in data.values()) or any(
+        not isinstance(p, list) or len(p) != 2 for p in places
+    ):
+        raise ValueError("expected streams as long as each other, with pairs of degrees in latlng, received other")
+    axes = {axis: [place[i] for place in places] for i, axis in enumerate(("latitude", "longitude"))}
+    return points_sheet(data | axes, ("streams of Strava",))
 
 
 # ---------------------------------------------------------------- GeoJSON
@@ -210,7 +224,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
     """Every place of the features, with their properties."""
     features = parsed["features"] if isinstance(parsed.get("features"), list) else [parsed]
-    records, said = list[dict[str, Any]](), "GeoJSON: longitude, latitude[, altitude in metres]"
+    records = list[dict[str, Any]]()
     for number, feature in enumerate(features):
         feature = feature if isinstance(feature, dict) else {}
         geometry, properties = feature.get("geometry"), feature.get("properties") or {}
@@ -220,6 +234,7 @@ def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
             raise ValueError(f"expected points and lines, received another geometry in feature {number + 1}")
         records += _places(geometry.get("coordinates", []), properties, depth, number)
     columns = list(dict.fromkeys(name for record in records for name in record))
+    said = "GeoJSON: longitude, latitude[, altitude in metres]"
     return points_sheet({name: [record.get(name) for record in records] for name in columns}, (said,))
 
 
@@ -249,114 +264,3 @@ def _places(coordinates: Any, properties: dict[str, Any], depth: int, number: in
         axes = dict(zip(("longitude", "latitude", "altitude"), place, strict=False))
         records.append(({"time": times[i]} if depth else {}) | shared | axes)
     return records
-
-
-# ---------------------------------------------------------------- where a phone has been
-
-
-def _timeline_sheet(parsed: Any) -> Sheet | None:
-    """The places along the ways in ``Timeline.json``, as Google Maps exports it on a phone; None of other content.
-
-    With Android segments stand under ``semanticSegments`` and places have times; with iOS they are the list itself, and
-    places have minutes since their segment began. Of the last weeks Android has all fixes besides, under
-    ``rawSignals``, which are taken where they are more.
-    """
-    segments = parsed.get("semanticSegments") if isinstance(parsed, dict) else parsed
-    if not isinstance(segments, list) or not all(isinstance(one, dict) for one in segments):
-        return None
-    ways = [(one, one["timelinePath"]) for one in segments if isinstance(one.get("timelinePath"), list)]
-    raw = parsed.get("rawSignals") if isinstance(parsed, dict) else None
-    fixes = [one["position"] for one in raw or () if isinstance(one, dict) and isinstance(one.get("position"), dict)]
-    count = sum(len(places) for _, places in ways)
-    if len(fixes) > count:
-        whole = {name: [fix.get(key) for fix in fixes] for name, key in _RAW.items()}
-        pairs = [_pair(fix.get("LatLng"), "rawSignals") for fix in fixes]
-        whole |= {axis: [pair[i] for pair in pairs] for i, axis in enumerate(_AXES)}
-        rest = f"; {count} places along its ways left out" if count else ""
-        return points_sheet(whole, (f"Timeline of a phone: positions of rawSignals{rest}",))
-    if not ways:
-        return None
-    columns: dict[str, list[Any]] = {"time": [], "latitude": [], "longitude": []}
-    for segment, places in ways:
-        for place in places:
-            parts = _pair(place.get("point") if isinstance(place, dict) else place, "timelinePath")
-            time = place["time"] if "time" in place else _after(segment.get("startTime"), place.get(_MINUTES))
-            for name, cell in zip(columns, (time, *parts), strict=True):
-                columns[name].append(cell)
-    rest = f"; {len(fixes)} positions of rawSignals left out" if fixes else ""
-    return points_sheet(columns, (f"Timeline of a phone: places along its ways{rest}",))
-
-
-def _pair(point: Any, where: str) -> list[str]:
-    """A latitude and a longitude out of text such as "geo:47.1,8.2" or "47.1\u00b0, 8.2\u00b0"."""
-    parts = str(point).removeprefix("geo:").replace("\u00b0", "").split(",")
-    if len(parts) != len(_AXES):
-        raise ValueError(f"expected a point such as 47.1, 8.2 in {where}, received {short(point)}")
-    return [part.strip() for part in parts]
-
-
-def _after(start: Any, minutes: Any) -> int:
-    """Ms since 1970, some minutes after a time."""
-    try:
-        return round(1000 * (seconds_of(str(start), "iso") + 60 * float(minutes)))
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"expected startTime and {_MINUTES}, received {short(start)} and {short(minutes)}") from None
-
-
-# ---------------------------------------------------------------- receivers of aircraft
-
-
-def _readsb_sheet(parsed: Any) -> Sheet | None:
-    """The fixes of parsed JSON; None where it is something else.
-
-    A trace (``trace_full_HEX.json``) is ``icao``, ``timestamp`` and ``trace``; a list (``aircraft.json``) is ``now``
-    and ``aircraft``, of which several moments may be in a file.  Aircraft on the ground have no altitude.
-
-    Source: wiedehopf/readsb, README-json.md.
-    """
-    several = parsed if isinstance(parsed, list) else [parsed]
-    if not several or not all(isinstance(one, dict) for one in several):
-        return None
-    if all(isinstance(one.get("trace"), list) and "timestamp" in one for one in several):
-        return _fixes_sheet([fix for one in several for fix in _traced(one)], "a trace of readsb")
-    if all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
-        return _fixes_sheet([fix for one in several for fix in _listed(one)], "lists of aircraft of readsb or dump1090")
-    return None
-
-
-def _traced(trace: dict[str, Any]) -> list[dict[str, Any]]:
-    """The fixes of a trace."""
-    fixes, call = [], ""
-    for row in trace["trace"]:
-        if not isinstance(row, list) or len(row) < len(_TRACE) or not _is_number(row[0]):
-            raise ValueError(f"expected rows of seconds, latitude, longitude, altitude in trace, received {short(row)}")
-        more = row[8] if len(row) > 8 and isinstance(row[8], dict) else {}
-        call = call or more.get("flight", "")
-        fix = dict(zip(_TRACE, row, strict=False)) | {"hex": trace.get("icao"), "callsign": call}
-        fixes.append(fix | {"time": _sum(trace["timestamp"], row[0])})
-    return fixes
-
-
-def _listed(moment: dict[str, Any]) -> list[dict[str, Any]]:
-    """The fixes of all aircraft of a list, each when its position was received."""
-    fixes = [one for one in moment["aircraft"] if isinstance(one, dict) and "lat" in one]
-    return [
-        {"time": _sum(moment["now"], -seen), "hex": one.get("hex"), "callsign": one.get("flight", ""),
-         "lat": one["lat"], "lon": one.get("lon"), "alt_baro": one.get("alt_baro")}
-        for one in fixes if _is_number(seen := one.get("seen_pos", 0))
-    ]  # fmt: skip
-
-
-def _fixes_sheet(fixes: list[dict[str, Any]], said: str) -> Sheet:
-    columns = {name: [fix[name] for fix in fixes] for name in ("time", "hex", "callsign", "lat", "lon", "alt_baro")}
-    columns["alt_baro"] = [None if height == "ground" else height for height in columns["alt_baro"]]
-    return points_sheet(columns, (said,))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _sum(start: Any, seconds: float) -> Any:
-    """A moment some seconds after another; that itself where it is no number, which is then refused."""
-    return round(start + seconds, 3) if _is_number(start) else start

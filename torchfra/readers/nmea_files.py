@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from torchfra.readers.ais_files import Ships
 from torchfra.readers.bounded import short_lines
 from torchfra.readers.columns import number
 from torchfra.readers.sheets import Sheet
@@ -19,52 +18,45 @@ from torchfra.running.optional import optional
 
 _NAMES = ("day", "second", "latitude", "longitude", "altitude", "hdop")
 _DAY = 86_400.0
-_AIS = (
-    "AIS messages must be decoded before, such as with pyais (pip install pyais), to CSV with the columns time, mmsi, "
-    "lat, lon; they hold no date: positions (types 1, 2, 3, 18, 19) are read where the receiver adds seconds since "
-    "1970, in a tag block (c:) in front or behind a comma at the end"
-)
-_START = re.compile(rb"(?:\\[^\\\r\n]*\\)?(?:\$[GBP]|!(?:AI|AB|BS|SA)VD)")
-"""A sentence of a receiver, or one of AIS; a tag block may be in front."""
-_IN_CELLS = re.compile(rb'"\$G[A-Z](?:RMC|GGA),')
-"""A sentence in a cell of CSV, as loggers of ships write it."""
-
-_AIS_IN_CELL = re.compile(r'"(!..VD[MO],[^"]*)"')
+_AIS = "AIS must be decoded before, such as by pyais (pip install pyais), to CSV with the columns time, mmsi, lat, lon"
+_START = re.compile(rb"(?m)^[^\n$!]{0,80}(?:\$[GBP][A-Z]{2,4},|!(?:AI|AB|BS|SA)VD[MO],)")
+"""A sentence of a receiver, or one of AIS; a label, a time or a tag block may be in front."""
+_SENTENCE = re.compile(r"\$..(?:RMC|GGA),[^*\"]*(?:\*[0-9A-Fa-f]{2})?")
+_LINES = 20
+"""Of a file that are looked at."""
 
 
 def is_nmea(start: bytes, suffix: str) -> bool:
-    """Whether a file is one, by how it begins or its ending."""
-    return bool(_START.match(start) or _IN_CELLS.search(start[:4096])) or suffix in (".nmea", ".nme", ".nma")
+    """Whether a file is one, by one of its first lines or its ending."""
+    first = b"\n".join(start[:9999].splitlines()[:_LINES])
+    return bool(_START.search(first)) or suffix in (".nmea", ".nme", ".nma")
 
 
 def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The fixes of a file: RMC and GGA of the same moment are one; where there are none, those of ships in AIS.
+    """The fixes of a file: RMC and GGA of the same moment are one; what stands before or behind a sentence is none.
 
     Raises:
         ValueError: no fixes, or too many.
         ImportError: pynmea2 is not installed.
     """
-    fixes, ships, lines = _Fixes(), Ships(), Counter[str]()
+    fixes, lines = _Fixes(), Counter[str]()
     for line in short_lines(file, max_bytes):
-        sentence = line[line.find("$") :].partition('"')[0]
-        if sentence[:1] != "$" or sentence[3:6] not in ("RMC", "GGA"):
-            lines[ships.add(cell[1] if (cell := _AIS_IN_CELL.search(line)) else line)] += 1
+        if (found := _SENTENCE.search(line)) is None:
+            lines["AIS" if re.search("!..VD[MO],", line) else "other"] += 1
             continue
         try:
-            fixes.add(_parsed(sentence))
+            fixes.add(_parsed(found[0]))
         except (ValueError, TypeError, AttributeError):
             lines["damaged"] += 1
     columns = fixes.columns()
     if not len(columns["time"]):
-        if (sheet := ships.sheet(lines)) is not None:
-            return sheet
-        ais = f"; {_AIS}" if lines["AIS"] + lines["damaged AIS"] else ""
+        ais = f"; {_AIS}" if lines["AIS"] else ""
         raise ValueError(f"expected NMEA 0183 with RMC or GGA, received {dict(lines) or 'no'} lines{ais}")
-    damaged = f"; {lines['damaged']} damaged sentences left out" if lines["damaged"] else ""
-    damaged += f"; {lines['AIS']} AIS messages left out" if lines["AIS"] else ""
-    dated = "" if columns["time"].dtype.kind == "M" else "; no date, as there is no RMC"
+    more = f"; {lines['damaged']} damaged sentences left out" if lines["damaged"] else ""
+    more += f"; {lines['AIS']} AIS messages left out" if lines["AIS"] else ""
+    more += "" if columns["time"].dtype.kind == "M" else "; no date, as there is no RMC"
     full = {name: cells for name, cells in columns.items() if cells.dtype.kind == "M" or np.isfinite(cells).any()}
-    return Sheet([*full], [(len(full["time"]), full.__getitem__)], (f"NMEA 0183: RMC and GGA{damaged}{dated}",))
+    return Sheet([*full], [(len(full["time"]), full.__getitem__)], (f"NMEA 0183: RMC and GGA{more}",))
 
 
 def _parsed(sentence: str) -> Any:

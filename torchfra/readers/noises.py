@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from torchfra.readers.columns import HEAD, Array, Head, Kind, word_of
-from torchfra.readers.options import METRES
-from torchfra.readers.spelling import found, name_words, plain
-from torchfra.readers.spelling import unit as unit_of
+from torchfra.readers.names import LENGTHS, METRES, found, name_words, plain
+from torchfra.readers.names import unit as unit_of
 
 RANGE_ERROR = 5.0
 """Standard deviation of the range to a satellite (UERE) that is assumed where a file has an HDOP, m."""
@@ -69,43 +68,47 @@ def roots_of_variances(columns: Sequence[Array]) -> list[Array]:
     return [np.where(known & (variance > 0), np.sqrt(np.abs(variance)), np.nan) for variance in columns[:3]]
 
 
-def noise_of(head: Head, asked: Mapping[str, str], unit: float, ships: bool) -> Noise:
+def noise_of(
+    head: Head, asked: Mapping[str, tuple[str, ...]], unit: float, ships: bool, *, stated: bool = False
+) -> Noise:
     """The columns with the standard deviations of fixes, if there are any.
 
     Args:
         head: of the table.
-        asked: by the caller: columns by what they hold.
+        asked: columns by what they hold, as the caller or the format says.
         unit: metres in the unit of positions.
         ships: whether the file is of ships, whose "accuracy" is a mark and no distance.
+        stated: whether the caller names a column of standard deviations.
     """
 
     def metres(column: str, otherwise: float) -> float:
-        return METRES.get(unit_of(column, asked=True) or "", otherwise)
+        return METRES.get(LENGTHS.get(unit_of(column), ""), otherwise)
 
     names = head.names
-    if "sigma" in asked:
-        return Noise({asked["sigma"]: Kind(unit=metres(asked["sigma"], unit))}, (f"sigma: {asked['sigma']}, per axis",))
+    if stated:
+        (column,) = asked["sigma"]
+        return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))
     axes = [column for axis in "xyz" for column in found(names, f"sigma_{axis}")[:1]]
-    if len(axes) >= 2:
+    if len(axes) >= 2 and "sigma" not in asked:
         return Noise({column: Kind(unit=metres(column, unit)) for column in axes}, (f"sigma: {', '.join(axes)}",))
-    if variances := _variances(head):
+    if "sigma" not in asked and (variances := _variances(head)):
         said = f"sigma: roots of {', '.join(variances[:3])}"
         return Noise(dict.fromkeys(variances, Kind(unit=unit**2)), (said,), roots_of_variances)
-    words = {column: {*map(word_of, head.cells(column))} - {""} for column in found(names, "argos_class")[:1]}
+    words = {
+        column: {*map(word_of, head.cells(column))} - {""}
+        for column in asked.get("argos_class", found(names, "argos_class")[:1])
+    }
     classes = {column: _CLASS for column, every in words.items() if every and every <= _CLASSES.keys()}
     ellipse = [column for part in _ELLIPSE for column in found(names, part)[:1]]
-    if len(ellipse) == len(_ELLIPSE):
+    if "sigma" not in asked and len(ellipse) == len(_ELLIPSE):
         columns = dict.fromkeys(ellipse, Kind()) | classes
         return Noise(columns, (f"sigma: {', '.join(columns)} of Argos",), axes_of_ellipses)
-    if classes:
+    if "sigma" not in asked and classes:
         return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
-    for column in found(names, "sigma"):
-        cells = head.cells(column)
-        if len(cells) < HEAD and not any(word_of(cell).strip("0.,") for cell in cells):
+    for column in asked.get("sigma", found(names, "sigma")):
+        cells, name = head.cells(column), plain(column)
+        if "sigma" not in asked and len(cells) < HEAD and not any(word_of(cell).strip("0.,") for cell in cells):
             continue  # 0 everywhere says that nothing is known; a longer column may say it further on
-        if plain(column) == "sd" and any(word_of(cell).startswith("-") for cell in cells):
-            continue  # a switch of a remote control
-        name = plain(column)
         if name in ("hdop", "horizontaldilutionofprecision"):
             factor = RANGE_ERROR * _PER_AXIS
             said = f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m)"

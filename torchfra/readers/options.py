@@ -1,31 +1,56 @@
-"""What a caller says of a file, where the file itself does not or says it wrongly."""
+"""What a caller says of a file, where the file itself does not, and the errors that ask for it."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from shlex import quote
 from typing import TypeAlias
 
-from torchfra.readers.spelling import OTHER_UNIT, instead_of
+from torchfra.readers.names import METRES, OTHER_UNIT
 from torchfra.readers.times import FORMS, per_second
 
 Words: TypeAlias = "str | tuple[str, ...] | None"
 """What a keyword of ``read`` may say."""
-METRES = {
-    "m": 1.0, "ft": 0.3048, "km": 1e3, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "mi": 1609.344, "nmi": 1852.0, "yd": 0.9144,
-}  # fmt: skip
-"""Units of length, by what ``units`` calls them."""
-_COLUMNS = {"time", "x", "y", "z", "lat", "lon", "alt", "id", "sigma_column"}
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
+_PAIRS = (("x", "y"), ("lat", "lon"))
+
+
+class AskError(ValueError):
+    """A file does not say what it holds; an option does.
+
+    Its arguments are pieces of text, and options by name with their values.  As text these are arguments of Python,
+    ``time='t', x='2'``; in ``command`` they are options of the command, ``--time t --x 2``.
+    """
+
+    def __str__(self) -> str:
+        return self._written(lambda options: ", ".join(f"{name}={value!r}" for name, value in options.items()))
+
+    @property
+    def command(self) -> str:
+        """The message for who types commands."""
+        return self._written(
+            lambda options: " ".join(f"--{name.replace('_', '-')} {quote(value)}" for name, value in options.items())
+        )
+
+    def _written(self, of: Callable[[Mapping[str, str]], str]) -> str:
+        return "".join(of(part) if isinstance(part, dict) else str(part) for part in self.args)
+
+
+def named(path: object, error: ValueError) -> ValueError:
+    """The error with the name of a file in front."""
+    if isinstance(error, AskError):
+        return type(error)(f"{path}: ", *error.args)
+    return ValueError(f"{path}: {error}")
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Names of columns, and how their cells are written; None where the file is to tell."""
+    """Columns, by their names or by their numbers from 1 on, and how cells are written; None where the file tells."""
 
     time: str | None = None
-    """Column of the times, whose numbers are then seconds even where they are not since 1970; or several, with commas
-    between, as of a date and a time of the day."""
+    """Column of the times; or several, with commas between, as of a date and a time of the day."""
     x: str | None = None
     y: str | None = None
     z: str | None = None
@@ -33,7 +58,7 @@ class ReadOptions:
     lon: str | None = None
     alt: str | None = None
     id: str | None = None
-    """Column that says which target a row is of; or several, with commas between, as of a number and its operator."""
+    """Column that says which target a row is of, and those beneath it that say nothing; or several."""
     sigma_column: str | None = None
     """Column of the standard deviation of each fix per axis, in the unit of positions."""
     units: str | None = None
@@ -44,10 +69,10 @@ class ReadOptions:
     """``"."`` or ``","``."""
     time_format: str | None = None
     """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"``,
-    ``"jd"`` and ``"matlab"`` for days since a date of theirs; ``"gps"`` and ``"gps_ms"`` for what of the week of GPS
-    has passed, beside a column of weeks; ``"gps_seconds"`` for all of its seconds since 1980, ``"apple"`` for seconds
-    since 2001, ``"fit"`` for those since the last day of 1989; ``"25fps"`` for numbers of frames, here 25 a second;
-    ``"iso"``; or a form of ``datetime.strptime``, such as ``"%d%m%y %H%M%S"`` for two columns of digits."""
+    ``"jd"`` and ``"matlab"`` for days since a date of theirs; ``"gps_seconds"``, ``"apple"`` and ``"fit"`` for seconds
+    since 1980, 2001 and the last day of 1989; ``"gps"`` and ``"gps_ms"`` for two columns, the week of GPS and what of
+    it has passed; ``"25fps"`` for numbers of frames, here 25 a second; ``"iso"``; or a form of ``datetime.strptime``,
+    such as ``"%d%m%y %H%M%S"`` for two columns of digits."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -55,9 +80,11 @@ class ReadOptions:
             if value is not None and (not isinstance(value, str) or not value):
                 raise ValueError(f"{field.name}: expected text, received {value!r}")
         if self.units is not None and self.units not in METRES and OTHER_UNIT.fullmatch(self.units):
-            raise ValueError(f"units: expected {', '.join(METRES)}, received {self.units!r}: {instead_of(self.units)}")
-        self._check("units", tuple(METRES))
-        self._check("decimal", (".", ","))
+            raise AskError(f"units: expected {', '.join(METRES)}, received {self.units!r}: ", *instead_of(self.units))
+        for name, known in (("units", tuple(METRES)), ("decimal", (".", ","))):
+            value = getattr(self, name)
+            if value is not None and value not in known:
+                raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, received {value!r}")
         if self.delimiter is not None and len(self.sign) != 1:
             raise ValueError(
                 f"delimiter: expected one character or tab, space, comma, semicolon, received {self.delimiter!r}"
@@ -68,7 +95,7 @@ class ReadOptions:
                 f"time_format: expected one of {', '.join(FORMS)}, or such as 25fps or %d.%m.%Y %H:%M:%S, "
                 f"received {form!r}"
             )
-        for one, other in (("x", "y"), ("lat", "lon")):
+        for one, other in _PAIRS:
             if (getattr(self, one) is None) != (getattr(self, other) is None):
                 raise ValueError(f"{one}, {other}: expected both or neither, received only one of them")
         if self.x is not None and self.lat is not None:
@@ -79,29 +106,36 @@ class ReadOptions:
         """Between cells; "" where the file tells."""
         return _DELIMITERS.get(self.delimiter or "", self.delimiter or "")
 
-    def columns(self) -> dict[str, str]:
+    @property
+    def columns(self) -> dict[str, tuple[str, ...]]:
         """The columns that are named, by what they hold."""
         roles = {
             "time": self.time, "x": self.x, "y": self.y, "z": self.z, "latitude": self.lat, "longitude": self.lon,
             "altitude": self.alt, "id": self.id, "sigma": self.sigma_column,
         }  # fmt: skip
-        return {role: name for role, name in roles.items() if name is not None}
+        return {role: tuple(name.split(",")) if role in ("time", "id") else (name,)
+                for role, name in roles.items() if name is not None}  # fmt: skip
 
-    def among(self, names: Iterable[str]) -> ReadOptions:
-        """These, with columns called as in a table that has units behind their names, such as ``AltMSL (ft)``."""
-        full = {name.rpartition(" (")[0]: name for name in names} | {name: name for name in names}
-        named = {field.name: getattr(self, field.name) for field in fields(self) if field.name in _COLUMNS}
-        return replace(self, **{word: full.get(name, name) for word, name in named.items()})
+    def among(self, names: list[str]) -> dict[str, tuple[str, ...]]:
+        """The columns that are named, as a table calls them: with the unit that stands in a line of its own, say.
 
-    def named(self, names: Collection[str]) -> set[str]:
-        """The columns that are named, out of these where an id or a time of several is one of them as it stands."""
-        asked, several = {*self.columns().values()}, {name for name in (self.id, self.time) if name} - {*names}
-        return asked - several | {part for name in several for part in name.split(",")}
+        Raises:
+            ValueError: there is none of a name.
+        """
+        whole = {"time": self.time, "id": self.id}
+        asked = {role: (one,) if (one := whole.get(role)) in names and one else several
+                 for role, several in self.columns.items()}  # fmt: skip
+        return {role: tuple(_column(name, names) for name in several) for role, several in asked.items()}
 
-    def _check(self, name: str, known: tuple[str, ...]) -> None:
-        value = getattr(self, name)
-        if value is not None and value not in known:
-            raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, received {value!r}")
+
+def _column(name: str, names: list[str]) -> str:
+    """The column of a name, or of a number."""
+    bare = {re.sub(r" \([^()]*\)$", "", one): one for one in reversed(names)} | {one: one for one in names}
+    if name in bare:
+        return bare[name]
+    if name.isascii() and name.isdigit() and 0 < int(name) <= len(names):
+        return names[int(name) - 1]
+    raise ValueError(f"expected a column {name}, received {listed(names)}")
 
 
 def read_options(words: Mapping[str, Words]) -> ReadOptions:
@@ -113,5 +147,24 @@ def read_options(words: Mapping[str, Words]) -> ReadOptions:
     known = [field.name for field in fields(ReadOptions)]
     if unknown := [word for word in words if word not in known]:
         raise ValueError(f"{unknown[0]}: expected one of {', '.join(known)}")
-    return ReadOptions(**{name: ",".join(word) if name == "id" and isinstance(word, tuple) else word
-                          for name, word in words.items()})  # type: ignore[arg-type]  # fmt: skip
+    return replace(ReadOptions(), **{name: ",".join(word) if name == "id" and isinstance(word, tuple) else word
+                                     for name, word in words.items()})  # type: ignore[arg-type]  # fmt: skip
+
+
+def instead_of(unit: str) -> tuple[str | dict[str, str], ...]:
+    """What to say of positions in one of ``OTHER_UNIT``: they are cleaned right as another unit, which is then theirs.
+
+    What moves under a microscope moves as people do if its micrometres are taken as millimetres.
+    """
+    tiny = re.fullmatch(r"[nu]m|[\u00b5\u03bc]m|mic.*|px|pixels?", unit, re.IGNORECASE)
+    return "say ", {"units": "mm" if tiny else "m"}, f", and read {'mm' if tiny else 'metres'} in the results as these"
+
+
+def listed(names: Iterable[str], longest: int = 200) -> str:
+    """Names for a person, as many as fit into a line or two."""
+    every, length = list(names), 0
+    for count, name in enumerate(every):
+        length += len(name) + 2
+        if length > longest:
+            return ", ".join([*every[:count], f"and {len(every) - count} more"]) if count else f"{name[:longest]}..."
+    return ", ".join(every) or "(none)"

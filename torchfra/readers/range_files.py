@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Array, Head, Kind, grouped
+from torchfra.readers.options import listed
 from torchfra.readers.ranges import RangeRecording
 from torchfra.readers.recording import Recording
-from torchfra.readers.sheets import listed
 from torchfra.readers.tables import Table, Wanted, naming, read_table
 
 _PATTERNS = ("*.csv", "*.csv.gz", "*.json", "*.json.gz")

@@ -13,12 +13,12 @@ from torchfra.geodesy import cosine, to_enu
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Head
 from torchfra.readers.layouts import Layout, layout_of
-from torchfra.readers.options import ReadOptions, Words, read_options
+from torchfra.readers.options import ReadOptions, Words, listed, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
-from torchfra.readers.sanity import check_metres, check_unit, possible
-from torchfra.readers.sheets import Sheet, listed
-from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of, with_joined
+from torchfra.readers.sanity import checked
+from torchfra.readers.sheets import Sheet
+from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
 
 _ENOUGH = 25
 """Heights that are all the same from which on they are no third dimension."""
@@ -67,7 +67,7 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
     """
     chosen = _Choice(read_options(words), name)
     with naming(name):
-        return _recordings(table_of(with_joined(sheet, chosen.options), chosen, max_bytes), chosen, None, name)
+        return _recordings(table_of(sheet, chosen, max_bytes, chosen.options), chosen, None, name)
 
 
 class SheetReader:
@@ -84,10 +84,8 @@ class SheetReader:
 
     def __init__(self, first: Sheet, name: str, **words: Words) -> None:
         self._chosen = _Choice(read_options(words), name)
-        self._names = {*first.names}
-        first = self._joined(first)
         _, cells = next(iter(first.parts))
-        self._wanted = self._chosen(head_of(first, cells)[0])
+        self._wanted = self._chosen(head_of(first, cells))
 
     @property
     def options(self) -> ReadOptions:
@@ -104,8 +102,7 @@ class SheetReader:
     def columns(self) -> list[str]:
         """Those that it reads."""
         every = (name for one, kind in self._wanted.items() for name in ((kind and kind.joined) or (one,)))
-        parts = ([name] if name in self._names else name.split(",") for name in every)
-        return list(dict.fromkeys(part for several in parts for part in several))
+        return list(dict.fromkeys(every))
 
     def read(self, sheet: Sheet) -> list[Recording]:
         """As ``read_sheet``, but each recording is about its own first fix, however far apart targets are.
@@ -113,12 +110,8 @@ class SheetReader:
         Raises:
             ValueError: see ``read``.
         """
-        table = table_of(self._joined(sheet), lambda head: self._wanted, sys.maxsize)
+        table = table_of(sheet, lambda head: self._wanted, sys.maxsize)
         return _recordings(table, self._chosen, None, self._chosen.name, apart=True)
-
-    def _joined(self, sheet: Sheet) -> Sheet:
-        """The sheet with the time of several columns; an id of several would be in none of the files."""
-        return with_joined(sheet, replace(self.options, id=None))
 
 
 class _Choice:
@@ -149,12 +142,7 @@ def _recordings(
     own = [layout.degrees and (shared is None or (origin is None and _hidden(target, shared))) for target in targets]
     origins = [_origin(target, None) if alone else shared for target, alone in zip(targets, own, strict=True)]
     recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
-    if not layout.degrees and not chosen.options.units:
-        check_metres(recordings, layout)
-    good = recordings if chosen.options.time_format else possible(recordings, layout)
-    if not layout.degrees and not chosen.options.units and not chosen.options.time_format:
-        check_unit(good, layout)
-    return sorted(good, key=lambda recording: recording.name)
+    return sorted(checked(recordings, layout), key=lambda recording: recording.name)
 
 
 def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> Layout:
@@ -164,7 +152,7 @@ def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> L
     known = heights[np.isfinite(heights)]
     if options.z is not None or len(known) < _ENOUGH or np.ptp(known) > 0:
         return layout
-    said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (--z {z} takes it)"
+    said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (option z takes it)"
     columns = {role: name for role, name in layout.columns.items() if role != "z"}
     public = {role: name for role, name in layout.source.columns.items() if role != "z"}
     notes = [note.replace(f", {z}", "", 1) if note.startswith("position:") else note for note in layout.source.notes]

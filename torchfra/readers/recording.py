@@ -25,11 +25,11 @@ class Source:
     unit: float = 1.0
     """Metres in one of its units of length: of x, y and z, or of altitudes beside latitudes."""
     word: str = "target"
-    """What its targets are: ``"aircraft"``, ``"ship"``, ``"target"``."""
+    """What its targets are: ``"aircraft"``, ``"ship"``, ``"animal"``, ``"drone"``, ``"glider"``, or ``"target"``."""
     notes: tuple[str, ...] = ()
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
     id_options: tuple[str, ...] = ()
-    """Options that tell targets apart which may be mixed, such as ``"--id ship"``: the likeliest first."""
+    """Columns that tell targets apart which may be mixed, for the option ``id``: the likeliest first."""
 
     def written(self, time: Array) -> list[str]:
         """Times ``(k,)``, seconds as in ``Recording.time``, as the file writes them; any times, not only its own."""

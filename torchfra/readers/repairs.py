@@ -12,35 +12,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.clocks import YEAR_1980
-from torchfra.readers.columns import Array, grouped, in_seconds
-from torchfra.readers.layouts import Layout
-from torchfra.readers.placeholders import no_altitudes, nowhere, stand_for_none
-from torchfra.readers.spelling import MARKS, name_words
+from torchfra.readers.columns import Array, grouped
+from torchfra.readers.layouts import PLACEHOLDERS, Layout
+from torchfra.readers.names import MARKS, name_words
+from torchfra.readers.options import AskError, listed
 from torchfra.readers.tables import Table
-from torchfra.readers.times import written
+from torchfra.readers.times import count_of
 
 _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
-
-
 _HELD, _ONCE, _NEW, _FAR = 25, 0.1, 0.5, 10.0
 """Positions from which on they may be held, the share of them that may come once only, the share that is new at least,
-and how many of the finest steps lie between neighbours."""
-_RARELY, _MIXED = 0.04, 10
-"""Share of rows whose time may go back, and how often rows change their order for each of these, where a count begins
-anew."""
-_APART = 3.0
-"""How many times as long the ways between rows in order of time are as in the file, where dated ones are of several."""
-_ZONE, _LEAST_EASTING = re.compile(r"\s*[0-9]{1,2}\s*[A-Za-z]?\s*"), 1e5
-"""The name of a zone of a grid, and the least easting in one, m: zones of a house or of a field are others."""
-_YEAR, _HOUR = 366 * 86_400.0, 3600.0
-"""s."""
-_PUT_BACK = 1.0
-"""How often a year clocks are put back by an hour."""
+and how many of the last digits that are written lie between neighbours."""
+_RARELY, _MIXED, _APART = 0.04, 10, 3.0
+"""Share of rows whose time may go back, how often rows change their order for each of these, and how many times as long
+the ways between rows in order of time are as in the file, where a count begins anew or targets are mixed."""
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
-_CLOSE = 0.5
-"""How far the step to the first row after that may be from the usual one, as a share of it, an hour added."""
+_HOUR, _DAYS, _YEAR = 3600.0, 20 * 86_400.0, 366 * 86_400.0
+"""Seconds: by which clocks are put back, once a year; and by which dates leap that are turned round."""
+_COARSE = (60.0, 1.0)
+"""Whole minutes and seconds, in which several rows may be."""
+_NEIGHBOURS = 1.5
+"""How much farther apart rows of a moment may be than those of two moments, if all are of one target."""
+_ENOUGH, _NULL_ISLAND = 25, 1.0
+"""Numbers beside a placeholder from which on it differs from them for sure; degrees around 0, 0 without any other."""
 
 
 def plural(word: str) -> str:
@@ -84,6 +80,9 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
         TooFewError: no target has as many.
     """
     ids, calls = (table.texts.get(layout.columns.get(role, "")) for role in ("id", "call"))
+    down = 0
+    if ids is not None:
+        ids, down = _filled_down(ids, asked=layout.stated.id is not None)
     members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
     columns, targets = _Columns(table, layout, members), []
     for name, rows in members.items():
@@ -95,19 +94,28 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
         place = np.stack([columns.first[index], columns.second[index]], 1)
         targets.append(Target(full, columns.time[index], place, height, filled, sigma, index.astype(np.int64), repairs))
     good = [target for target in targets if len(target.time) >= 2]
-    zones = table.texts.get(layout.columns.get("zone", ""), [])
-    for target in good:
-        several = {zones[row] for row in target.row if zones and _ZONE.fullmatch(zones[row])}
-        if len(several) > 1 and np.abs(target.place[:, 0]).min() > _LEAST_EASTING:
-            raise ValueError(
-                f"expected positions of {layout.source.word} {target.name} in one zone of the grid, received "
-                f"{layout.columns['zone']} {', '.join(sorted(several)[:3])}: convert them to one, or to degrees"
-            )
     if not good:
         raise TooFewError(_too_few(targets, layout.source.word))
     # The counts of all targets sum to those of the file.
     good[0].repairs[dropped(layout)] = len(targets) - len(good)
+    good[0].repairs["rows named as the target above them"] = down
+    good[0].repairs.update(table.repairs)
     return good
+
+
+def _filled_down(ids: list[str], *, asked: bool) -> tuple[list[str], int]:
+    """Names of targets, those above where there are none; and how many of these.
+
+    So merged cells are written, which have a name in their first row; or the caller names the column.
+    """
+    several = Counter(filter(None, ids))
+    if "" not in ids or not several or not ids[0] or not (asked or max(several.values()) == 1):
+        return ids, 0
+    filled, last = [], ""
+    for name in ids:
+        last = name or last
+        filled.append(last)
+    return filled, ids.count("")
 
 
 def dropped(layout: Layout) -> str:
@@ -124,6 +132,32 @@ def _too_few(targets: list[Target], word: str) -> str:
     return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
+def _stand_for_none(values: Array) -> NDArray[np.bool_]:
+    """Which of ``(rows,)`` are a placeholder such as -999 that is far from all others."""
+    gone = np.zeros(len(values), dtype=bool)
+    for placeholder in PLACEHOLDERS:
+        at = np.isclose(values, placeholder, rtol=0, atol=1e-6)
+        rest = np.sign(placeholder) * values[~at & np.isfinite(values)]
+        if at.any() and len(rest) >= _ENOUGH and rest.max() < abs(placeholder) / 2:
+            gone |= at
+    return gone
+
+
+def nowhere(first: Array, second: Array, degrees: bool) -> NDArray[np.bool_]:
+    """Which positions ``(rows,)`` are placeholders: the same one in both coordinates, or 0 degrees in both.
+
+    Args:
+        first: one coordinate.
+        second: the other.
+        degrees: whether they are latitudes and longitudes.
+    """
+    if not degrees:
+        return _stand_for_none(first) & _stand_for_none(second) & np.isclose(first, second)
+    null = (first == 0) & (second == 0)
+    near = (np.abs(first) < _NULL_ISLAND) & (np.abs(second) < _NULL_ISLAND) & ~null
+    return null if not near.any() and not null.all() else np.zeros(len(null), dtype=bool)
+
+
 class _Columns:
     """The columns of a table by what they hold."""
 
@@ -131,29 +165,32 @@ class _Columns:
         def column(*roles: str) -> Array:
             return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
-        self.clock = layout.clock
+        self.layout, self.table, self.clock = layout, table, layout.clock
         self.time = layout.clock.whole(table.column(layout.clock.column))
         self.carried = self._carry_on_together(members.values())
-        layout.clock.check_order(self.time)
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
         unit = 1.0 if layout.degrees else layout.source.unit
         self.absent = nowhere(self.first / unit, self.second / unit, layout.degrees)
-        is_none = no_altitudes if layout.degrees else stand_for_none
-        self.no_height = is_none(self.height / layout.source.unit)
-        self.height = np.where(self.no_height, np.nan, self.height)
-        self.update, self.time_stated = column("update"), layout.time_stated
+        none = (self.height == 0) if layout.degrees else np.zeros(table.rows, dtype=bool)
+        no_heights = none if (none | np.isnan(self.height)).all() else _stand_for_none(self.height / layout.source.unit)
+        self.height = np.where(no_heights, np.nan, self.height)
+        self.no_height = no_heights
+        self.update = column("update")
         self.sent = self._times_of_positions()
-        self.time = np.where(self.sent, in_seconds(self.update), self.time)
-        noise = [table.column(name) for name in layout.noise]
-        self.noise = layout.per_axis(noise)
+        self.time = np.where(self.sent, self._updated(), self.time)
+        self.noise = layout.per_axis([table.column(name) for name in layout.noise])
         self.marked = column("visible") == 0
         for role in MARKS[1:]:
             self.marked |= column(role) == 1
         self.valid = column("valid") != 0
         self.may_be_held = layout.source.word == "aircraft"
-        self.dated, self.ids = layout.clock.since_1970, layout.source.id_options
-        self.other_times = layout.other_times
+        self.dated = layout.clock.dated
+        self._likely_id = next(iter(layout.source.id_options), "ID")
+
+    def _updated(self) -> Array:
+        """Moments of the updates of positions: seconds since 1970, or milliseconds."""
+        return np.where(self.update > 1e11, self.update / 1e3, self.update)
 
     def _carry_on_together(self, members: Iterable[NDArray[np.intp]]) -> NDArray[np.bool_]:
         """Carries counts that begin anew on for all targets at once, where rows are in order; returns which rows.
@@ -172,9 +209,9 @@ class _Columns:
 
         Their own time is that of the state, up to a minute later.
         """
-        if not self.clock.since_1970 or self.time_stated:
+        if not self.clock.dated or self.layout.stated.time is not None:
             return np.zeros(len(self.time), dtype=bool)
-        age = self.time - in_seconds(self.update)
+        age = self.time - self._updated()
         sent = (age > -_SOONER) & (age < _OLDEST)
         return sent if sent.sum() > _OFTEN * len(sent) else np.zeros_like(sent)
 
@@ -189,9 +226,8 @@ class _Columns:
         repairs["times taken from the update of the position"] = int(self.sent[rows].sum())
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
         time = self.clock.going_on(self.time[index])
-        repairs["times carried on where the count begins anew"] = int(
-            (self.carried[index] | (time != self.time[index])).sum()
-        )
+        changed = self.carried[index] | (time != self.time[index])
+        repairs["times carried on where the count begins anew"] = int(changed.sum())
         self.time[index] = time
         self._check_count_down(time)
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
@@ -201,8 +237,9 @@ class _Columns:
         index = keep(index, ~self.absent[index], "rows with a placeholder for their position dropped")
         if self.dated:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
+        repairs["times within whole seconds spread by the order of rows"] = self._spread(index)
         time = self.time[index]
-        self._check_season(time, index)
+        self._check_dates(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
         order = np.argsort(time, kind="stable")
         self._check_same_times(index[order])
@@ -218,6 +255,29 @@ class _Columns:
             return index, repairs
         return keep(index, moved, "held positions dropped"), repairs
 
+    def _spread(self, index: NDArray[np.intp]) -> int:
+        """Spreads the rows of a target within whole seconds or minutes by their order; returns how many.
+
+        So loggers that are faster than their clock is fine write them: most rows have the time of the row before, and
+        rows of a moment are no farther apart than those of two, as rows of several targets would be.
+        """
+        time, steps = self.time[index], np.diff(self.time[index])
+        coarse = next((one for one in _COARSE if len(time) and (time % one == 0).all()), 0.0)
+        if not coarse or (steps < 0).any() or (steps == 0).sum() < _OFTEN * len(time) or not (steps > 0).any():
+            return 0
+        starts = np.flatnonzero(np.diff(time, prepend=-math.inf) > 0)
+        counts = np.diff(starts, append=len(time))
+        usual = int(np.median(counts[1:-1] if len(counts) > 2 else counts))
+        place = np.stack([self.first[index], self.second[index]], 1)
+        near, far = (np.median(np.linalg.norm(place[lag:] - place[:-lag], axis=1)) for lag in (1, usual))
+        if near > _NEIGHBOURS * far or (np.diff(place, axis=0) == 0).all(1)[steps == 0].mean() > _OFTEN:
+            return 0
+        within = np.arange(len(time)) - np.repeat(starts, counts)
+        parts = np.repeat(np.maximum(counts, usual), counts)
+        within[: counts[0]] += max(usual - counts[0], 0)  # the first rows are the last of their moment
+        self.time[index] = time + coarse * within / parts
+        return int((within > 0).sum())
+
     def _are_held(self, index: NDArray[np.intp], moved: NDArray[np.bool_]) -> bool:
         """Whether rows repeat a position until there is a new one, as logs of faster sensors do, and no target rests.
 
@@ -230,23 +290,10 @@ class _Columns:
         places = np.stack([self.first[index][starts], self.second[index][starts]], 1)
         if len(np.unique(places, axis=0)) < _NEW * len(starts):
             return False
-        steps = [np.abs(np.diff(column[index][starts])) for column in (self.first, self.second)]
-        finest = [step[step > 0].min(initial=np.inf) for step in steps]
-        return bool(max(np.median(step / fine) for step, fine in zip(steps, finest, strict=True)) > _FAR)
-
-    def _check_season(self, time: Array, index: NDArray[np.intp]) -> None:
-        """Refuses times of a clock that is put back by an hour while rows go on."""
-        steps = np.diff(time)
-        back = np.flatnonzero(steps < 0)
-        if not self.clock.is_local or not 0 < len(back) <= _PUT_BACK * (time.max() - time.min()) / _YEAR + 1:
-            return
-        usual = np.median(steps)
-        if (np.abs(steps[back] + _HOUR - usual) < _CLOSE * usual + 1).all():
-            raise ValueError(
-                f"expected times that go on, received one {-steps[back[0]] / 60:.3g} minutes before that of the row "
-                f"before in data row {index[back[0] + 1] + 1}, {self.clock.column}, as of a clock that is put back an "
-                "hour at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
-            )
+        unit = 1.0 if self.layout.degrees else self.layout.source.unit
+        digits = [np.abs(places * 10**k / unit - np.rint(places * 10**k / unit)).max() < 1e-3 for k in range(9)]
+        finest = unit / 10 ** (digits.index(True) if True in digits else 9)
+        return bool(np.median(np.abs(np.diff(places, axis=0)).max(1)) > _FAR * finest)
 
     def _check_restart(self, time: Array, index: NDArray[np.intp], order: NDArray[np.intp]) -> None:
         """Refuses times that begin anew while rows go on: ordered, pieces of one track, or several, would be mixed."""
@@ -254,21 +301,39 @@ class _Columns:
         mixed = np.count_nonzero(np.diff(order) != 1)
         if not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
             return
-        if self._usual_way(index[order]) > (_APART if self.dated else 1) * self._usual_way(
-            index
-        ):  # the rows are no pieces of one path
-            two = time[back[0] : back[0] + 2]
-            before, after = written(two, self.clock.form) if self.dated else [f"{value:g} s" for value in two]
-            cause = "rows of another target" if self.dated else "a logger that was started again"
-            raise ValueError(
-                f"expected times that go on, received {after} behind {before} in data row {index[back[0] + 1] + 1}, "
-                f"{self.clock.column}, as of {cause}: name another column by --time, or one that tells the pieces "
-                "apart by --id"
-            )
 
-    def _usual_way(self, index: NDArray[np.intp]) -> float:
-        """Median length of the ways between these rows, in the units of the file."""
-        return float(np.median(np.hypot(np.diff(self.first[index]), np.diff(self.second[index]))))
+        def usual(rows: NDArray[np.intp]) -> float:
+            return float(np.median(np.hypot(np.diff(self.first[rows]), np.diff(self.second[rows]))))
+
+        if usual(index[order]) > (_APART if self.dated else 1) * usual(index):  # the rows are no pieces of one path
+            cause = (
+                "rows of another target, or a clock that is put back"
+                if self.dated
+                else "a logger that was started again"
+            )
+            raise AskError(
+                f"expected times that go on, received ones that begin anew in data row {index[back[0] + 1] + 1}, "
+                f"{self.clock.column}, as of {cause}: name another column, or one that tells pieces apart, such as ",
+                {"id": self._likely_id},
+            )  # fmt: skip
+
+    def _check_dates(self, time: Array, index: NDArray[np.intp]) -> None:
+        """Refuses times of a clock that is put back by an hour, and dates that a spreadsheet has turned round."""
+        steps = np.diff(time)
+        back = np.flatnonzero(steps < 0)
+        if not len(back) or not self.clock.is_local or self.layout.stated.time_format or not (steps > 0).any():
+            return
+        where, usual = f"in data row {index[back[0] + 1] + 1}, column {self.clock.column}", np.median(steps)
+        if len(back) <= 1 + np.ptp(time) / _YEAR and (np.abs(steps[back] + _HOUR - usual) < usual / 2 + 1).all():
+            raise ValueError(
+                f"expected times that go on, received one of an hour before {where}, as of a clock that is put "
+                "back at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
+            )
+        if not self.clock.sure and (steps > _DAYS).any() and steps.min() < -_DAYS:
+            raise AskError(f"expected days that go on, received leaps to and fro {where}, as where a spreadsheet has "
+                           "turned "
+                           "days and months round: write all such as 2024-05-06 10:31; or they are right: ",
+                           {"time_format": self.clock.form})  # fmt: skip
 
     def _check_count_down(self, time: Array) -> None:
         """Refuses the clock of a game, which counts down, as times: velocities would point backwards."""
@@ -276,7 +341,7 @@ class _Columns:
         if words and not self.dated and (np.diff(time) < 0).sum() > 2 * (np.diff(time) > 0).sum():
             raise ValueError(
                 f"column {self.clock.column}: expected times that go on, received a clock that counts down: name "
-                "another column by --time, or write seconds since the start"
+                "another column by the option time, or write seconds since the start"
             )
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
@@ -286,12 +351,15 @@ class _Columns:
         for column in (self.first, self.second):
             moved[1:] |= np.diff(column[index]) != 0
         count = int((same & moved).sum())
-        if self.ids and count > _MANY * len(index):
-            times = [f"; or, if it is one target, take other times: --time '{name}'" for name in self.other_times[:1]]
-            raise ValueError(
+        if count > _MANY * len(index) and len(index) > _MIXED:
+            unread = [name for name in self.layout.unread if name]
+            if not unread and count_of(self.clock.form):
+                return  # nothing else could tell them apart
+            raise AskError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
-                f"targets do: name the column that distinguishes them, {' or '.join(self.ids[:2])}{''.join(times)}"
-            )
+                "targets do, or times that are too coarse: name the column that tells targets apart, such as ",
+                {"id": self._likely_id}, f", or another of times; columns that are not read: {listed(unread)}",
+            )  # fmt: skip
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
         """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing.

@@ -1,4 +1,4 @@
-"""Refuses tracks that nothing can have moved along, and guesses what was meant."""
+"""Refuses tracks that nothing can have moved along, with what the cause may be."""
 
 from __future__ import annotations
 
@@ -6,102 +6,77 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchfra.readers.clocks import days_of
 from torchfra.readers.layouts import Layout
+from torchfra.readers.names import unit
+from torchfra.readers.options import AskError, listed
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import plural
-from torchfra.readers.sheets import listed
-from torchfra.readers.spelling import unit as unit_of
-from torchfra.readers.times import PER_SECOND, SINCE_1970, per_second
+from torchfra.readers.times import SINCE_1970, STARTS, UNITS, per_second
 
 _TOO_MANY = 0.1
 """Share of the fixes from which on targets are not left out that the file can part."""
-_SEVERAL = "rows of several targets in one look so"
-"""What an error message says of steps between targets."""
-_MANY = 25
-"""Fixes from which on a track is judged."""
-_SHORTEST = 1.0
-"""Seconds that such a track lasts at least."""
-_FASTEST = 5000.0
-"""Speed that half of the steps stay below, m/s."""
-_FASTEST_METRES = 1000.0
-"""Speed over 30 s up to which x and y without a unit are taken as metres, m/s."""
-_FASTEST_SHIP = 150.0
-"""Speed that half of the steps of a ship stay below, m/s; numbers of aircraft of search and rescue begin with
-``_RESCUE``."""
+_MANY, _SHORTEST = 25, 1.0
+"""Fixes from which on a track is judged, and seconds that it lasts at least."""
+_FASTEST, _FASTEST_METRES, _FASTEST_SHIP = 5000.0, 1000.0, 150.0
+"""Speeds that half of the steps stay below, m/s: of all, of x and y without a unit, and of ships."""
 _RESCUE = "111"
-_LARGEST, _OFF_THE_ORIGIN = np.array([180.0, 90.0]), 1.0
-"""Degrees of longitude and latitude, and how far from 0 most of the earth is."""
-_AS_DEGREES, _ROUNDED, _FAR = (2e-6, 5e-3), 1e-3, 5.0
-"""Degrees a second of what moves by 0.2 to 500 m/s; what is left of rounding, in the fourth decimal; and how many steps
-a target goes that does not rest."""
+"""How numbers of aircraft of search and rescue begin, which receivers of ships hear."""
 _ACROSS = 30.0
 """Speeds are means over so many seconds, so that noise does not count."""
 _USUAL = (0.05, 1000.0)
 """Speeds of what is tracked, m/s."""
+_DEGREES, _AS_DEGREES = np.array([180.0, 90.0]), (2e-6, 5e-3)
+"""Longitude and latitude at most, and degrees a second of what moves by 0.2 to 500 m/s."""
 
 
-def possible(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
+def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     """The recordings of possible speeds; the others are left out, and named in the repairs of the first one.
 
     Raises:
-        ValueError: no recording has possible speeds, with what the times may be instead; or some with many of the fixes
-            have not, and a column parts them.
+        ValueError: no recording has possible speeds, or some with many of the fixes have not, and a column parts them;
+            or x and y are degrees, or have another unit than metres.
     """
-    wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
-    if not wrong:
+    options, source = layout.stated, layout.source
+    if not layout.degrees and not options.units:
+        _check_metres(recordings, layout)
+    if options.time_format:
         return list(recordings)
-    if len(wrong) == sum(len(recording.time) >= _MANY for recording in recordings):
-        recording, said = next(iter(wrong.items()))
-        raise ValueError(f"{said} of {layout.source.word} {recording.name}; {_guess(recording, layout)}")
+    wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
     good = [recording for recording in recordings if recording not in wrong]
-    names, fixes = listed(recording.name for recording in wrong), sum(len(recording.time) for recording in wrong)
-    word = plural(layout.source.word) if len(wrong) > 1 else layout.source.word
-    if layout.source.id_options and fixes > _TOO_MANY * sum(len(recording.time) for recording in recordings):
+    fixes, total = (sum(len(recording.time) for recording in several) for several in (wrong, recordings))
+    if wrong and (len(wrong) == sum(len(recording.time) >= _MANY for recording in recordings)
+                  or (source.id_options and fixes > _TOO_MANY * total)):  # fmt: skip
         recording, said = next(iter(wrong.items()))
-        raise ValueError(f"{said} of {word} {names}, of {fixes:,} fixes; {_SEVERAL}: use {layout.source.id_options[0]}")
-    good[0].repairs[f"fixes of {word} {names} dropped, of impossible speed"] = fixes
+        raise AskError(f"{said} of {source.word} {recording.name}; ", *_cause(recording, layout))
+    if wrong:
+        names, word = (
+            listed(recording.name for recording in wrong),
+            plural(source.word) if len(wrong) > 1 else source.word,
+        )
+        good[0].repairs[f"fixes of {word} {names} dropped, of impossible speed"] = fixes
     return good
 
 
-def check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
-    """Refuses x and y that are degrees of longitude and latitude, as maps of the world export them.
-
-    They have five decimals or more, are no larger than degrees, and move more slowly than any target whose motion can
-    be distinguished from noise.
-
-    Raises:
-        ValueError: they are.
-    """
+def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
+    """Refuses x and y without a unit that are degrees of longitude and latitude, or too fast for metres."""
     x, y = layout.columns["x"], layout.columns["y"]
-    for recording in recordings:
-        place = recording.position[np.isfinite(recording.position).all(1), :2]
-        if len(place) < _MANY or layout.source.unit != 1 or (np.abs(place).max(0) > _LARGEST).any():
-            return
-        fine = np.abs(1e4 * place - np.rint(1e4 * place)).max(1) > _ROUNDED
-        moved, steps = np.ptp(place, 0).max(), np.abs(np.diff(place, axis=0)).max(1)
-        lies = np.abs(np.median(place, 0)).max() > _OFF_THE_ORIGIN and moved > _FAR * np.median(steps)
-        if not (lies and fine.mean() > 0.5 and _AS_DEGREES[0] < speed_across(recording) < _AS_DEGREES[1]):
-            return
-    raise ValueError(
-        f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: say --lat {y} "
-        f"--lon {x}; or --units m if they are metres"
-    )
-
-
-def check_unit(recordings: Sequence[Recording], layout: Layout) -> None:
-    """Refuses x and y without a stated unit that, in metres, would move faster than all but rockets.
-
-    Raises:
-        ValueError: all do.
-    """
-    names = [layout.columns["x"], layout.columns["y"]]
-    speeds = [speed_across(recording) for recording in recordings if len(recording.time) >= _MANY]
-    if speeds and min(speeds) > _FASTEST_METRES and not any(unit_of(name, asked=True) for name in names):
-        raise ValueError(
-            f"expected metres in {' and '.join(names)}, received a speed of {min(speeds):,.0f} m/s: say their unit, "
-            "such as --units mm, or --units m if they are metres"
-        )
+    judged = [recording for recording in recordings if len(recording.time) >= _MANY]
+    if not judged or layout.source.unit != 1 or unit(x):
+        return
+    speeds = [speed_across(recording) for recording in judged]
+    if not layout.stated.time_format and _FASTEST_METRES < min(speeds) < _FASTEST:
+        raise AskError(f"expected metres in {x} and {y}, received a speed of {min(speeds):,.0f} m/s: say their unit, "
+                       "such as ",
+                       {"units": "mm"}, ", or ", {"units": "m"}, " if they are metres")  # fmt: skip
+    places = np.concatenate([recording.position[:, :2] for recording in judged])
+    steps = np.concatenate([np.abs(np.diff(recording.position[:, :2], axis=0)).max(1) for recording in judged])
+    fine = np.abs(1e4 * places - np.rint(1e4 * places)).max(1) > 1e-3
+    moved = max(np.ptp(recording.position[:, :2], 0).max() for recording in judged)
+    lies = (np.abs(places).max(0) <= _DEGREES).all() and np.abs(np.median(places, 0)).max() > 1
+    if lies and moved > 5 * np.median(steps) and fine.mean() > 0.5 and _AS_DEGREES[0] < max(speeds) < _AS_DEGREES[1]:
+        raise AskError(f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: "
+                       "say ",
+                       {"lat": y, "lon": x}, "; or ", {"units": "m"}, " if they are metres")  # fmt: skip
 
 
 def _impossible(recording: Recording) -> str:
@@ -140,24 +115,28 @@ def _speed(recording: Recording) -> float:
     return float(np.median(legs / np.diff(recording.time)))
 
 
-def _guess(recording: Recording, layout: Layout) -> str:
-    """What the times may be instead, and what to do."""
+def _cause(recording: Recording, layout: Layout) -> tuple[str | dict[str, str], ...]:
+    """What the cause may be, and the options that say so."""
     if layout.source.id_options:
-        return f"{_SEVERAL}: use {layout.source.id_options[0]}"
+        return "rows of several targets in one look so: name what tells them apart, such as ", {
+            "id": layout.source.id_options[0]
+        }
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
-    now = per_second(form)
-    if not now:  # text, whose unit nobody can mistake
-        return f"if it is right, --time-format '{form}' takes it; or say the unit of positions (--units)"
-    if form == "seconds" and (days := days_of(recording.time, column)):
-        return f"column {column} looks like days of {days}: use --time-format {days}"
-    likely = []
-    for unit, other in PER_SECOND.items():
-        seconds = (recording.time[-1] - recording.time[0]) * now / other
-        if other != now and _USUAL[0] < speed * other / now < _USUAL[1] and seconds >= _SHORTEST:
-            likely.append(unit)
-    for unit in likely:
-        if unit in SINCE_1970:
-            return f"column {column} looks like {unit}: use --time-format {unit}, or name another column by --time"
-    if likely:
-        return f"column {column} may be in {' or '.join(likely)}: say by --time-format, or name another by --time"
-    return f"column {column} may be no time: name another by --time, or its unit by --time-format"
+    now, causes = per_second(form), list[str | dict[str, str]]()
+    if layout.degrees and _USUAL[0] < speed / 111_000 < _USUAL[1] / 10 and (now or form):
+        lat, lon = layout.columns["latitude"], layout.columns["longitude"]
+        causes += [f"; {lon} and {lat} move as metres do, not degrees: ", {"x": lon, "y": lat}]
+    if form == "seconds" and not layout.clock.dated:
+        for days in ("excel", "mjd", "matlab", "jd"):
+            start = -STARTS[days][1] / 86_400
+            if start + 3652 < recording.time[0] and recording.time[-1] < start + 29_220:
+                return f"column {column} looks like {days} days: say ", {"time_format": days}
+    for other in SINCE_1970 if now else ():
+        seconds = (recording.time[-1] - recording.time[0]) * now / UNITS[other]
+        if UNITS[other] != now and _USUAL[0] < speed * UNITS[other] / now < _USUAL[1] and seconds >= _SHORTEST:
+            causes += [f"; {column} may be in {other}: ", {"time_format": other}]
+    if not now:
+        causes += ["; if it is right: ", {"time_format": form}]
+    if not causes:
+        return f"{column} may be no time: name another column, or its unit by the option time_format", ""
+    return str(causes[0])[2:], *causes[1:]

@@ -9,9 +9,7 @@ from typing import Any, NamedTuple
 from torchfra.readers.bounded import too_large
 from torchfra.readers.columns import Cells
 
-_LONGEST_LIST = 200
-"""Signs of names that are listed."""
-_WEIGHTS = {"JSON": 24, "XML": 32, "VBO": 16, "IGC": 16, "PLT": 16, "FIT": 16}
+_WEIGHTS = {"JSON": 24, "XML": 32, "IGC": 16}
 """What a byte counts for: it is read as a whole, and takes up more memory."""
 
 
@@ -23,22 +21,11 @@ class Sheet(NamedTuple):
     """The number of rows and the cells of a column by its name, part by part; all columns are as long."""
     said: tuple[str, ...] = ()
     commas: bool = False
-    json: bool = False
-    """Whether it is JSON without lists in it."""
-    placed: bool = False
-    """Whether a caller has named columns of positions among its own."""
+    format: Any = None
     word: str = ""
     """What its targets are, where the format says it."""
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names for a person, as many as fit into a line or two."""
-    every, length = list(names), 0
-    for count, name in enumerate(every):
-        length += len(name) + 2
-        if length > _LONGEST_LIST:
-            return ", ".join([*every[:count], f"and {len(every) - count} more"]) if count else f"{name[:200]}..."
-    return ", ".join(every) or "(none)"
+    longer: Counter[str] | None = None
+    """What was done to rows, which is counted while they are read."""
 
 
 def repeated(names: Iterable[str]) -> str:
@@ -47,7 +34,7 @@ def repeated(names: Iterable[str]) -> str:
 
 
 def whole_text(file: Any, max_bytes: int, what: str, encoding: str = "utf-8-sig") -> str:
-    """All text of a file of ``"JSON"``, ``"XML"``, ``"VBO"``, ``"IGC"``, ``"PLT"`` or ``"FIT"``.
+    """All text of a file of ``"JSON"``, ``"XML"`` or ``"IGC"``.
 
     Raises:
         ValueError: there is too much.
@@ -64,3 +51,11 @@ def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:
     full = {name: cells for name, cells in columns.items() if any(cell not in (None, "") for cell in cells)}
     rows = len(next(iter(columns.values()), []))
     return Sheet(list(full), [(rows, full.__getitem__)], said)
+
+
+def records_sheet(records: list[dict[str, Any]], said: tuple[str, ...]) -> Sheet:
+    """A sheet with a row for each record."""
+    names = dict.fromkeys(name for record in records for name in record)
+    return Sheet(
+        [*names], [(len(records), lambda name: [record.get(name) for record in records])] if names else [], said
+    )

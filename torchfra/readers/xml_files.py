@@ -1,4 +1,4 @@
-"""Tracks in XML: GPX, KML, TCX, and elements with places as attributes.
+"""Tracks in XML: GPX, KML, and elements that are fixes (``formats.XML``).
 
 None needs entities, so that a file that defines some is refused.
 """
@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from torchfra.readers.columns import DECIMAL, short
-from torchfra.readers.sheets import Sheet, points_sheet, whole_text
-from torchfra.readers.spelling import found, is_header
+from torchfra.readers.formats import XML, Xml
+from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, whole_text
 from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
@@ -28,7 +28,7 @@ _DEEPEST = 64
 
 
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The points of GPX, KML, TCX, or of elements with places as attributes.
+    """The points of GPX, of KML, or of the elements of a format.
 
     Raises:
         ValueError: none of these, or it defines entities.
@@ -42,38 +42,40 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
         tree = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
-    sheets = {"kml": _kml_sheet, "TrainingCenterDatabase": _tcx_sheet}
-    return sheets.get(root, _attributes_sheet)(tree)
+    if root == "kml":
+        return _kml_sheet(tree)
+    format = next((one for one in XML if one.root == root), None)
+    if format is None:
+        raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
+                         "time,lat,lon")  # fmt: skip
+    return _elements_sheet(tree, format)
 
 
-def _attributes_sheet(tree: ElementTree.Element) -> Sheet:
-    """The elements whose attributes say where something was, with those of the elements around them.
+def _elements_sheet(tree: ElementTree.Element, format: Xml) -> Sheet:
+    """The fixes of a format: their attributes, the texts in them, and the attributes of the elements around them."""
+    records, targets = list[dict[str, Any]](), Counter[str]()
 
-    So simulated traffic is written (SUMO, floating car data): ``<timestep time="0"><vehicle id="a" x="1" y="2"/>``.
-    Where neither they nor those around them have an id and each has its time, the elements right around them are
-    targets, as of TrackMate, whose times are numbers of frames.
-    """
-    records, parents = list[dict[str, str]](), Counter[str]()
-
-    def add(element: ElementTree.Element, outer: dict[str, str], parent: str) -> None:
+    def add(element: ElementTree.Element, outer: dict[str, Any]) -> None:
+        tag = _tag(element)
         known = outer | {name: value for name, value in element.attrib.items() if not name.startswith("{")}
-        if is_header(element.attrib):
-            own = {"id": parent} if found(element.attrib, "time") and not found(known, "id") else {}
-            records.append(own | known)
-        parents[tag := _tag(element)] += 1
-        for inner in element:
-            add(inner, known, f"{tag} {parents[tag]}")
+        if tag == format.target:
+            targets[tag] += 1
+            known |= {"id": f"{tag} {targets[tag]}"}
+        if tag == format.fix:
+            records.append(known | {_tag(part): text for part in element.iter() if (text := (part.text or "").strip())})
+        for inner in element if tag != format.fix else ():
+            add(inner, known)
 
-    add(tree, {}, "")
-    if "frameInterval" in tree.attrib:
+    add(tree, {})
+    if "frameInterval" in tree.attrib:  # of TrackMate, whose times are numbers of frames
         unit, renamed = tree.get("spaceUnits", ""), {"t": "frame"}
         renamed |= {axis: f"{axis} ({unit})" for axis in "xyz"}
         records = [{renamed.get(name, name): value for name, value in record.items()} for record in records]
-    if not records:
-        raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
-                         "time,lat,lon")  # fmt: skip
-    names = dict.fromkeys(name for record in records for name in record)
-    return points_sheet({name: [record.get(name) for record in records] for name in names}, ("attributes of XML",))
+    degrees = {"LatitudeDegrees": "latitude", "LongitudeDegrees": "longitude", "AltitudeMeters": "altitude"}
+    records = [{degrees.get(name, name): value for name, value in record.items()} for record in records]
+    if len({record.get("id") for record in records}) == 1 and format.target:
+        records = [{name: value for name, value in record.items() if name != "id"} for record in records]
+    return records_sheet(records, (f"XML: {format.root}, {format.fix}",))
 
 
 def _checked_root(text: str) -> str:
@@ -128,24 +130,12 @@ def _gpx_sheet(text: str) -> Sheet:
     return _timed(rows, (f"GPX: {len(gpx.tracks)} track{'s' * (len(gpx.tracks) != 1)}{left_out}",), "GPX")
 
 
-def _tcx_sheet(root: ElementTree.Element) -> Sheet:
-    """The points of activities and courses of TCX, as watches write it; some have no position."""
-    rows, tracks = list[Point](), [one for one in root.iter() if _tag(one) in ("Activity", "Course")]
-    for track in tracks:
-        label = next((one.text or "" for one in track if _tag(one) in ("Id", "Name")), "").strip()
-        for point in (one for one in track.iter() if _tag(one) == "Trackpoint"):
-            cells = {_tag(part): (part.text or "").strip() for part in point.iter()}
-            place = [cells.get(name, "") for name in ("Time", "LatitudeDegrees", "LongitudeDegrees", "AltitudeMeters")]
-            rows.append((*place, label if len(tracks) > 1 else "", None))
-    return _timed(rows, (f"TCX: {len(tracks)} activit{'ies' if len(tracks) != 1 else 'y'}",), "TCX")
-
-
 def _kml_sheet(root: ElementTree.Element) -> Sheet:
-    """Tracks of the extension gx, and placemarks with a point and a time."""
-    rows, lines = list[Point](), 0
+    """Tracks of the extension gx; where there are none, placemarks with a point and a time, else pins."""
+    rows, pins, lines = list[Point](), list[Point](), 0
     for number, placemark in enumerate(one for one in root.iter() if _tag(one) == "Placemark"):
         parts = list(placemark.iter())
-        name = next((part.text or "" for part in parts if _tag(part) == "name"), "").strip()
+        name = next((part.text or "" for part in parts if _tag(part) == "name"), "").strip() or f"track {number + 1}"
         tracks = [part for part in parts if _tag(part) == "Track"]
         lines += any(_tag(part) == "LineString" for part in parts)
         for track in tracks:
@@ -153,16 +143,19 @@ def _kml_sheet(root: ElementTree.Element) -> Sheet:
             places = [part for part in track if _tag(part) == "coord"]
             if len(times) != len(places):
                 raise ValueError(f"expected a time for each of {len(places)} places of a track, received {len(times)}")
-            label = name or f"track {number + 1}"
-            rows += [_point(time, (part.text or "").split(), label) for time, part in zip(times, places, strict=True)]
+            rows += [_point(time, (part.text or "").split(), name) for time, part in zip(times, places, strict=True)]
         when = [part.text for part in parts if _tag(part) == "when"]
         inner = [part for one in parts if _tag(one) == "Point" for part in one]
         point = [part.text or "" for part in inner if _tag(part) == "coordinates"]
         if not tracks and when and point:
-            rows.append(_point(when[0], point[0].strip().split(","), ""))
+            pins.append(_point(when[0], point[0].strip().split(","), ""))
     if not rows and lines:
         raise ValueError("expected KML with times (gx:Track, or points with a TimeStamp), received lines without any")
-    return _timed(rows, ("KML: longitude, latitude[, altitude in metres]",), "KML")
+    said = (
+        "KML: longitude, latitude[, altitude in metres]",
+        *([f"pins left out: {len(pins)}"] if rows and pins else []),
+    )
+    return _timed(rows or pins, said, "KML")
 
 
 def _point(time: str | None, place: list[str], name: str) -> Point:

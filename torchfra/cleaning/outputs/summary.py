@@ -83,8 +83,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
     elif 10 * of["flags"]["outlier"] >= of["fixes"]:
         said.append(MANY)
     if _is_mixed(cleaned):
-        options = cleaned.recording.source.id_options
-        said.append(f"{MIXED}: {options[0] if options else '--id'} distinguishes them")
+        column = "".join(f", such as {name}," for name in cleaned.recording.source.id_options[:1])
+        said.append(f"{MIXED}: the option id with a column{column} distinguishes them")
     if of["repairs"]:
         said.append(f"Repaired: {in_words(of['repairs'])}")
     return said

@@ -1,0 +1,118 @@
+"""Files that libraries read: arrays of numpy, FIT of watches, and workbooks of spreadsheets."""
+
+from __future__ import annotations
+
+import csv
+import io
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
+from torchfra.readers.columns import Head
+from torchfra.readers.hints import unclear
+from torchfra.readers.options import ReadOptions
+from torchfra.readers.sheets import Sheet, records_sheet
+from torchfra.running.optional import optional
+
+_KINDS = "fiuMUS"
+"""Of columns that are read: numbers, moments and text, of characters or bytes."""
+_OTHERWISE = "hand it to torchfra.clean as (time, position), or write CSV by np.savetxt"
+_SEMICIRCLE = 180 / 2**31
+_FIT = {"position_lat": "latitude", "position_long": "longitude", "gps_accuracy": "accuracy"}
+"""What a record of FIT calls what is read of it."""
+
+
+def npy_sheet(file: Any, options: ReadOptions | None, max_bytes: int) -> Sheet:
+    """The columns of an array: by their numbers from 1 on, or by the names of its fields.
+
+    Raises:
+        ValueError: it is damaged, too large, no table, or columns by numbers are not named by ``options``.
+    """
+    try:
+        array = np.load(io.BytesIO(file.read()), allow_pickle=False)
+    except (ValueError, EOFError, MemoryError, OSError) as error:
+        raise ValueError(f"expected a complete array of numbers, received none ({error}): {_OTHERWISE}") from error
+    if array.ndim and not len(array):
+        raise ValueError("expected a track, received an array without rows")
+    if array.ndim and len(array) * BYTES_OF_A_ROW > max_bytes:
+        raise too_large(max_bytes, f"of an array, of which a row counts for {BYTES_OF_A_ROW} or more")
+    if array.dtype.names is not None and array.ndim == 1:
+        columns = {name: array[name] for name in array.dtype.names if array.dtype[name].kind in _KINDS}
+    elif array.ndim == 2 and array.dtype.kind in _KINDS:
+        columns = {str(i + 1): array[:, i] for i in range(array.shape[1])}
+        if options is not None and not options.columns:
+            raise unclear(Head([*columns], lambda name: columns[name][:100]), "names of columns", {})
+    else:
+        shape = f"one of shape {array.shape} and {array.dtype}"
+        raise ValueError(f"expected an array of rows and columns, or of named fields, received {shape}: {_OTHERWISE}")
+    cells = {name: _texts(column) if column.dtype.kind in "US" else column for name, column in columns.items()}
+    return Sheet([*cells], [(len(array), cells.__getitem__)], ("an array of numpy",))
+
+
+def _texts(column: Any) -> list[str]:
+    """The cells of a column of text, whose bytes are UTF-8."""
+    return [cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell for cell in column.tolist()]
+
+
+def fit_sheet(file: Any) -> Sheet:
+    """The records of a FIT file; laps, sessions and events are none.
+
+    Raises:
+        ValueError: it is damaged, or has no records.
+        ImportError: fitdecode is not installed.
+    """
+    fitdecode, records = optional("fitdecode", "FIT", "formats"), list[dict[str, Any]]()
+    try:
+        with fitdecode.FitReader(file) as reader:
+            for frame in reader:
+                if frame.frame_type == fitdecode.FIT_FRAME_DATA and frame.name == "record":
+                    cells = {field.name: field.value for field in frame.fields}
+                    record = {_FIT.get(name, name): value for name, value in cells.items() if _is_cell(value)}
+                    places = {axis: record[axis] * _SEMICIRCLE for axis in ("latitude", "longitude") if axis in record}
+                    records.append({**record, **places})
+    except fitdecode.FitError as error:
+        raise ValueError(f"expected a complete FIT file, received none ({error})") from error
+    if not records:
+        raise ValueError("expected FIT with messages called record, received none: no track was recorded")
+    columns = records_sheet(
+        [{k: v.isoformat() if isinstance(v, datetime) else v for k, v in one.items()} for one in records], ()
+    )
+    return columns._replace(said=("FIT: messages called record",))
+
+
+def _is_cell(value: Any) -> bool:
+    return isinstance(value, int | float | str | datetime) and not isinstance(value, bool)
+
+
+def is_workbook(start: bytes, suffix: str) -> bool:
+    """Whether a file is a workbook of a spreadsheet."""
+    return start[:4] == b"PK\x03\x04" and (suffix in (".xlsx", ".xlsm") or b"[Content_Types].xml" in start[:200])
+
+
+def workbook_text(path: Path, max_bytes: int) -> bytes:
+    """The first sheet of a workbook with two rows or more, as CSV.
+
+    Raises:
+        ValueError: it is damaged, holds too much, or nothing.
+        ImportError: openpyxl is not installed.
+    """
+    openpyxl, text = optional("openpyxl", "A workbook of a spreadsheet", "formats"), io.StringIO(newline="")
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    except Exception as error:
+        raise ValueError(f"expected a complete workbook, received none ({error})") from error
+    for sheet in book.worksheets:
+        rows, writer = 0, csv.writer(text)
+        for rows, row in enumerate(sheet.iter_rows(values_only=True), 1):
+            writer.writerow(
+                ["" if cell is None else cell.isoformat(" ") if isinstance(cell, datetime) else cell for cell in row]
+            )
+            if text.tell() > max_bytes or rows * BYTES_OF_A_ROW > max_bytes:
+                raise too_large(max_bytes)
+        if rows > 1:
+            return text.getvalue().encode()
+        text = io.StringIO(newline="")
+    raise ValueError("expected a workbook with a track, received an empty one")
