@@ -85,15 +85,29 @@ def study(options: argparse.Namespace) -> None:
     if options.trainings > len(STUDENT) + 1:
         raise ValueError(f"trainings: expected at most {len(STUDENT) + 1}, received {options.trainings}")
     ways = {name: temperatures(name) for name in options.ways.split(",")}
-    starts = {start: numbers_in("starts", start.replace(":", ",")) for start in options.starts.split(",")}
+    starts = {start: values(start) for start in options.starts.split(",")}
+    known = {name: CELLS[name][0](CELLS[name][1]) for name in options.cells.split(",")}
+    for start in starts.values():
+        made(next(iter(known.values())), start, options.learn.split(","), options)  # what is out of range is said now
     settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet")}
     cells: dict[str, Any] = {}
-    for name in options.cells.split(","):
-        make, outliers = CELLS[name]
-        cells[name] = of_cell(make(outliers), ways, starts, options)
+    for name, scenario in known.items():
+        cells[name] = of_cell(scenario, ways, starts, options)
         if not options.quiet:
             print(f"{name}\n{table(cells[name])}", flush=True)
         write_results(options.json, {**settings, "cells": cells})  # after each, as all of them take long
+
+
+def values(start: str) -> list[float]:
+    """Threshold and weakening of a start.
+
+    Raises:
+        ValueError: they are not two numbers.
+    """
+    found = numbers_in("starts", start.replace(":", ","))
+    if len(found) != 2:
+        raise ValueError(f"starts: expected THRESHOLD:WEAKENING, received {start!r}")
+    return found
 
 
 def temperatures(way: str) -> tuple[float, float]:

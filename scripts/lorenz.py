@@ -77,7 +77,8 @@ def compare(options: argparse.Namespace) -> None:
     """All settings, and the tables when the last one is done.
 
     Raises:
-        ValueError: variances that are no numbers above 0, fewer than 1 run or 0 iterations.
+        ValueError: variances that are no numbers above 0, fewer than 1 run or 0 iterations, or a filter that these
+            models do not make.
     """
     command.check_files({"json": options.json})
     variances = numbers_in("variances", options.variances)
@@ -87,6 +88,9 @@ def compare(options: argparse.Namespace) -> None:
         for name in options.settings.split(",")
         for variance in (PUBLISHED if SETTINGS[name].published else variances)
     ]
+    first, variance = cells[0]
+    for name in filter(None, f"{options.filters},{options.fit}".split(",")):
+        make_filter(name, *models(SETTINGS[first], variance))  # which one cannot be made is said before the first run
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name, variance in progress_bar(cells, "setting", not options.quiet):
         found.setdefault(name, {})[f"{variance:g}"] = of_setting(SETTINGS[name], variance, options)

@@ -76,6 +76,30 @@ def test_a_compiled_filter_fails_as_well_however_it_runs_and_goes_on_once_the_va
         assert not f.step(state, z[:, 1])[0].belief.failed.any()
 
 
+@pytest.mark.parametrize("name", FILTERS)
+def test_noise_that_is_infinite_fails_every_track_and_is_named(name):
+    """Of interacting models too, where the others could go on without the one."""
+    made = FILTERS[name]()
+    z, prior = tracks(made)
+    noise = [path for path in hypers(made) if path.rpartition(".")[2] in ("q", "std")]
+    assert len(noise) >= 2
+    for path in noise:
+        f = copy.deepcopy(made)
+        hypers(f)[path].raw.data.fill_(torch.inf)
+        estimate = f(z, prior)
+        assert (estimate.failure.cause == Cause.VALUE).all()
+        assert estimate.failure.values == (path,)
+
+
+@pytest.mark.parametrize("make", [ConstantVelocity, Position])
+def test_noise_that_is_infinite_is_refused(make):
+    with pytest.raises(ValueError, match=r"(q|std): expected finite numbers, received inf"):
+        make(torch.inf)
+    f, values = make(1.0), make(1.0).state_dict()
+    with pytest.raises(RuntimeError, match=r"(q|std): expected a value .*, finite, received inf"):
+        f.load_state_dict({name: torch.full_like(x, torch.inf) for name, x in values.items()})
+
+
 def test_trackers_lags_and_scans_fail_as_well():
     f = spoilt(presets.rsrckf(MOTION, SENSOR), "robust.threshold")
     z, prior = tracks(f)

@@ -100,13 +100,15 @@ class Hyper(nn.Module):
         learn: whether the value is a parameter that gradient descent may change.
         event_dim: number of last dimensions of ``value`` that are not batch dimensions, as in ``torch.distributions``:
             1 for a vector with one value per element.
+        finite: whether an infinity means nothing, as of noise; a threshold of infinity is none.
         name: what error messages call the value.
 
     The state dict holds the unconstrained value as ``raw`` whether it is learnable or not, so that values learned by
     one filter load into another where they are fixed.
 
     Raises:
-        ValueError: the value violates the constraint or is NaN, or is to be learned and on the boundary of its range.
+        ValueError: the value violates the constraint, is NaN, or infinite where it must be ``finite``, or is to be
+            learned and on the boundary of its range.
 
     Example:
         >>> threshold = torchfra.Hyper(1.5, learn=True)
@@ -125,10 +127,11 @@ class Hyper(nn.Module):
         *,
         learn: bool = False,
         event_dim: int = 0,
+        finite: bool = False,
         name: str = "value",
     ) -> None:
         super().__init__()
-        self.constraint, self.event_dim = constraint, event_dim
+        self.constraint, self.event_dim, self.finite = constraint, event_dim, finite
         self.register_buffer("raw", self._unconstrained(value, name))
         if learn:
             self.learn(name)
@@ -141,7 +144,8 @@ class Hyper(nn.Module):
             name: what error messages call the value.
 
         Raises:
-            ValueError: the value violates the constraint or is NaN, or is of another shape.
+            ValueError: the value violates the constraint, is NaN, or infinite where it must be ``finite``, or is of
+                another shape.
         """
         raw = self._unconstrained(value, name)
         if raw.dim() and raw.shape != self.raw.shape:
@@ -164,6 +168,8 @@ class Hyper(nn.Module):
             raise ValueError(f"{name}: expected one value or more, received none, {tuple(value.shape)}")
         if not bool(self.constraint.check(value).all()):
             raise ValueError(f"{name}: expected {_allowed(self.constraint)}, received {value.tolist()}")
+        if self.finite and bool(value.isinf().any()):
+            raise ValueError(f"{name}: expected finite numbers, received {value.tolist()}")
         raw: Tensor = transform_to(self.constraint).inv(value.detach().clone())
         return raw
 
@@ -179,13 +185,13 @@ class Hyper(nn.Module):
         return bool(raw.isfinite().all())
 
     def out_of_range(self) -> Tensor:
-        """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end.
+        """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end or must be ``finite``.
 
         That is where training may have left it.
         """
         raw = self.raw.detach()
         value = transform_to(self.constraint)(raw)
-        bad: Tensor = value.isnan()
+        bad: Tensor = ~value.isfinite() if self.finite else value.isnan()
         if not self.sums_to_one:
             bad = bad | ((raw.abs() == torch.inf) & ~self.constraint.check(value))
         return bad.flatten(-self.event_dim).any(-1) if self.event_dim else bad
@@ -228,9 +234,10 @@ class Hyper(nn.Module):
         if isinstance(raw, Tensor) and raw.shape == self.raw.shape and not raw.is_meta:
             loaded = Hyper.__new__(Hyper)
             nn.Module.__init__(loaded)
-            loaded.constraint, loaded.event_dim, loaded.raw = self.constraint, self.event_dim, raw.detach()
+            loaded.constraint, loaded.event_dim, loaded.finite = self.constraint, self.event_dim, self.finite
+            loaded.raw = raw.detach()
             if bool(loaded.out_of_range().any()):
-                expected = _allowed(self.constraint)
+                expected = f"{_allowed(self.constraint)}, finite" if self.finite else _allowed(self.constraint)
                 error_msgs.append(f"{prefix[:-1]}: expected {expected}, received {loaded().tolist()}")
                 return
         super()._load_from_state_dict(

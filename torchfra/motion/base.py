@@ -154,7 +154,7 @@ class Motion(Part):
         if "angle" in self.stated and not self.angles:
             raise ValueError("angles: expected the indices of the components of kind 'angle', received none")
         if q is not None:
-            self.q = Hyper(q, constraints.nonnegative, name="q")
+            self.q = Hyper(q, constraints.nonnegative, finite=True, name="q")
 
     @property
     def vertical(self) -> tuple[int, ...]:

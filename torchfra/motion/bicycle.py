@@ -52,7 +52,7 @@ class Bicycle(Motion):
             kinds=("position", "position", "velocity", "angle", "angle"),
         )  # fmt: skip
         self.wheelbase = Hyper(wheelbase, name="wheelbase")
-        self.steer = Hyper(steer, constraints.nonnegative, name="steer")
+        self.steer = Hyper(steer, constraints.nonnegative, finite=True, name="steer")
         self.rear, self.continuous = float(rear), continuous
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:

@@ -57,7 +57,7 @@ class Singer(Motion):
 
     def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
         super().__init__(dims, 3, q)
-        self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
+        self.alpha = Hyper(alpha, constraints.nonnegative, finite=True, name="alpha")
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``."""
@@ -99,7 +99,7 @@ class IntegratedOrnsteinUhlenbeck(Motion):
 
     def __init__(self, q: Value, alpha: Value, dims: int = 2) -> None:
         super().__init__(dims, 2, q)
-        self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
+        self.alpha = Hyper(alpha, constraints.nonnegative, finite=True, name="alpha")
 
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``."""
@@ -135,9 +135,11 @@ class CurrentStatistical(Singer):
 
     def __init__(self, alpha: Value, limit: Value, negative_limit: Value | None = None, dims: int = 2) -> None:
         Motion.__init__(self, dims, 3, None)
-        self.alpha = Hyper(alpha, constraints.nonnegative, name="alpha")
-        self.limit = Hyper(limit, name="limit")
-        self.negative_limit = None if negative_limit is None else Hyper(negative_limit, name="negative_limit")
+        self.alpha = Hyper(alpha, constraints.nonnegative, finite=True, name="alpha")
+        self.limit = Hyper(limit, finite=True, name="limit")
+        self.negative_limit = (
+            None if negative_limit is None else Hyper(negative_limit, finite=True, name="negative_limit")
+        )
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., n, n)`` for ``dt (...)`` at an acceleration of 0."""
@@ -178,7 +180,7 @@ class GaussMarkov(Motion):
             dims, 1, None, size=dims, position=slice(0, 0), velocity=slice(0, 0),
             components=[f"bias {i}" for i in range(dims)] if dims > 1 else ["bias"], kinds=["bias"] * dims,
         )  # fmt: skip
-        self.std = Hyper(std, constraints.nonnegative, name="std")
+        self.std = Hyper(std, constraints.nonnegative, finite=True, name="std")
         self.time = Hyper(time, name="time")
 
     def transition(self, dt: Tensor) -> Tensor:

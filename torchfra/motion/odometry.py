@@ -42,10 +42,10 @@ class Odometry(Motion):
             2, 1, None, size=2 + len(own), velocity=slice(0, 0), angles=(2,), components=("x", "y", *own),
             kinds=("position", "position", "angle", "parameter", "bias")[: 2 + len(own)],
         )  # fmt: skip
-        self.walk_position = Hyper(position, constraints.nonnegative, name="position")
-        self.walk_heading = Hyper(heading, constraints.nonnegative, name="heading")
-        self.walk_scale = Hyper(scale, constraints.nonnegative, name="scale")
-        self.walk_bias = None if bias is None else Hyper(bias, constraints.nonnegative, name="bias")
+        self.walk_position = Hyper(position, constraints.nonnegative, finite=True, name="position")
+        self.walk_heading = Hyper(heading, constraints.nonnegative, finite=True, name="heading")
+        self.walk_scale = Hyper(scale, constraints.nonnegative, finite=True, name="scale")
+        self.walk_bias = None if bias is None else Hyper(bias, constraints.nonnegative, finite=True, name="bias")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., n)`` after ``dt (...)`` seconds at the speed and heading or turn rate ``u (..., 2)``."""

@@ -37,8 +37,8 @@ class ConstantSpeed(Motion):
 
     def __init__(self, q: Value, wander: Value, dims: int = 3, *, continuous: bool = False) -> None:
         super().__init__(dims, 2, None)
-        self.q = Hyper(q, name="q")
-        self.wander = Hyper(wander, constraints.nonnegative, name="wander")
+        self.q = Hyper(q, finite=True, name="q")
+        self.wander = Hyper(wander, constraints.nonnegative, finite=True, name="wander")
         self.continuous = continuous
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:

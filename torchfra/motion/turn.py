@@ -49,7 +49,7 @@ class CoordinatedTurn(Motion):
         if dims < 2:
             raise ValueError(f"dims: expected 2 or more dimensions for a turn, received {dims}")
         super().__init__(dims, check_orders(orders), q)
-        self.rate = Hyper(rate, constraints.real, name="rate")
+        self.rate = Hyper(rate, constraints.real, finite=True, name="rate")
         self.continuous = continuous
 
     def describe(self) -> str:
@@ -137,7 +137,7 @@ class UnknownTurn(Motion):
         names = [letter + axis_name(axis, dims) for letter in ("", "v") for axis in range(dims)]
         kinds = ["position"] * dims + ["velocity"] * dims + ["rate"]
         super().__init__(dims, 2, q, size=2 * dims + 1, components=[*names, "rate"], kinds=kinds)
-        self.drift = Hyper(drift, constraints.nonnegative, name="drift")
+        self.drift = Hyper(drift, constraints.nonnegative, finite=True, name="drift")
         self.continuous = continuous
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:

@@ -71,8 +71,8 @@ class Clock(Motion):
         super().__init__(
             1, 2, None, position=slice(0, 0), velocity=slice(0, 0), components=("clock", "drift"), kinds=("clock",) * 2
         )
-        self.offset = Hyper(offset, constraints.nonnegative, name="offset")
-        self.drift = Hyper(drift, constraints.nonnegative, name="drift")
+        self.offset = Hyper(offset, constraints.nonnegative, finite=True, name="offset")
+        self.drift = Hyper(drift, constraints.nonnegative, finite=True, name="drift")
 
     def transition(self, dt: Tensor) -> Tensor:
         """``[[1, dt], [0, 1]] (..., 2, 2)``."""

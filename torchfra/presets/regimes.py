@@ -27,34 +27,35 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
     },
     "some": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (), "jump_factors": (),
-        "self_transition": (0.998, 0.999073, 0.867, 0.95, 0.7, 0.9612),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7446),
+        "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.867, 0.95, 0.7, 0.9612, 0.0619),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7446, 1e-15),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (100.0,), "jump_factors": (),
-        "self_transition": (0.998, 0.999073, 0.867, 0.95, 0.7, 0.9612, 0.1),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7445, 0.0001),
+        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.867, 0.95, 0.7, 0.9612, 0.1, 0.0619),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7445, 0.0001, 1e-15),
     },
 }  # fmt: skip
 """Values for each ``manoeuvres``.  Of ``"some"``, levels up to 2.05 and their restarts were optimised; the calm level's
 self-transition probability is the largest with consistent covariances of turning targets.  The others were chosen by
-hand: where the models hold, among spikes and heavy tails, and in the scenarios of bearings."""
+hand: where the models hold, among spikes and heavy tails, and in the scenarios of bearings.  A jump is so rare that it
+takes three to five measurements in a row at the new place, the fewer the farther off it is."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
     "some": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (), "jump_factors": (),
-        "self_transition": (0.998, 0.999073, 0.95, 0.7, 0.9612),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8853),
+        "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.95, 0.7, 0.9612, 0.0619),
+        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8853, 1e-15),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (100.0,), "jump_factors": (),
-        "self_transition": (0.998, 0.999073, 0.95, 0.7, 0.9612, 0.1),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8852, 0.0001),
+        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
+        "self_transition": (0.998, 0.999073, 0.95, 0.7, 0.9612, 0.1, 0.0619),
+        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8852, 0.0001, 1e-15),
     },
 }  # fmt: skip
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
@@ -93,11 +94,11 @@ def gpb(
     rule: Callable[[int], Rule] = third_degree,
     learn: Collection[str] = (),
 ) -> GPB:
-    """The recommended filter: outliers, manoeuvres and an outlying prior are hypotheses of every step.
+    """The recommended filter: outliers, manoeuvres, jumps and an outlying prior are hypotheses of every step.
 
     Args:
-        motion: how targets move; its regimes are levels of process noise, and jumps if given.  Of several motions of
-            one state, or a ``Bank``, the first has these regimes, and each other motion is one more regime.
+        motion: how targets move; its regimes are levels of process noise and a jump.  Of several motions of one state,
+            or a ``Bank``, the first has these regimes, and each other motion is one more regime.
         sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
         manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"some"``; or ``"hard"``, also turns
             far beyond its process noise, at some loss of accuracy with outliers.  None is ``"none"`` for a motion that
@@ -111,7 +112,7 @@ def gpb(
         manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
-            squared per element; by default there are no jumps, as two spikes in a row are taken for one.
+            squared per element.
         self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
             manoeuvre, each jump; for three or more motions also one for each other motion.  They are those of a step,
             whatever its ``dt``.

@@ -26,7 +26,7 @@ class Growth(Motion):
 
     def __init__(self) -> None:
         super().__init__(1, 1, None)
-        self.q = Hyper(1.0, constraints.nonnegative, name="q")
+        self.q = Hyper(1.0, constraints.nonnegative, finite=True, name="q")
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 1)`` after a step; ``dt`` does not matter."""

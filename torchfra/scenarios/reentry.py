@@ -41,7 +41,7 @@ class Reentry(Motion):
         one_of(method=(method, ("euler", "rk4")))
         kinds = ("position", "position", "velocity", "velocity", "parameter")
         super().__init__(2, 2, q, size=5, components=("x", "y", "vx", "vy", "drag"), kinds=kinds)
-        self.q_parameter = Hyper(q_parameter, constraints.nonnegative, name="q_parameter")
+        self.q_parameter = Hyper(q_parameter, constraints.nonnegative, finite=True, name="q_parameter")
         self.method = method
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:

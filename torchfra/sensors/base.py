@@ -221,7 +221,7 @@ def elementwise(value: Value, size: int, name: str) -> Hyper:
     values = as_numbers(value, name)
     if values.dim() and values.shape[-1] != size:
         raise ValueError(f"{name}: expected a number or (..., {size}), received {tuple(values.shape)}")
-    return Hyper(values, event_dim=int(values.dim() > 0), name=name)
+    return Hyper(values, event_dim=int(values.dim() > 0), finite=True, name=name)
 
 
 def _checked_root(noise: Tensor, size: int) -> Tensor:
