@@ -24,7 +24,7 @@ Beliefs = dict[tuple[int, int], Belief]  # by outlier mode (0 without, 1 with ou
 
 MODES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, LARGEST, RARE = 0.02, 0.01, 1e5, 1000.0
+BLIND, NEAR, LARGEST, BURST = 0.02, 0.01, 1e5, 4
 
 
 class Regimes(NamedTuple):
@@ -164,7 +164,7 @@ def jumped(
         m = read((mean, P), z, model, k)
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
-        rarity.append([max(nis / 30.0, 1.0) ** 2] * count + [max(nis / RARE, 1.0)] * len(regimes.jumps))
+        rarity.append([max(nis / 30.0, 1.0) ** 2] * count + [max(nis, 1.0) ** (BURST - 0.5)] * len(regimes.jumps))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):

@@ -22,8 +22,12 @@ from torchfra.types import Gaussian
 
 LARGEST_FACTOR = 1e5
 """Largest factor of a jump or a manoeuvre on a covariance, whatever the normalised innovation squared."""
-JUMP_NIS, MANOEUVRE_NIS = 1000.0, 30.0
-"""Normalised innovation squared per element beyond which the weight of a jump, or a manoeuvre, falls with its size."""
+MANOEUVRE_NIS = 30.0
+"""Normalised innovation squared per element beyond which the weight of a manoeuvre falls with its size."""
+BURST = 4
+"""Equal outliers in a row that are no jump.  A jump and such a burst are the same until it ends.  An outlier of ``r``
+standard deviations has ``1 / r^2`` of the density of a good measurement in the plane, so a jump whose weight falls as
+``r^-(2 BURST - 1)`` is less likely than a burst of that length, and more likely than a longer one, whatever its size."""
 
 
 class Switching(NamedTuple):
@@ -258,15 +262,15 @@ class Regimes(Part):
     def penalised(self, log_weight: Tensor, nis: Tensor) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
-        Their covariances scale with the innovation, so they would explain one of any size equally well.  Beyond its
-        limit the weight of a jump falls as ``1 / nis``, and that of a manoeuvre as ``1 / nis^2``.
+        Their covariances scale with the innovation, so they would explain one of any size equally well.  The weight of
+        a jump falls as ``nis^-(BURST - 1/2)``, and beyond its limit that of a manoeuvre as ``1 / nis^2``.
 
         Args:
             log_weight: of the regimes by the Markov chain alone.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
         """
-        manoeuvre, jump = ((nis / limit).clamp_min(1.0).log() for limit in (MANOEUVRE_NIS, JUMP_NIS))
-        return log_weight - self._of_kinds(0.0, 2 * manoeuvre, jump)
+        manoeuvre, jump = ((nis / limit).clamp_min(1.0).log() for limit in (MANOEUVRE_NIS, 1.0))
+        return log_weight - self._of_kinds(0.0, 2 * manoeuvre, (BURST - 0.5) * jump)
 
     # ------------------------------------------------------------ predictions
 
