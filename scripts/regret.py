@@ -168,7 +168,7 @@ def prepared(
 
 
 def in_the_open(options: argparse.Namespace) -> None:
-    """Random cells, and a table of them when the last one is done.
+    """Random cells, and a table of them when the last one is done; the file has those that are done.
 
     Raises:
         ValueError: arguments that go with other cells alone.
@@ -188,7 +188,9 @@ def in_the_open(options: argparse.Namespace) -> None:
     cells = chosen_cells(opened.open_cells(options.open, options.seed), options.cells.split(","))
     tell, _ = reporters(options.compile, options.quiet)
     compile = choose(options.compile, options.runs * USUAL_STEPS >= WORTHWHILE, tell)
-    results = {}
+    results: dict[str, Any] = {}
+    head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "compared": names}
+    failures = Failures()
     for name, cell in progress_bar(cells.items(), "cell", not options.quiet):
         scenario = cell.make()
         filters = opened.open_filters(scenario, names, others)
@@ -196,12 +198,12 @@ def in_the_open(options: argparse.Namespace) -> None:
         found = opened.results(scenario, filters, names, runs=options.runs, seed=options.seed)
         settings = {"steps": scenario.steps, "limit": scenario.limit, **scenario.settings}
         results[name] = {"runs": options.runs, "settings": settings, **found}
-    of, failures = opened.summary(results, names), Failures()
+        of = opened.summary(results, names)
+        if not failures.messages:  # cell by cell, as all of them may take hours
+            with failures.of("json"):
+                write_results(options.json, {**head, "summary": of, "cells": results})
     if not options.quiet:
         print(f"{opened.table(results, names)}\n{opened.summary_lines(of, len(results))}", flush=True)
-    head = {"runs": options.runs, "seed": options.seed, "resamples": RESAMPLES, "compared": names}
-    with failures.of("json"):
-        write_results(options.json, {**head, "summary": of, "cells": results})
     failures.end()
 
 

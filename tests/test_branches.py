@@ -15,7 +15,8 @@ from torchfra.types import Gaussian
 
 NEVER, ALWAYS = -1e6, 1e6
 """Log odds that no measurement outweighs."""
-THREE = {"plain": 1.0, "preference": 0.5, "provisional": "likeliest", "final": "likeliest"}
+# Evidence for a jump often ends in a half: such a preference would tie, which the robust branch alone wins if hard.
+THREE = {"plain": 1.0, "preference": 0.4, "provisional": "likeliest", "final": "likeliest"}
 HOW = [{"temperature": 0.0}, {"temperature": 1.0}]
 
 
@@ -170,7 +171,7 @@ def test_compiled_kernels_give_the_same_and_read_the_odds_when_they_run(make, po
 
 
 @pytest.mark.slow
-def test_gradients_of_all_odds_are_the_same_compiled_and_are_none_of_a_hard_decision(make, tracks):
+def test_gradients_of_all_odds_are_the_same_compiled_and_are_zero_of_a_hard_decision(make, tracks):
     found = []
     for compiled in (False, True):
         f = make("fra", learn=("plain", "preference", "gate"), temperature=1.0, **THREE)
@@ -179,7 +180,9 @@ def test_gradients_of_all_odds_are_the_same_compiled_and_are_none_of_a_hard_deci
         found.append(torch.stack([p.grad for p in f.parameters()]))
         assert (found[-1] != 0).all()
     torch.testing.assert_close(*found, rtol=1e-9, atol=0)
-    assert not estimate(make("fra", learn=("plain", "preference", "gate"), **THREE), tracks).mean.requires_grad
+    hard = make("fra", learn=("plain", "preference", "gate"), **THREE)
+    estimate(hard, tracks).mean.square().mean().backward()
+    assert all((p.grad == 0).all() for p in hard.parameters())
 
 
 @pytest.mark.parametrize("how", HOW, ids=str)

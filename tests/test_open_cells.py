@@ -151,6 +151,18 @@ def test_fra_follows_a_jump_with_the_measurement_after_as_many_as_it_has_patienc
     assert (followed >= last).all()
 
 
+def test_what_fra_has_seen_of_one_burst_does_not_count_for_the_next():
+    scenario = OpenCell(index=0.03, std=2.0).scenario(steps=60)
+    tracks = scenario.simulate(8, SEED)
+    z = tracks.z.clone()
+    for first, offset in ((20, [200.0, 0.0]), (25, [0.0, 200.0])):  # 4 outliers, a normal measurement, and 4 again
+        z[:, first : first + 4] += torch.tensor(offset)
+    info = presets.fra(scenario.motion, scenario.sensor)(z, tracks.prior, dt=scenario.dt).info
+    assert info.abnormal[:, 20:24].all()
+    assert info.abnormal[:, 25:29].all()
+    assert not info.adaptive[:, [20, 21, 22, 23, 25, 26, 27, 28]].any()
+
+
 def test_the_paper_s_filter_has_no_patience():
     scenario = OpenCell("pairs", size=100.0).scenario()
     tracks = scenario.simulate(4, 1)

@@ -391,3 +391,29 @@ def test_filters_tuned_to_a_cell_err_less_there_and_say_by_how_much_they_changed
     cell = json.loads((tmp_path / "r.json").read_text())["cells"]["2-std"]
     assert cell["tuned"]["srckf tuned"].keys() == {"q"}
     assert "srckf tuned" in cell["filtered"]["filters"]
+
+
+# ---------------------------------------------------------------- random cells
+
+
+@pytest.mark.slow
+def test_random_cells_are_judged_one_by_one_and_those_that_are_lost_are_the_first_lines(tmp_path, capsys):
+    file = tmp_path / "open.json"
+    few = ["--filters", "srckf", "--others", "rsrckf", "--runs", "3", "--seed", "2027", "--no-compile"]
+    assert regret.main(["--open", "2", *few, "--json", str(file)]) == 0
+    found, lines = json.loads(file.read_text()), capsys.readouterr().out.splitlines()
+    assert list(found["cells"]) == ["0-none", "1-spikes"]
+    ratio = {name: cell["filters"]["srckf"]["ratio"] for name, cell in found["cells"].items()}
+    assert [line.split()[0] for line in lines[-3:-1]] == sorted(ratio, key=ratio.__getitem__, reverse=True)
+    assert found["summary"]["srckf"]["worst"] == max(ratio.values())
+    assert lines[-1].startswith("srckf, 2 cells: median ")
+
+
+@pytest.mark.parametrize(("wrong", "message"), [
+    (["--open", "0"], "open: expected 1 cell or more"),
+    (["--open", "1", "--tuned", "fra"], "beside it, received tuned"),
+    (["--open", "1", "--filters", "fra", "--others", "fra"], "others: expected some beside those compared"),
+])  # fmt: skip
+def test_random_cells_refuse_what_goes_with_other_cells(wrong, message, capsys):
+    assert regret.main(wrong) != 0
+    assert message in capsys.readouterr().err

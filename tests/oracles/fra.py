@@ -35,12 +35,16 @@ class Jumps:
 
     def __init__(self, patience: float, gate: float) -> None:
         self.bound = patience - 0.5 if patience else 0.0
-        self.gate, self.odds, self.on = gate, self.bound, bool(patience)
+        self.gate, self.odds, self.on, self.was_far = gate, self.bound, bool(patience), False
 
-    def normal(self, p: Prior) -> None:
-        """A normal step with a measurement speaks for the belief."""
-        if self.on and p.seen and p.nis > 0:
+    def see(self, p: Prior) -> None:
+        """A normal step speaks for the belief; a row of far ones begins anew, unless the odds are for a jump."""
+        is_far = bool(p.seen) and p.nis > 2.5 * self.gate
+        begins, self.was_far = is_far and not self.was_far, is_far
+        if self.on and p.seen and 0 < p.nis <= self.gate:
             self.odds = max(self.odds - 1.0, -self.bound)
+        if begins and self.odds < 0:
+            self.odds = -self.bound
 
     def weigh(self, scored: dict[str, float], ahead: dict[str, Prior], nis: float) -> dict[str, float]:
         """Scores of the branches of a step of this nis, by the odds if it was far off."""
@@ -96,8 +100,7 @@ def fra(
         V_now, V = memories(V, p, psi, memory, options.forgetting)
         kept = shown = unweighted(p)
         abnormal, name, following = bool(p.seen) and not p.nis <= gate, "", None
-        if not abnormal:
-            jumps.normal(p)
+        jumps.see(p)
         if abnormal:
             fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
             branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": kept}
@@ -157,8 +160,7 @@ def soft_fra(
         fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
         branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": unweighted(p)}
         abnormal = sigmoid((p.nis - gate) / temperature)
-        if p.nis <= gate:
-            jumps.normal(p)
+        jumps.see(p)
 
         def mixed(
             shares: dict[str, float], branches: Any = branches, abnormal: float = abnormal

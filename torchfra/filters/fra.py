@@ -246,7 +246,7 @@ class FRA(Soft, Filter[FRAState]):
         )  # eq. (36)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
-        evidence = torch.where((excess <= 0) & (nis > 0), (evidence + _NORMAL).clamp_min(-self.most_odds), evidence)
+        evidence = self.with_step(evidence, state.excess, excess, nis)
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, evidence)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
@@ -254,6 +254,25 @@ class FRA(Soft, Filter[FRAState]):
         # Only interacting models, which give a ``mix``, weigh their models by this evidence.
         evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
+
+    def with_step(self, evidence: Tensor, before: Tensor, excess: Tensor, nis: Tensor) -> Tensor:
+        """The evidence with a step itself: a normal one, or one that is far off after another that was not.
+
+        Of evidence against a jump, what an earlier row of far steps took from it does not count for the next row.
+
+        Args:
+            evidence: before this step.
+            before: ``excess`` of the step before.
+            excess: of this step.
+            nis: normalised innovation squared of this step, 0 without a measurement.
+        """
+        if not self.patience:
+            return evidence
+        gate = self.gate(nis)
+        begins = is_far(excess, gate) & ~is_far(before, gate) & (evidence < 0)
+        normal = (excess <= 0) & (nis > 0)
+        change = torch.where(begins, -torch.inf, torch.where(normal, _NORMAL, 0.0)).to(evidence)
+        return (evidence + change).clamp_min(-self.most_odds)
 
     def compare_predicted(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, compared with the measurement."""
@@ -308,7 +327,7 @@ class FRA(Soft, Filter[FRAState]):
         robust, others = score[0], score[1:]
         adaptive, gate = score[1], self.gate(before.excess)
         known = robust.isfinite() & adaptive.isfinite() & (nis.amax(0) > 0)
-        far = known & (before.excess > (_FAR - 1) * gate)
+        far = known & is_far(before.excess, gate)
         most = torch.where(nis[1] > _FAR * gate, _ELSEWHERE, _AGAIN)
         gain = torch.minimum(adaptive - robust, most)
         evidence = torch.where(far, (before.evidence + gain).clamp(-self.most_odds, self.most_odds), before.evidence)
@@ -395,6 +414,12 @@ class FRA(Soft, Filter[FRAState]):
         if own or traced or any(part is not None and brings_batch(part) for part in parts):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
+
+
+def is_far(excess: Tensor, gate: Tensor) -> Tensor:
+    """Whether a step was farther off than manoeuvres lead."""
+    far: Tensor = excess > (_FAR - 1) * gate
+    return far
 
 
 def best(scores: Tensor) -> Choice:
