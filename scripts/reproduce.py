@@ -144,16 +144,19 @@ def sizes(chosen: Experiment, options: argparse.Namespace) -> list[float]:
     """The numbers of ``--sizes``, or the default of the experiment.
 
     Raises:
-        ValueError: the experiment takes no sizes, or they are not numbers.
+        ValueError: the experiment takes no sizes, or they are not numbers of 1 or more.
     """
     if options.sizes is None:
         return [float(size) for size in chosen.sizes or ()]
     if chosen.sizes is None:
         raise ValueError(f"sizes: {options.experiment} takes no such option, received {options.sizes!r}")
     try:
-        return [float(size) for size in options.sizes.split(",")]
+        numbers = [float(size) for size in options.sizes.split(",")]
     except ValueError:
-        raise ValueError(f"sizes: expected numbers of 1 or more, received {options.sizes!r}") from None
+        numbers = []
+    if not numbers or not all(1 <= size < math.inf for size in numbers):
+        raise ValueError(f"sizes: expected numbers of 1 or more, received {options.sizes!r}")
+    return numbers
 
 
 if __name__ == "__main__":

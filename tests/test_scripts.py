@@ -201,6 +201,13 @@ def test_every_scenario_of_a_paper_has_an_experiment():
     assert reproduce.EXPERIMENTS.keys() <= SCENARIOS.keys()
 
 
+@pytest.mark.parametrize("sizes", ["1,0", "1,-2", "1,nan", "1,inf"])
+def test_a_late_size_that_cannot_be_is_said_before_the_first_run(sizes, monkeypatch, capsys):
+    monkeypatch.setattr(reproduce, "Study", None)  # as a run would need it
+    assert reproduce.main(["growth", "--sizes", sizes]) == 2
+    assert f"sizes: expected numbers of 1 or more, received '{sizes}'" in capsys.readouterr().err
+
+
 def test_reproduce_says_what_is_wrong(capsys):
     assert reproduce.main(["adsb-turns", "--sizes", "1,2"]) == 2
     assert "sizes: adsb-turns takes no such option" in capsys.readouterr().err

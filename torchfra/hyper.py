@@ -185,9 +185,9 @@ class Hyper(nn.Module):
         return bool(raw.isfinite().all())
 
     def out_of_range(self) -> Tensor:
-        """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end or must be ``finite``.
+        """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end.
 
-        That is where training may have left it.
+        Training may have left it there.  One that must be ``finite`` is not infinite in its range either.
         """
         raw = self.raw.detach()
         value = transform_to(self.constraint)(raw)
