@@ -16,7 +16,7 @@ from torchfra.stream import Tracker
 from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
 
 MOTION, SENSOR, BANK = ConstantVelocity(1.0), Position(2.0), [ConstantVelocity(1.0), ConstantVelocity(100.0)]
-DURATIONS = {"durations": (100.0,) * 6, "outlier_durations": (100.0, 3.0), "outlier_offsets": (1.0, 2.0, 3.0, 4.0)}
+DURATIONS = {"durations": (100.0,) * 7, "outlier_durations": (100.0, 3.0), "outlier_offsets": (1.0, 2.0, 3.0, 4.0)}
 SINGLE = [
     *("srckf", "rsrckf", "ukf", "ekf", "ghckf", "hghckf", "hghckf1", "hghckf2", "mr_ckf", "asrckf", "rmckf", "iaukf"),
     *("fra", "fra_srckf", "alphabeta", "gpb"),
