@@ -105,8 +105,8 @@ def test_a_climb_is_a_motion_of_its_own_beside_the_calm_one_smoothed_and_compile
 def test_climbs_are_for_motions_in_space_unless_values_are_given():
     plane = presets.gpb(ConstantVelocity(1.0), Position(5.0))
     none = presets.gpb(SPACE, SENSOR, manoeuvres="none")
-    own = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 2.0, 50.0))
-    asked = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 50.0), climbs=True)
+    own = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 2.0, 50.0, 500.0))
+    asked = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 50.0, 500.0), climbs=True)
     counts = [f.regimes.climb_count for f in (plane, none, own, presets.gpb(SPACE, SENSOR), asked)]
     assert counts == [0, 0, 0, 1, 1]
     assert presets.gpb(SPACE, SENSOR, manoeuvres="hard").regimes.manoeuvre_count == 1

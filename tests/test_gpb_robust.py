@@ -214,7 +214,7 @@ def test_a_bank_covers_99_percent_of_the_steps(sensor):
 
 @pytest.mark.slow
 def test_a_bank_that_leaves_its_calm_more_easily_does():
-    truth, stay = flight(), (0.98, 0.98, 0.925, 0.969, 0.99924, 0.00413)
+    truth, stay = flight(), (0.98, 0.98, 0.925, 0.969, 0.7, 0.99924, 0.00413)
     e = presets.gpb(aircraft(), SENSORS["bearings"], self_transition=stay)(
         measured(SENSORS["bearings"], truth), start(truth)
     )

@@ -51,7 +51,16 @@ def test_the_defaults_of_presets_are_those_of_the_classes_but_for_what_they_chan
         return {p.name: p.default for p in inspect.signature(preset).parameters.values() if p.default is not p.empty}
 
     for outer, inner, changed in (
-        (presets.fra, presets.fra_srckf, {"rcond": 0.2, "decision": "likelihood", "memory": "weighted"}),
+        (
+            presets.fra,
+            presets.fra_srckf,
+            {
+                "rcond": 0.2,
+                "decision": "likelihood",
+                "memory": "weighted",
+                "patience": 4.0,
+            },
+        ),
         (presets.imm_fra, presets.fra, {"preference": 5.0}),
         (presets.imm_fra, presets.imm, {"self_transition": 0.99}),
         (presets.iaukf_jpda, presets.iaukf, {}),

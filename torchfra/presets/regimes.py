@@ -82,7 +82,7 @@ def gpb(
     outlier_sizes: Values = (8.77, 54.1, 1230.0, 21000.0),
     outlier_shares: Values = (0.35, 0.35, 0.15, 0.15),
     outlier_offsets: Values | None = None,
-    prior_outlier: Value = 0.0132,
+    prior_outlier: Value = 0.001,
     prior_inflation: Value = 6e4,
     adaptive_largest_size: bool = True,
     outliers_update: bool = True,
@@ -194,12 +194,13 @@ def gpb(
         outliers_update=outliers_update,
         same_offset=same_offset,
     )
+    learned = LearnedNoise(noise_doubt, noise_memory)  # checks its values, even if it is not asked for
     f = GPB(
         models,
         sensor,
         regimes=regimes,
         outliers=outliers,
-        noise=LearnedNoise(noise_doubt, noise_memory) if noise == "learned" else None,
+        noise=learned if noise == "learned" else None,
         prior_outlier=prior_outlier,
         prior_inflation=prior_inflation,
         lag=lag,

@@ -26,8 +26,8 @@ MANOEUVRE_NIS = 30.0
 """Normalised innovation squared per element beyond which the weight of a manoeuvre falls with its size."""
 BURST = 4
 """Equal outliers in a row that are no jump.  A jump and such a burst are the same until it ends.  An outlier of ``r``
-standard deviations has ``1 / r^2`` of the density of a good measurement in the plane, so a jump whose weight falls as
-``r^-(2 BURST - 1)`` is less likely than a burst of that length, and more likely than a longer one, whatever its size."""
+standard deviations has ``1 / r^2`` of the density of a good measurement in the plane.  So a jump whose weight falls as
+``r^-(2 BURST - 1)`` is less likely than a burst of that length, and more likely than a longer one, of any size."""
 
 
 class Switching(NamedTuple):
