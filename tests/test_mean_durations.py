@@ -28,7 +28,7 @@ BANK = [ConstantVelocity(0.1, orders=3, continuous=True), CoordinatedTurn(0.1, 1
         ConstantVelocity(4.0, orders=3, continuous=True)]  # fmt: skip
 SENSOR = Position(3.0)
 PRIOR = Gaussian(torch.zeros(6, dtype=torch.float64), torch.diag(tensor(10, 10, 10, 10, 1, 1)))
-LEVELS = {"durations": (1000.0, 60.0, 5.0, 90.0, 130.0, 0.7)}
+LEVELS = {"durations": (1000.0, 60.0, 5.0, 20.0, 3.0, 130.0, 0.7)}
 WRONG = {"outlier_durations": (100.0, 4.0)}
 
 
