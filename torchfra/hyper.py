@@ -185,7 +185,7 @@ class Hyper(nn.Module):
         return bool(raw.isfinite().all())
 
     def out_of_range(self) -> Tensor:
-        """``(...)`` bool, where an entry is NaN, or infinitely far out where its range has no end or must be ``finite``.
+        """``(...)`` bool, where an entry is NaN, or infinitely far where its range has no end or must be ``finite``.
 
         That is where training may have left it.
         """
