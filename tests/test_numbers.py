@@ -129,6 +129,15 @@ def test_measurements_that_have_lost_their_digits_bring_a_warning(engine):
         f.smooth(z, prior, std=torch.full_like(z, 0.1))
 
 
+def test_lost_digits_are_judged_by_the_noise_that_each_track_of_a_batch_has():
+    z, prior = northings()
+    f = presets.srckf(ConstantVelocity(1.0), Position(torch.tensor([[0.1, 0.1], [0.2, 0.2], [50.0, 50.0]])))
+    with pytest.warns(RuntimeWarning, match=r"z: float32 holds element 1 in steps of 0.5"):
+        f(z.expand(3, 5, 2), prior)
+    f = presets.srckf(ConstantVelocity(1.0), Position(torch.tensor([[0.1, 0.1], [50.0, 50.0], [60.0, 60.0]])))
+    f(z.expand(3, 5, 2), prior)
+
+
 def test_time_steps_of_unix_times_in_single_precision_bring_a_warning():
     f, (z, prior) = presets.srckf(ConstantVelocity(1.0), Position(1.0)), northings()
     times = torch.tensor([1.7e9 + k for k in range(6)])

@@ -628,9 +628,10 @@ class Filter(Part, Generic[S]):
         batch = check(
             measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt
         )
-        warn_of_lost_digits(measurements, self.sensor)
         batch = torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
-        return batch if self.scans else broadcast_with_values(self, batch)
+        batch = batch if self.scans else broadcast_with_values(self, batch)
+        warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
+        return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""

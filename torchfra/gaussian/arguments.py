@@ -163,11 +163,13 @@ class LostDigits(RuntimeWarning):
     """Single precision has rounded away digits that a filter needs."""
 
 
-def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
+def warn_of_lost_digits(measurements: Measurements, sensor: Sensor, rank: int, *, scans: bool = False) -> None:
     """Warns of what single precision has rounded away before it came: nobody sees that in an estimate.
 
     That are time steps that are all 0, as differences of Unix times are, and an element whose numbers half of the time
     lie further apart than the standard deviation of its noise.  Nothing is checked while code is traced.
+
+    ``rank`` is the number of batch dimensions, those of the hyperparameters and that of scans included.
     """
     z, dt, _, std, noise = measurements
     if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
@@ -176,9 +178,17 @@ def warn_of_lost_digits(measurements: Measurements, sensor: Sensor) -> None:
         hint = "take the differences of times in float64 (float32 holds Unix times in steps of 128 s)"
         warnings.warn(f"dt: all time steps are 0 in float32: {hint}", LostDigits, stacklevel=2)
     if z.dtype is torch.float32:
+
+        def time_first(x: Tensor, event: int) -> Tensor:
+            # Hyperparameters have a batch and no time, so that both align.
+            x = x.movedim(-1 - event - scans, 0)
+            return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
+
         with torch.no_grad():
-            deviation = sensor.measurement_noise(z, std, noise).std.expand_as(z)
+            z = time_first(z, 1)
+            std, noise = (x if x is None else time_first(x, event) for x, event in ((std, 1), (noise, 2)))
             step = torch.nextafter(z.abs(), z.new_tensor(torch.inf)) - z.abs()
+            step, deviation = torch.broadcast_tensors(step, sensor.measurement_noise(z, std, noise).std)
             coarse = (step / deviation).reshape(-1, z.shape[-1]).nanmedian(0).values > 1
         if bool(coarse.any()):
             i = int(coarse.int().argmax())

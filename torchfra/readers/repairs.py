@@ -354,7 +354,7 @@ class _Columns:
         if count > _MANY * len(index) and len(index) > _MIXED:
             unread = [name for name in self.layout.unread if name]
             if not unread and count_of(self.clock.form):
-                return  # nothing else could tell them apart
+                return  # nothing else could distinguish them
             raise AskError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
                 "targets do, or times that are too coarse: name the column that tells targets apart, such as ",

@@ -118,7 +118,7 @@ def _speed(recording: Recording) -> float:
 def _cause(recording: Recording, layout: Layout) -> tuple[str | dict[str, str], ...]:
     """What the cause may be, and the options that say so."""
     if layout.source.id_options:
-        return "rows of several targets in one look so: name what tells them apart, such as ", {
+        return "rows of several targets in one look so: name what parts them, such as ", {
             "id": layout.source.id_options[0]
         }
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
