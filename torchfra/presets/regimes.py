@@ -83,7 +83,7 @@ def gpb(
     outlier_shares: Values = (0.35, 0.35, 0.15, 0.15),
     outlier_offsets: Values | None = None,
     prior_outlier: Value = 0.001,
-    prior_inflation: Value = 6e4,
+    prior_inflation: Value = 2e4,
     adaptive_largest_size: bool = True,
     outliers_update: bool = True,
     same_offset: Value | None = None,

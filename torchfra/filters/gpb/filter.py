@@ -301,7 +301,8 @@ class GPB(Filter[GPBState]):
         """The estimates of all steps; the one-step smoothed estimate of a step is that of the next step's info."""
         time = info.probabilities.dim() - 2
         lagged = tree.one_earlier(info.lagged, state.belief, time, info.probabilities.shape[time])
-        every = GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm, info.noise)
+        noise = torch.ones_like(info.outlier) if info.noise is None else info.noise
+        every = GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm, noise)
         return lagged if self.lag else belief, every
 
     # ------------------------------------------------------------ whether the sensor is faulty

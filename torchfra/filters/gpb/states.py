@@ -62,9 +62,9 @@ class GPBInfo(NamedTuple):
     is missing among others it is the prediction of its Markov chain."""
     alarm: Alarm
     """Whether the sensor is faulty now, since when, and by how much."""
-    noise: Tensor | None = None
+    noise: Tensor
     """``(..., T, B)`` learned variances of each block's measurement noise after the step, as multiples of the stated
-    ones; None where the noise is taken as stated."""
+    ones; 1 where the noise is taken as stated."""
 
 
 class Step(NamedTuple):
