@@ -252,8 +252,8 @@ class FRA(Soft, Filter[FRAState]):
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
         # Only interacting models, which give a ``mix``, weigh their models by this evidence.
-        evidence = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
-        return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=evidence)
+        density = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
+        return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=density)
 
     def with_step(self, evidence: Tensor, before: Tensor, excess: Tensor, nis: Tensor) -> Tensor:
         """The evidence with a step itself: a normal one, or one that is far off after another that was not.
