@@ -79,6 +79,7 @@ def recover() -> Config:
         name="recover",
         tasks=(_bearings("outliers", truth_noise=known["q"]), _bearings("manoeuvre", truth_noise=known["q"])),
         learn=tuple(known),
+        options={"patience": 0.0},  # with patience q is found 31 % too large in the iterations of the test
         teacher=known,
         start={"threshold": 3.0, "weakening": 4.0 / 3, "q": 0.01},
         loss="teacher",
