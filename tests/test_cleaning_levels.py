@@ -138,8 +138,8 @@ def test_a_fix_is_an_outlier_where_its_position_or_its_height_is_one():
         z = SIGMA * (rng.standard_normal((steps, axes, 1)) + off)
         fixes = Fixes(torch.from_numpy(z), gap, gap, torch.zeros_like(gap))
         model = OutlierModel(beside_inlier=alone, beside_outlier=beside)
-        sigma = torch.full((1,), SIGMA, dtype=torch.float64)
-        parts.append(Part(fixes, one_level(1), sigma, torch.zeros_like(sigma), sigma, sigma, sigma < 0, model))
+        sigma, sure = torch.full((1,), SIGMA, dtype=torch.float64), torch.full((1,), torch.nan, dtype=torch.float64)
+        parts.append(Part(fixes, one_level(1), sigma, torch.zeros_like(sigma), sigma, sure, sigma < 0, model))
     parts[1].fixes.z[::7] = torch.nan
     (position, height), found = estimated(parts, smooth=True)
     for k in range(steps):
