@@ -91,7 +91,7 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
-    sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.measured)  # (C, R, N)
+    sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.measured).square()  # (C, R, N)
     rooted = [innovation(down_weight(whitened, (1 / s).unsqueeze(-1).expand_as(whitened.residual))) for s in sizes]
     log_density = torch.stack([density(*pair) for pair in rooted])  # (C, R, N)
     log_density = log_density - 0.5 * frame.measured.sum() * sizes.log()

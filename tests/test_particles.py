@@ -34,7 +34,7 @@ def test_few_particles_are_close_to_all_histories():
     merged, some = run("position", 4, 300)
     std = 5.0
     assert (some - every)[:, :2].abs().max() < 0.02 * std
-    assert (merged - every)[:, :2].abs().max() < 0.5 * std
+    assert (merged - every)[:, :2].abs().max() < 0.6 * std  # what merging costs, with a jump as rare as a burst
 
 
 def test_what_is_kept_has_the_right_weight_on_average():

@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 from torchfra.readers.names import METRES, OTHER_UNIT
 from torchfra.readers.times import FORMS, per_second
+from torchfra.suggestions import meant
 
 Words: TypeAlias = "str | tuple[str, ...] | None"
 """What a keyword of ``read`` may say."""
@@ -135,7 +136,7 @@ def _column(name: str, names: list[str]) -> str:
         return bare[name]
     if name.isascii() and name.isdigit() and 0 < int(name) <= len(names):
         return names[int(name) - 1]
-    raise ValueError(f"expected a column {name}, received {listed(names)}")
+    raise ValueError(f"expected a column {name}, received {listed(names)}{meant(name, names)}")
 
 
 def read_options(words: Mapping[str, Words]) -> ReadOptions:
