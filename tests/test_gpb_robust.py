@@ -18,7 +18,7 @@ BOUND = 13.816
 RECOVERED = 5
 """Measured steps after which all must be well again."""
 LATER = {"position": 1, "ranges": 1, "radar": 3, "bearings": 20}
-"""Steps more after a jump, which is a burst of outliers until it lasts; two bearings tell little of where a target is."""
+"""Steps more after a jump, which is a burst of outliers until it lasts; two bearings tell little of a position."""
 
 
 def tensor(x):
