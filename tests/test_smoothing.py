@@ -199,7 +199,8 @@ def test_fading_factors_widen_the_prediction_in_the_backward_pass_as_they_did_in
 
 @pytest.mark.parametrize(("provisional", "plain"), [("robust", None), ("adaptive", None), ("likeliest", 0.5)])
 def test_fra_smooths_what_it_has_decided_for(scenario, tracks, provisional, plain):
-    f = presets.fra(scenario.motion, scenario.sensor, provisional=provisional, final=provisional, plain=plain)
+    options = {"provisional": provisional, "final": provisional, "plain": plain, "patience": 0.0}
+    f = presets.fra(scenario.motion, scenario.sensor, **options)
     z = tracks.z.clone()
     z[:, 6:, 0] += 0.2
     smoothed = f.smooth(z, tracks.prior, u=tracks.u)
