@@ -221,5 +221,5 @@ def test_units_that_are_a_power_of_two_change_nothing(number, seed, metres, seco
     means = []
     for s in (scenario, other):
         tracks = s.simulate(2, seed)
-        means.append(presets.gpb(s.motion, s.sensor, durations="steps")(tracks.z, tracks.prior, dt=s.dt).mean)
+        means.append(presets.gpb(s.motion, s.sensor)(tracks.z, tracks.prior, dt=s.dt).mean)
     torch.testing.assert_close(length * means[0][..., :2], means[1][..., :2], rtol=1e-9, atol=1e-9 * length * cell.std)
