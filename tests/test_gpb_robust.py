@@ -1,4 +1,4 @@
-"""Never locked out, never blown up: GPB with its defaults has left behind what went wrong five measured steps later."""
+"""Never locked out, never blown up: GPB has left behind what went wrong five measured steps later; jumps take longer."""
 
 import functools
 import math
