@@ -1,4 +1,4 @@
-"""Never locked out, never blown up: GPB has left behind what went wrong five measured steps later; jumps take longer."""
+"""Never locked out, never blown up: GPB has left behind what went wrong five measured steps later; jumps later."""
 
 import functools
 import math
