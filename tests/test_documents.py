@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import register
+from torchfra import presets, register, scenarios
 from torchfra.cli import main as cli
 from train import simple, tune, values
 from train.runs import configured
@@ -477,3 +477,16 @@ def test_links_to_headings_lead_to_the_page_of_the_documentation_that_has_them()
             if path in pages and not moved and anchor not in anchors_of(shown[pages[path]]):
                 lost.append((str(source.relative_to(ROOT)), link))
     assert not lost
+
+
+def test_the_values_of_gpb_in_its_table_are_what_it_takes_and_its_own():
+    page = (ROOT / "torchfra/filters/README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([-\d.e, ()]+) \|", page, re.MULTILINE)
+    assert len(rows) == 8
+    for argument, value in rows:
+        value = ast.literal_eval(f"({value},)")
+        scenario = scenarios.bearings_outliers()
+        given = {argument: value[0] if argument == "separate_levels" else value}
+        one, own = (presets.gpb(scenario.bank, scenario.sensor, **options) for options in (given, {}))
+        for (name, x), y in zip(one.state_dict().items(), own.state_dict().values(), strict=True):
+            torch.testing.assert_close(x, y, rtol=1e-3, atol=0, msg=f"{argument}: {name}")

@@ -331,7 +331,7 @@ def plain_figures():
     errors = {"rmse_range": [curve], "rmse_azimuth": [curve], "rmse_elevation": [curve]}
     yield figures.rmse_curves({name: {"rmse_position": curve} for name in NAMES}, "position", 1.0, "")
     yield figures.against([1, 2, 3], {name: [1.0, 2.0, 3.0] for name in NAMES}, "", "", "")
-    yield figures.innovations(dict.fromkeys(NAMES, torch.rand(30)), 9.0, 1.0, "")
+    yield figures.innovations(dict.fromkeys(NAMES, torch.rand(5, 30)), 9.0, 1.0, "")
     yield figures.by_coordinate({name: {"rmse_x": curve, "rmse_y": curve} for name in NAMES}, "rmse", 0.0, 1.0, "")
     yield plotting.tracks(state, {name: state + i for i, name in enumerate(NAMES)}, "")
     yield figures.probabilities({"imm": np.full((30, 3), 1 / 3)}, NAMES, 0.0, 1.0, "")

@@ -1,10 +1,8 @@
 """Presets say what they take, refuse what they do not know, and share nothing that learns with what they are handed."""
 
-import ast
 import inspect
 import re
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,19 +172,6 @@ def test_numbers_of_numpy_are_numbers(kind):
         if isinstance(default, float):
             models, sensor, others = with_companions(preset, name)
             preset(models, sensor, **{**others, name: kind(default)})
-
-
-def test_the_values_of_gpb_in_its_table_are_what_it_takes_and_its_own():
-    page = (Path(presets.__file__).parents[1] / "filters/README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| ([-\d.e, ()]+) \|", page, re.MULTILINE)
-    assert len(rows) == 8
-    for argument, value in rows:
-        value = ast.literal_eval(f"({value},)")
-        scenario = scenarios.bearings_outliers()
-        given = {argument: value[0] if argument == "separate_levels" else value}
-        one, own = (presets.gpb(scenario.bank, scenario.sensor, **options) for options in (given, {}))
-        for (name, x), y in zip(one.state_dict().items(), own.state_dict().values(), strict=True):
-            torch.testing.assert_close(x, y, rtol=1e-3, atol=0, msg=f"{argument}: {name}")
 
 
 def test_an_outlier_is_a_probability_whatever_the_filter_decides():

@@ -204,7 +204,7 @@ class GPB(Filter[GPBState]):
         # The record: for the estimate, and for the backward pass.
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
         by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
-        variances = None if noise is None else noise.log_scale.exp()
+        variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
         info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
         past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation, ratio)
@@ -301,8 +301,7 @@ class GPB(Filter[GPBState]):
         """The estimates of all steps; the one-step smoothed estimate of a step is that of the next step's info."""
         time = info.probabilities.dim() - 2
         lagged = tree.one_earlier(info.lagged, state.belief, time, info.probabilities.shape[time])
-        noise = torch.ones_like(info.outlier) if info.noise is None else info.noise
-        every = GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm, noise)
+        every = GPBInfo(belief, lagged, info.probabilities, info.outlier, info.alarm, info.noise)
         return lagged if self.lag else belief, every
 
     # ------------------------------------------------------------ whether the sensor is faulty

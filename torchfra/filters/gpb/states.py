@@ -74,7 +74,7 @@ class Step(NamedTuple):
     probabilities: Tensor
     outlier: Tensor
     alarm: Alarm
-    noise: Tensor | None
+    noise: Tensor
 
 
 class GPBPast(NamedTuple):
