@@ -133,10 +133,14 @@ def stack(trees: Sequence[Any], dim: int) -> Any:
     return map_tensors(lambda *xs: torch.stack(torch.broadcast_tensors(*xs), dim), *trees)
 
 
-def unbind(tree: Any, count: int) -> list[Any]:
+def unbind(tree: Any, count: int) -> Sequence[Any]:
     """The ``count`` trees along the first dimension of all tensors."""
-    steps = [x.unbind(0) for x in flatten(tree)]
-    return [unflatten(tree, iter(leaves)) for leaves in zip(*steps, strict=True)] if steps else [tree] * count
+    if isinstance(tree, Tensor):
+        return tree.unbind(0)
+    if not isinstance(tree, tuple) or not tree:
+        return [tree] * count
+    make = getattr(type(tree), "_make", tuple)
+    return list(map(make, zip(*(unbind(part, count) for part in tree), strict=True)))
 
 
 def where(mask: Tensor, yes: Any, no: Any) -> Any:

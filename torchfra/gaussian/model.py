@@ -27,6 +27,8 @@ def repairs(prediction: Prediction, whitened: Whitened, rule: Rule) -> Tensor | 
     It is 0, not None, if only the rule of the components that the sensor reads has no negative weights: then all
     sensors of a filter have a number.
     """
+    if not (rule.signed or prediction.repaired is not None or whitened.subtracted is not None):
+        return None
     measured = None if whitened.subtracted is None else repaired_root(whitened)[1]
     if rule.signed and measured is None and prediction.repaired is None:
         measured = torch.zeros_like(whitened.residual[..., 0], dtype=torch.bool)
@@ -81,7 +83,7 @@ def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Pro
     mean, root = belief
     transition = frame.transition
     if transition is not None:
-        frame = adapted(frame, mean)
+        frame = frame if frame.adaptation is None else adapted(frame, mean)
         mean, spread = apply(transition, mean), transition @ root
         return Propagated(mean if frame.shift is None else mean + frame.shift, spread, frame.process_noise, None)
     mean, spread, subtracted = rule(lambda x: motion.at_points(x, frame.dt, frame.u), belief, motion.difference)
@@ -99,7 +101,12 @@ def adapted(frame: Frame, mean: Tensor) -> Frame:
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
     """Compares the measurement with a predicted belief, in units of the noise: eqs. (14)-(21)."""
     d, noise = sensor.reads, frame.measurement_noise
-    read = Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])  # lower triangular: the marginal's root
-    value, spread, subtracted = rule(lambda x: sensor.at_points(x, frame.u), read, sensor.difference)
+    mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]  # lower triangular: the marginal's root
+    if sensor.linear:  # every rule is exact
+        value, spread, subtracted = sensor(mean), sensor(root.mT).mT, None
+    else:
+        value, spread, subtracted = rule(
+            lambda x: sensor.at_points(x, frame.u), Gaussian(mean, root), sensor.difference
+        )
     residual = noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
     return Whitened(residual, noise.whiten(spread), d, subtracted if subtracted is None else noise.whiten(subtracted))

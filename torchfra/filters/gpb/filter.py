@@ -30,7 +30,7 @@ from torchfra.filters.gpb.hypotheses import (
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import Regimes, Switching
-from torchfra.filters.gpb.slopes import by_points_or_slope, compare_linear, elements_of
+from torchfra.filters.gpb.slopes import by_points_or_slope, elements_of
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.other_sensors import sharing
@@ -290,7 +290,7 @@ class GPB(Filter[GPBState]):
             state.outlier, relaxation, state.last.measured, frame.measured
         )
         z = self.sensor.difference(frame.z, state.last.z)
-        return probability, compare_linear(self.sensor, expected, frame._replace(z=z))
+        return probability, self.compare(expected, frame._replace(z=z))
 
     def expected(self, predicted: Hypotheses) -> Gaussian:
         """The Gaussian ``(..., d)`` with the moments of all predictions, of the components that the sensor reads."""
@@ -359,9 +359,9 @@ class GPB(Filter[GPBState]):
         order: a range would not update the belief, which would keep growing.
         """
         elements = range(self.sensor.size) if elements is None else elements
-        if self.sensor.linear:
-            return elements_of(compare_linear(self.sensor, belief, frame), elements)
         compare = super().compare
+        if self.sensor.linear:
+            return elements_of(compare(belief, frame), elements)
         return by_points_or_slope(lambda x: elements_of(compare(x, frame), elements), belief)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:

@@ -10,9 +10,7 @@ from functools import reduce
 
 import torch
 
-from torchfra.gaussian.inputs import Frame
 from torchfra.linalg.tracing import is_traced
-from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 LEAST_SHARE = 0.02
@@ -38,14 +36,6 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
     spread = torch.where(flat.unsqueeze(-1), near.spread / NEAR, wide.spread)
     residual = torch.where(flat, near.residual, wide.residual)
     return Whitened(torch.where(some, residual, wide.residual), torch.where(some, spread, wide.spread), wide.reads)
-
-
-def compare_linear(sensor: Sensor, belief: Gaussian, frame: Frame) -> Whitened:
-    """Compares the measurement of a linear sensor with a predicted belief ``(..., n)``, without points."""
-    d, noise = sensor.reads, frame.measurement_noise
-    mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]
-    residual = noise.whiten(sensor.difference(frame.z, sensor(mean)).unsqueeze(-1)).squeeze(-1)
-    return Whitened(residual, noise.whiten(sensor(root.mT).mT), d)
 
 
 def elements_of(whitened: Whitened, elements: Sequence[int]) -> Whitened:
