@@ -9,12 +9,11 @@ import pytest
 import torch
 
 from torchfra import Gaussian, presets, scenarios
-from torchfra.adaptive import Fading, NoFading, NominalNoise, SageHusa
+from torchfra.adaptive import Fading
 from torchfra.association import Clutter, Euclidean
 from torchfra.filters import FRA, SRCKF
-from torchfra.gaussian import fifth_degree
 from torchfra.motion import ConstantVelocity, Motion
-from torchfra.robust import Huber, HuberScore, Robust, Weights
+from torchfra.robust import Huber, HuberScore, Weights
 from torchfra.sensors import Bearings, Position, RangeBearing, Sensor
 
 MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
@@ -64,10 +63,7 @@ def test_a_measurement_of_another_dtype_is_taken_in_that_of_the_state():
     torch.testing.assert_close(state.belief.mean, f.step(f.init(PRIOR), torch.ones(2).double())[0].belief.mean)
 
 
-def test_sides_that_do_nothing_go_with_everything():
-    f = SRCKF(MOTION, SENSOR, rule=fifth_degree, robust=Robust(), fading=NoFading(), noise=NominalNoise())
-    assert f.plain
-    assert not SRCKF(MOTION, SENSOR, robust=Robust(), noise=SageHusa(SENSOR.blocks)).plain
+def test_a_filter_takes_a_robust_update_later():
     f = presets.srckf(MOTION, SENSOR)
     f.robust = Huber(1.0)
     far = torch.full((6, 2), 50.0).double()

@@ -30,40 +30,7 @@ class Memory(NamedTuple):
     """``(..., m, m)`` 1 where an entry has been measured at least once, else 0."""
 
 
-class NoFading(Part):
-    """No fading factors."""
-
-    @property
-    def plain(self) -> bool:
-        """Whether there are no fading factors."""
-        return type(self) is NoFading
-
-    def for_motion(self, motion: Motion) -> NoFading:
-        """This module for the states of a motion."""
-        return self
-
-    def begin(self, mean: Tensor, m: int) -> Memory | None:
-        """The memory of innovations before the first step."""
-        return None
-
-    def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
-        """The memory after one more ``residual (..., m)``."""
-        return memory
-
-    def forward(self, prediction: Prediction, whitened: Whitened, memory: Any, weights: Tensor) -> Tensor | None:
-        """The fading factor ``(...)``; None for none."""
-        return None
-
-    def inflate(self, prediction: Prediction, factor: Tensor) -> Prediction:
-        """The prediction with a fading factor."""
-        return prediction
-
-    def stretch(self, spread: Tensor, factor: Tensor) -> Tensor:
-        """``Prediction.spread`` with a fading factor."""
-        return spread
-
-
-class Fading(NoFading):
+class Fading(Part):
     """Multiple fading factors: recent innovations compared with the covariance that the model predicts for them.
 
     One factor per track, 1 or more, multiplies the propagated covariance ``F P F^T`` of the faded states, before

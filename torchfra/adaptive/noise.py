@@ -28,55 +28,7 @@ class NoiseMemory(NamedTuple):
     """``(..., m)`` number of innovations so far."""
 
 
-class NominalNoise(Part):
-    """No estimate: the measurement noise is the sensor's."""
-
-    adapt = "never"
-    """When the estimate is updated: ``"innovation"``, before the measurement update, or ``"residual"``, after it."""
-
-    @property
-    def plain(self) -> bool:
-        """Whether nothing is estimated."""
-        return type(self) is NominalNoise
-
-    def excess(self, whitened: Whitened) -> Tensor:
-        """The estimate ``(..., m)`` of the variances by one measurement; zeros here."""
-        return torch.zeros_like(whitened.residual)
-
-    def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
-        """The memory after one more ``excess (..., m)``, which is the target's with probability ``weight (..., m)``."""
-        return memory
-
-    def begin(self, mean: Tensor) -> NoiseMemory | None:
-        """The memory before the first step."""
-        return None
-
-    def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
-        """The memory after one more measurement if ``when`` equals ``adapt``; else the memory as it is.
-
-        Args:
-            memory: before the measurement.
-            whitened: the measurement, in units of the nominal noise, compared with the prediction (``"innovation"``) or
-                with the belief after the update (``"residual"``).
-            measured: ``(..., m)`` 1 where measured.
-            when: ``"innovation"`` or ``"residual"``.
-        """
-        return memory
-
-    def rescale(self, whitened: Whitened, memory: Any) -> Whitened:
-        """The measurement in units of the estimated noise, here the nominal one."""
-        return whitened
-
-    def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
-        """A root ``(..., m, m)`` in units of the estimated noise, converted to units of the nominal noise."""
-        return root
-
-    def scale(self, memory: Any) -> Tensor | None:
-        """``(..., m)`` estimated variances as multiples of the nominal ones; None without an estimate."""
-        return None
-
-
-class SageHusa(NominalNoise):
+class SageHusa(Part):
     """Estimates the variance of the measurement noise on line, with forgetting, sensor by sensor.
 
     The part of the innovations' second moment that the predicted covariance does not explain is the measurement noise:
@@ -148,7 +100,15 @@ class SageHusa(NominalNoise):
         return NoiseMemory(one, one, 0 * one)
 
     def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
-        """The memory after one more measurement: eq. (19)."""
+        """The memory after one more measurement if ``when`` equals ``adapt``, eq. (19); else the memory as it is.
+
+        Args:
+            memory: before the measurement.
+            whitened: the measurement, in units of the nominal noise, compared with the prediction (``"innovation"``) or
+                with the belief after the update (``"residual"``).
+            measured: ``(..., m)`` 1 where measured.
+            when: ``"innovation"`` or ``"residual"``.
+        """
         return self(memory, self.excess(whitened), measured) if when == self.adapt else memory
 
     def excess(self, whitened: Whitened) -> Tensor:
@@ -185,7 +145,7 @@ class SageHusa(NominalNoise):
         """A root ``(..., m, m)`` in units of the estimated noise, converted to units of the nominal noise."""
         return torch.where(measured > 0, memory.scale, 1.0).sqrt().unsqueeze(-1) * root
 
-    def scale(self, memory: Any) -> Tensor | None:
+    def scale(self, memory: Any) -> Tensor:
         """``(..., m)`` estimated variances as multiples of the nominal ones."""
         scale: Tensor = memory.scale
         return scale

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from typing_extensions import Self, TypeVar
 
-from torchfra.adaptive.fading import NoFading
+from torchfra.adaptive.fading import Fading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradients, without_failed_gradients
@@ -121,7 +121,7 @@ class Filter(Part, Generic[S]):
     """The engine that runs its steps: see ``compile``."""
     motion: Motion
     sensor: Sensor
-    fading: NoFading
+    fading: Fading | None
 
     def __init__(
         self, motion: Motion | None = None, sensor: Sensor | None = None, rule: Callable[[int], Rule] = third_degree

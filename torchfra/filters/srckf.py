@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
-from torchfra.adaptive.fading import Memory, NoFading
-from torchfra.adaptive.noise import NoiseMemory, NominalNoise, SageHusa
+from torchfra.adaptive.fading import Fading, Memory
+from torchfra.adaptive.noise import NoiseMemory, SageHusa
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.checks import check_parts
 from torchfra.filters.forecast import one_hypothesis
@@ -19,7 +20,7 @@ from torchfra.gaussian.model import add_counts, canonical, repairs
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
-from torchfra.robust.base import Robust
+from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -81,36 +82,34 @@ class SRCKF(Filter[State]):
         *,
         rule: Callable[[int], Rule] = third_degree,
         robust: Robust | None = None,
-        fading: NoFading | None = None,
-        noise: NominalNoise | None = None,
+        fading: Fading | None = None,
+        noise: SageHusa | None = None,
     ) -> None:
         super().__init__(motion, sensor, rule)
-        self.robust = Robust() if robust is None else robust
-        self.fading = NoFading() if fading is None else fading
-        self.noise = NominalNoise() if noise is None else noise
-        check_parts(robust=(self.robust, Robust), fading=(self.fading, NoFading), noise=(self.noise, NominalNoise))
-        self.fading = self.fading.for_motion(motion)
-        if self.signed and not self.fading.plain:
+        parts: dict[str, tuple[Any, type]] = {
+            "robust": (robust, Robust),
+            "fading": (fading, Fading),
+            "noise": (noise, SageHusa),
+        }
+        check_parts(**{name: part for name, part in parts.items() if part[0] is not None})
+        self.robust, self.noise = robust, noise
+        self.fading = None if fading is None else fading.for_motion(motion)
+        if self.signed and fading is not None:
             raise ValueError(
                 "rule: expected one without negative weights beside fading factors, received one with some"
             )
-        others = [name for name in ("robust", "fading") if not getattr(self, name).plain]
-        if others and not self.noise.plain:
+        others = [name for name, part in (("robust", robust), ("fading", fading)) if part is not None]
+        if others and noise is not None:
             expected = "none beside an estimate of the measurement noise"
             raise ValueError(f"robust, fading: expected {expected}, received {' and '.join(others)}")
-        if isinstance(self.noise, SageHusa) and len(self.noise.block_of) != sensor.size:
-            count = len(self.noise.block_of)
+        if noise is not None and len(noise.block_of) != sensor.size:
+            count = len(noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
-
-    @property
-    def plain(self) -> bool:
-        """Whether the filter has none of the three parts."""
-        parts = self._modules  # every step reads this, and attributes of a module are slow
-        return bool(parts["robust"].plain and parts["fading"].plain and parts["noise"].plain)  # type: ignore[union-attr]
 
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief, with empty memories."""
-        return State(belief, self.fading.begin(belief.mean, self.sensor.size), self.noise.begin(belief.mean))
+        noise = None if self.noise is None else self.noise.begin(belief.mean)
+        return self.without_memory(State(belief, None, noise))
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
         """The parts, by name, that differ around another sensor.
@@ -118,7 +117,7 @@ class SRCKF(Filter[State]):
         Raises:
             ValueError: the filter estimates the measurement noise.
         """
-        if not self.noise.plain:
+        if self.noise is not None:
             raise ValueError(
                 "sensor: expected None beside an estimate of the measurement noise, which is of the elements of the "
                 f"filter's own sensor, received {sensor.describe()}"
@@ -127,7 +126,8 @@ class SRCKF(Filter[State]):
 
     def without_memory(self, state: State) -> State:
         """A state with an empty memory of innovations."""
-        return state._replace(fading=self.fading.begin(state.belief.mean, self.sensor.size))
+        fading = None if self.fading is None else self.fading.begin(state.belief.mean, self.sensor.size)
+        return state._replace(fading=fading)
 
     def with_memory_of(self, state: State, before: State) -> State:
         """A state with the memory of innovations of the state ``before``."""
@@ -140,6 +140,8 @@ class SRCKF(Filter[State]):
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)`` under the estimated noise, in nominal units."""
         whitened = self.compare(beliefs, frame)
+        if self.noise is None:
+            return Gaussian(whitened.residual, innovation(whitened)[0])
         root, _ = innovation(self.noise.rescale(whitened, state.noise))
         return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))
 
@@ -151,7 +153,9 @@ class SRCKF(Filter[State]):
         """One step; equation numbers of Wang et al. (2021)."""
         prediction = self.predicted(state.belief if mix is None else mix(state.belief), frame)  # (8)-(13)
         whitened = self.compare(prediction.belief, frame)  # (14)-(21)
-        if not self.plain:
+        if self.noise is not None:
+            return self.learn(self.noise, prediction, whitened, state, frame)
+        if self.robust is not None or self.fading is not None:
             return self.update(prediction, whitened, state, frame)
         belief, root, normalised = correct(prediction.belief, whitened)  # (17)-(24)
         belief = canonical(self.motion, belief)
@@ -159,30 +163,36 @@ class SRCKF(Filter[State]):
         return State(belief, None, None), Record(belief, whitened.residual, root, normalised, info)
 
     def update(self, prediction: Prediction, whitened: Whitened, state: State, frame: Frame) -> tuple[State, Record]:
-        """The update with robust weights, fading factors or a noise estimate: Wang et al. (2021); Chen, Zou & Wu."""
-        rescaled = self.noise.rescale(whitened, state.noise)
-        root, normalised = innovation(rescaled)  # (17), (35)
-        weights = self.robust(rescaled.residual, normalised.square().sum(-1))  # (25)
-        noise = self.noise.learn(state.noise, whitened, frame.measured, "innovation")  # Chen, Zou & Wu (19)
-        rescaled = self.noise.rescale(whitened, noise)
-        faded, rescaled, memory, factor = self.fade(prediction, rescaled, state.fading, weights, frame)  # (29)-(34)
-        corrected = self.robust.correct(faded.belief, rescaled, weights, frame.measurement_noise)  # (26), (17)-(24)
-        if self.noise.adapt == "residual":
-            noise = self.noise.learn(noise, self.compare(corrected.belief, frame), frame.measured, "residual")
+        """The update with robust weights or fading factors: Wang et al. (2021)."""
+        root, normalised = innovation(whitened)  # (17), (35)
+        weights, memory, factor = torch.ones_like(normalised), state.fading, None
+        predicted, compared = prediction, whitened
+        if self.robust is not None:
+            weights = self.robust(whitened.residual, normalised.square().sum(-1))  # (25)
+        if self.fading is not None:
+            memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
+            factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
+            predicted = self.fading.inflate(prediction, factor)  # (29)
+            compared = self.compare(predicted.belief, frame)
+        if self.robust is None:
+            corrected = Corrected(correct(predicted.belief, compared)[0], None)
+        else:
+            corrected = self.robust.correct(predicted.belief, compared, weights, frame.measurement_noise)  # (26)
         belief = canonical(self.motion, corrected.belief)
         repaired = add_counts(repairs(prediction, whitened, self.motion_rule), corrected.repaired)
-        info = Info(corrected.weights, factor, corrected.iterations, repaired, self.noise.scale(noise))
-        root = self.noise.nominal(root, state.noise, frame.measured)
+        info = Info(corrected.weights, factor, corrected.iterations, repaired)
         record = Record(belief, whitened.residual, root, normalised, info, evidence=corrected.evidence)
-        return State(belief, memory, noise), record
+        return State(belief, memory, None), record
 
-    def fade(
-        self, prediction: Prediction, whitened: Whitened, memory: Memory | None, weights: Tensor, frame: Frame
-    ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:
-        """Prediction and measurement with fading factors, the memory of innovations, and the factors ``(...)``."""
-        memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
-        factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
-        if factor is None:
-            return prediction, whitened, memory, None
-        prediction = self.fading.inflate(prediction, factor)  # (29)
-        return prediction, self.compare(prediction.belief, frame), memory, factor
+    def learn(
+        self, noise: SageHusa, prediction: Prediction, whitened: Whitened, state: State, frame: Frame
+    ) -> tuple[State, Record]:
+        """The update with an estimate of the noise: Chen, Zou & Wu."""
+        root, normalised = innovation(noise.rescale(whitened, state.noise))
+        memory = noise.learn(state.noise, whitened, frame.measured, "innovation")  # (19)
+        belief, _, _ = correct(prediction.belief, noise.rescale(whitened, memory))
+        if noise.adapt == "residual":
+            memory = noise.learn(memory, self.compare(belief, frame), frame.measured, "residual")
+        belief, root = canonical(self.motion, belief), noise.nominal(root, state.noise, frame.measured)
+        info = Info(repaired=repairs(prediction, whitened, self.motion_rule), noise=noise.scale(memory))
+        return State(belief, None, memory), Record(belief, whitened.residual, root, normalised, info)

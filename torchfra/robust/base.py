@@ -7,7 +7,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.gaussian.update import correct
 from torchfra.hyper import Part
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Gaussian, Whitened
@@ -18,7 +17,7 @@ class Corrected(NamedTuple):
 
     belief: Gaussian
     weights: Tensor | None
-    """``(..., m)`` by which the noise covariance of each element was divided; None for the plain update."""
+    """``(..., m)`` by which the noise covariance of each element was divided; None where it was not."""
     evidence: Tensor | None = None
     """``(...)`` log density of the innovation under the divided noise, less a constant; None for the nominal noise."""
     iterations: Tensor | None = None
@@ -28,12 +27,7 @@ class Corrected(NamedTuple):
 
 
 class Robust(Part):
-    """The plain update, which down-weights nothing; a subclass gives ``forward``, ``correct`` or both."""
-
-    @property
-    def plain(self) -> bool:
-        """Whether it down-weights nothing."""
-        return type(self) is Robust
+    """Abstract: a subclass gives ``correct``, and ``forward`` if it has weights before that."""
 
     def forward(self, residual: Tensor, nis: Tensor) -> Tensor:
         """Weights ``(..., m)`` that divide the noise covariance, here ones.
@@ -53,4 +47,4 @@ class Robust(Part):
             weights: from ``forward``, of this innovation or of the one before fading.
             noise: the measurement noise that ``whitened`` is in units of.
         """
-        return Corrected(correct(belief, whitened)[0], None)
+        raise TypeError(f"{type(self).__name__} needs a correct")

@@ -473,7 +473,7 @@ def _of_sensors(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, J
         if type(other.motion) is not type(filter.motion) or other.motion.components != filter.motion.components:
             expected = f"the motion of the targets, {type(filter.motion).__name__}"
             raise ValueError(f"sensors: expected {expected}, received {type(other.motion).__name__} of {name!r}")
-        if isinstance(filter.inner, SRCKF) and not filter.inner.fading.plain:
+        if isinstance(filter.inner, SRCKF) and filter.inner.fading is not None:
             raise ValueError("sensors: expected none beside fading factors, which remember measurements of one sensor")
         made[name] = _around(filter, copy.deepcopy(other))
         made[name].engine = INTERPRETED

@@ -227,7 +227,7 @@ def predict_measurements(f: JPDA, state: JPDAState, frame: Frame) -> tuple[JPDAS
         before, _, noise = tree.insert_batch_dimension(inner)
         prediction = f.inner.predicted(before, frame)
         belief = (prediction if factor is None else inflated(prediction, factor)).belief
-        learned = f.inner.noise.scale(noise)
+        learned = None if f.inner.noise is None else f.inner.noise.scale(noise)
     else:
         before = inner if factor is None else inflated_state(f.inner, inner, factor)
         belief = step_missed(f.inner, before, frame, f.sensor)[1].belief

@@ -8,13 +8,14 @@ import torch
 from torch import Tensor
 
 from torchfra.adaptive.fading import Memory
-from torchfra.adaptive.noise import NominalNoise
+from torchfra.adaptive.noise import SageHusa
 from torchfra.association.clusters import Association
 from torchfra.filters.scans.scan import Scan, chosen, gated_first
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.model import canonical
+from torchfra.gaussian.update import correct
 from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
@@ -22,7 +23,7 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 
 def learn_noise(
-    estimate: NominalNoise, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
+    estimate: SageHusa | None, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
     share_noise: bool,
 ) -> Any:  # fmt: skip
     """The memory of the noise estimate after a scan, if ``when`` equals its ``adapt``; else unchanged.
@@ -30,7 +31,7 @@ def learn_noise(
     Equation numbers are those of Chen, Zou & Wu; this is their eq. (19).
 
     Args:
-        estimate: the noise estimate of the inner filter.
+        estimate: the noise estimate of the inner filter; None for none.
         memory: before the scan.
         whitened: the measurements.
         when: ``"innovation"`` or ``"residual"``.
@@ -39,7 +40,7 @@ def learn_noise(
         share_noise: whether all targets share the estimate.
     """
     share = association.probabilities
-    if estimate.adapt != when:
+    if estimate is None or estimate.adapt != when:
         return memory
     memory = estimate(memory, *weighted_mean(estimate.excess(whitened), share, frame.measured))
     if not share_noise:
@@ -56,14 +57,15 @@ def fade(
     frame: Frame,
 ) -> tuple[Prediction, Whitened, Memory | None, Tensor | None]:  # fmt: skip
     """Prediction and measurements with fading factors, the memory of innovations, and the factors ``(..., N)``."""
-    if memory is None:
+    if f.fading is None or memory is None:
         return prediction, rescaled, None, None
     share = association.probabilities
     residual, total = weighted_mean(rescaled.residual, share, frame.measured)
     memory = f.fading.remember(memory, residual, (total >= 0.5).to(residual))
     nearest = likeliest(share, rescaled)
     nis = scan.candidates.nis.gather(-1, share.argmax(-1, keepdim=True))
-    factor = f.fading(prediction, nearest, memory, f.robust(nearest.residual, nis))
+    weights = torch.ones_like(nearest.residual) if f.robust is None else f.robust(nearest.residual, nis)
+    factor = f.fading(prediction, nearest, memory, weights)
     factor = torch.where(total.amax(-1) >= 0.5, factor, 1.0)  # 1 if the target was probably missed
     prediction = f.fading.inflate(prediction, factor)
     return prediction, f.compare(prediction.belief, frame), memory, factor.squeeze(-1)
@@ -73,16 +75,18 @@ def update(
     f: SRCKF, predicted: Gaussian, rescaled: Whitened, scan: Scan, association: Association, frame: Frame
 ) -> tuple[Gaussian, Tensor | None]:
     """The Gaussian with the moments of all association hypotheses, and the weights of a robust filter."""
-    robust, log_weights = f.robust, association.log_weights
-    if robust.plain:
+    log_weights, weights = association.log_weights, None
+    if f.robust is None:
         log_weights, rescaled = gated(log_weights, rescaled)
-    weights = robust(rescaled.residual, scan.candidates.nis)
-    each = robust.correct(predicted, rescaled, weights, frame.measurement_noise)
-    if each.belief.scale_tril.shape[-3] == 1:
-        belief = moments_with_one_root(predicted, each.belief, log_weights)
+        each, _, _ = correct(predicted, rescaled)
     else:
-        belief = moment_match(missed_or_measured(predicted, each.belief), log_weights.movedim(-1, 0))
-    return canonical(f.motion, belief), None if robust.plain else weights
+        weights = f.robust(rescaled.residual, scan.candidates.nis)
+        each = f.robust.correct(predicted, rescaled, weights, frame.measurement_noise).belief
+    if each.scale_tril.shape[-3] == 1:
+        belief = moments_with_one_root(predicted, each, log_weights)
+    else:
+        belief = moment_match(missed_or_measured(predicted, each), log_weights.movedim(-1, 0))
+    return canonical(f.motion, belief), weights
 
 
 def missed_or_measured(predicted: Gaussian, each: Gaussian) -> Gaussian:

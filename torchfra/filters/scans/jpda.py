@@ -116,7 +116,7 @@ class JPDA(Soft, Filter[JPDAState]):
     ) -> None:
         super().__init__()
         check_merges(inner)
-        if share_noise and (not isinstance(inner, SRCKF) or inner.noise.adapt == "never"):
+        if share_noise and (not isinstance(inner, SRCKF) or inner.noise is None):
             raise ValueError(
                 "share_noise: expected an inner filter that estimates the noise, received one that does not"
             )
@@ -194,14 +194,15 @@ class JPDA(Soft, Filter[JPDAState]):
         association = associate(scan, self.inside(scan))  # (25)-(27)
         learn = partial(learn_noise, f.noise, association=association, frame=frame, share_noise=self.share_noise)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
-        rescaled = f.noise.rescale(scan.whitened, noise)
+        rescaled = scan.whitened if f.noise is None else f.noise.rescale(scan.whitened, noise)
         prediction, rescaled, fading, factor = fade(f, prediction, rescaled, fading, scan, association, frame)
         belief, weights = update(f, prediction.belief, rescaled, scan, association, frame)  # (28)-(30)
-        if f.noise.adapt == "residual":
+        if f.noise is not None and f.noise.adapt == "residual":
             residual = f.compare(tree.insert_batch_dimension(belief), frame)
             noise = learn(noise, residual, "residual")
         inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
-        info = JPDAInfo(association.log_weights.exp(), factor, f.noise.scale(inner.noise), weights, repaired)
+        scale = None if f.noise is None else f.noise.scale(inner.noise)
+        info = JPDAInfo(association.log_weights.exp(), factor, scale, weights, repaired)
         return inner, scan, association, info
 
     def by_states(

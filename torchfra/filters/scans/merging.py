@@ -27,7 +27,7 @@ def check_merges(inner: Filter) -> None:
     around = isinstance(inner, IMM)
     core = inner.inner if isinstance(inner, IMM) else inner
     if isinstance(core, SRCKF):
-        if around and core.noise.adapt != "never":
+        if around and core.noise is not None:
             raise ValueError(
                 "inner: expected models without an estimate of the measurement noise, which is the sensor's and not "
                 f"a model's, received {type(inner).__name__} of one that estimates it"
