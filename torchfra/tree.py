@@ -34,7 +34,13 @@ def ranks(cls: type) -> dict[str, int]:
 
 def map_tensors(function: Callable[..., Any], *trees: Any) -> Any:
     """``function(x, ...)`` of the tensors of one tree, or of those at the same place in several."""
-    return _mapped(lambda rank, *tensors: function(*tensors), None, *trees)
+    tree = trees[0]
+    if isinstance(tree, Tensor):
+        return function(*trees)
+    if not isinstance(tree, tuple):
+        return tree
+    parts = [map_tensors(function, *each) for each in zip(*trees, strict=True)]
+    return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
 
 
 def map_ranked(
@@ -67,10 +73,10 @@ def _mapped(function: Callable[..., Any], rank: int | None, *trees: Any) -> Any:
     if not isinstance(tree, tuple):
         return tree
     if not hasattr(tree, "_fields"):
-        return tuple(_mapped(function, rank, *parts) for parts in zip(*trees, strict=True))
+        return tuple([_mapped(function, rank, *parts) for parts in zip(*trees, strict=True)])
     ranks = _RANKS.get(type(tree), {})
     parts = zip(tree._fields, zip(*trees, strict=True), strict=True)
-    return type(tree)(*(_mapped(function, ranks.get(name), *part) for name, part in parts))
+    return type(tree)(*[_mapped(function, ranks.get(name), *part) for name, part in parts])
 
 
 def flatten(tree: Any) -> list[Tensor]:
@@ -130,7 +136,12 @@ def detach(tree: Any) -> Any:
 
 def stack(trees: Sequence[Any], dim: int) -> Any:
     """Trees of one form stacked, their tensors broadcast to each other."""
-    return map_tensors(lambda *xs: torch.stack(torch.broadcast_tensors(*xs), dim), *trees)
+
+    def stacked(*xs: Tensor) -> Tensor:
+        shapes = [x.shape for x in xs]
+        return torch.stack(xs if shapes.count(shapes[0]) == len(shapes) else torch.broadcast_tensors(*xs), dim)
+
+    return map_tensors(stacked, *trees)
 
 
 def unbind(tree: Any, count: int) -> Sequence[Any]:

@@ -100,13 +100,11 @@ def adapted(frame: Frame, mean: Tensor) -> Frame:
 
 def compare(sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame) -> Whitened:
     """Compares the measurement with a predicted belief, in units of the noise: eqs. (14)-(21)."""
-    d, noise = sensor.reads, frame.measurement_noise
-    mean, root = belief.mean[..., :d], belief.scale_tril[..., :d, :d]  # lower triangular: the marginal's root
+    (mean, root), d, noise = belief, sensor.reads, frame.measurement_noise
     if sensor.linear:  # every rule is exact
-        value, spread, subtracted = sensor(mean), sensor(root.mT).mT, None
+        value, spread, subtracted = sensor(mean), sensor(root[..., :d].mT).mT, None
     else:
-        value, spread, subtracted = rule(
-            lambda x: sensor.at_points(x, frame.u), Gaussian(mean, root), sensor.difference
-        )
+        read = Gaussian(mean[..., :d], root[..., :d, :d])  # lower triangular: the marginal's root
+        value, spread, subtracted = rule(lambda x: sensor.at_points(x, frame.u), read, sensor.difference)
     residual = noise.whiten(sensor.difference(frame.z, value).unsqueeze(-1)).squeeze(-1)
     return Whitened(residual, noise.whiten(spread), d, subtracted if subtracted is None else noise.whiten(subtracted))

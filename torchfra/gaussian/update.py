@@ -54,7 +54,8 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
     top = pad(_blocks(whitened), (m + n, n - d))  # behind the zeros that tria wants
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
     lower = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), padded=True)
-    return Joint(lower[..., :m, :m], lower[..., m:, :m], lower[..., m:, m:])
+    top, bottom = lower.split([m, n], -2)
+    return Joint(top[..., :m], *bottom.split([m, n], -1))
 
 
 def correct(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Tensor, Tensor]:

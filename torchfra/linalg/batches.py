@@ -16,10 +16,10 @@ def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
     Raises:
         RuntimeError: the shapes do not broadcast.
     """
-    some = [shape for shape in shapes if shape]
-    if some and all(shape == some[0] for shape in some):
+    some = list(filter(None, shapes))
+    if some and some.count(some[0]) == len(some):
         return torch.Size(some[0])
-    common = [1] * max([0, *(len(shape) for shape in some)])
+    common = [1] * max(map(len, some), default=0)
     for shape in some:
         for i in range(-len(shape), 0):
             if shape[i] == 1:

@@ -285,6 +285,8 @@ def _pivoted(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def apply(matrix: Tensor, vector: Tensor) -> Tensor:
     """``matrix (..., m, n)`` times ``vector (..., n)``."""
+    if matrix.dim() == 2 <= vector.dim():  # one matrix for all vectors: one product, not a batch of them
+        return vector @ matrix.mT
     product: Tensor = (matrix @ vector.unsqueeze(-1)).squeeze(-1)
     return product
 
@@ -310,9 +312,10 @@ def marginal_root(root: Tensor, states: slice) -> Tensor:
 
 def hstack(*blocks: Tensor) -> Tensor:
     """Matrices ``(..., n, p_i)`` side by side; their batch dimensions are broadcast."""
-    if any(b.shape[:-2] != blocks[0].shape[:-2] for b in blocks):  # a set would hash sizes, which symbols cannot
-        batch = broadcast_shapes(*(b.shape[:-2] for b in blocks))
-        blocks = tuple(b.expand(batch + b.shape[-2:]) for b in blocks)
+    batches = [b.shape[:-2] for b in blocks]
+    if batches.count(batches[0]) < len(batches):  # a set would hash sizes, which symbols cannot
+        batch = broadcast_shapes(*batches)
+        blocks = tuple([b.expand(batch + b.shape[-2:]) for b in blocks])
     return torch.cat(blocks, -1)
 
 
