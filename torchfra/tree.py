@@ -8,6 +8,7 @@ fields differ in that says so with ``event_ranks``.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from operator import attrgetter
 from typing import Any, NamedTuple, TypeVar
 
 import torch
@@ -53,30 +54,29 @@ def map_ranked(
     Raises:
         TypeError: a tuple that has not said the ranks of its fields.
     """
-
-    def ranked(rank: int | None, *tensors: Tensor) -> Any:
-        if rank is None:
-            raise TypeError(f"tree: expected tuples with event_ranks, received {type(trees[0]).__name__}")
-        return function(rank, *tensors)
-
     if only is None:
-        return _mapped(ranked, rank, *trees)
+        return _mapped(function, rank, *trees)
     known = ranks(type(trees[0]))
-    mapped = {name: _mapped(ranked, known.get(name), *(getattr(t, name) for t in trees)) for name in only}
-    return trees[0]._replace(**mapped)
+    return trees[0]._replace(**{
+        name: _mapped(function, known.get(name, type(trees[0])), *map(attrgetter(name), trees)) for name in only
+    })  # fmt: skip
 
 
-def _mapped(function: Callable[..., Any], rank: int | None, *trees: Any) -> Any:
+def _mapped(function: Callable[..., Any], rank: int | type | None, *trees: Any) -> Any:
+    """``map_ranked``; instead of a rank it is given the class that does not say it."""
     tree = trees[0]
     if isinstance(tree, Tensor):
+        if not isinstance(rank, int):
+            raise TypeError(f"tree: expected tuples with event_ranks, received {getattr(rank, '__name__', 'a tensor')}")
         return function(rank, *trees)
     if not isinstance(tree, tuple):
         return tree
     if not hasattr(tree, "_fields"):
         return tuple([_mapped(function, rank, *parts) for parts in zip(*trees, strict=True)])
-    ranks = _RANKS.get(type(tree), {})
+    cls = type(tree)
+    ranks = _RANKS.get(cls, {})
     parts = zip(tree._fields, zip(*trees, strict=True), strict=True)
-    return type(tree)(*[_mapped(function, ranks.get(name), *part) for name, part in parts])
+    return cls(*[_mapped(function, ranks.get(name, cls), *part) for name, part in parts])
 
 
 def flatten(tree: Any) -> list[Tensor]:
@@ -144,10 +144,10 @@ def stack(trees: Sequence[Any], dim: int) -> Any:
     return map_tensors(stacked, *trees)
 
 
-def unbind(tree: Any, count: int) -> Sequence[Any]:
+def unbind(tree: Any, count: int) -> list[Any]:
     """The ``count`` trees along the first dimension of all tensors."""
     if isinstance(tree, Tensor):
-        return tree.unbind(0)
+        return list(tree.unbind(0))
     if not isinstance(tree, tuple) or not tree:
         return [tree] * count
     make = getattr(type(tree), "_make", tuple)

@@ -95,6 +95,8 @@ class Hypotheses(NamedTuple):
 
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
     """The entries of ``x`` along an axis that have these indices."""
+    if list(which) == list(range(which[0], which[0] + len(which))):
+        return x.narrow(axis, which[0], len(which))
     return x.index_select(axis, torch.tensor(which, dtype=torch.int64, device=x.device))
 
 
@@ -107,7 +109,8 @@ def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence
         axes: the axes to merge over; they have size 1 afterwards.
         angles: components of a state that are angles, as in ``gaussian.moment_match``.
     """
-    return Gaussian(*(_reinserted(x, axes) for x in _merged(belief, roots, axes, angles)))
+    mean, root = _merged(belief, roots, axes, angles)
+    return Gaussian(_reinserted(mean, axes), _reinserted(root, axes))
 
 
 def _merged(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int]) -> Gaussian:
@@ -115,7 +118,7 @@ def _merged(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequen
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
     mean = belief.mean.expand(*batch, -1)
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
-    mean, root, roots = (_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch)))
+    mean, root, roots = [_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch))]
     return matched(Gaussian(mean, root), roots, angles)
 
 
