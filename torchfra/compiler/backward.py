@@ -82,10 +82,7 @@ def windows(
         if isinstance(dt, Tensor) and dt.dim():
             dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
         u = None if u is None else unfolded(u, u.dim() - 2)
-        ends = (
-            None if x is None else tree.map_tensors(ending, f.last_past(x), f.provisional_past(x))
-            for x in (past, source)
-        )
+        ends = (None if x is None else tree.map_tensors(ending, x.decided(), x.undecided()) for x in (past, source))
         yield next(ends), next(ends), measurements._replace(dt=dt, u=u)
 
 
@@ -109,9 +106,9 @@ def backward_inputs(f: Any, past: Any, source: Any, measurements: Measurements, 
         measurements: of the forward pass.
         rank: dimensions of the batch.
     """
-    past = f.last_past(past)
-    source = None if source is None else f.last_past(source)
-    following = tree.map_tensors(lambda x: x.roll(-1, rank), f.needed_of_next(past))
+    past = past.decided()
+    source = None if source is None else source.decided()
+    following = tree.map_tensors(lambda x: x.roll(-1, rank), past.of_next())
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = as_tensor(measurements.dt if varying else measurements.common_dt, like)
     data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, following, source)))}

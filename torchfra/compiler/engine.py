@@ -129,7 +129,7 @@ class Compiled:
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """The state after whole tracks that have been checked, and what ``f.keep`` keeps of each step."""
+        """The state after whole tracks that have been checked, and what is kept of each step."""
         if not self.takes(measurements.z):
             interpreted: tuple[Any, Any] = self.otherwise.over_steps(
                 f, state, measurements, rank, checkpoint, truncate, past

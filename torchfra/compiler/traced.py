@@ -24,7 +24,7 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
     """
     n, dtype = f.motion.size, torch.float64
     root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
-    state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
+    state = f.viewed.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.viewed is not f:
         # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
         return f.with_memory_of(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
@@ -47,22 +47,25 @@ class Advance:
         return self.function(f, spoilt(f, state), frame)
 
 
-def keep(f: Any, state: Any, frame: Frame) -> Any:
+def keep(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
     """A step of ``forward``: the next state, and what is kept of the step."""
-    return f.keep(state, frame)
+    state, kept = keep_past(f, state, frame)
+    return state, kept._replace(past=None)
 
 
-def keep_past(f: Any, state: Any, frame: Frame) -> Any:
+def keep_past(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
     """The same with what the backward pass needs."""
-    return f.keep(state, frame, past=True)
+    state, record = f.one_step(state, frame)
+    return state, f.kept_of(record, frame.measurement_noise.log_norm)
 
 
-def observe(f: Any, state: Any, frame: Frame) -> Any:
+def observe(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
     """A step of ``step``: the next state, and the innovation."""
-    return f.observe(state, frame)
+    state, record = f.one_step(state, frame)
+    return state, f.innovation_of(record, frame)
 
 
-def watch(f: Any, state: Any, frame: Frame) -> Any:
-    """The same with the alarm and the belief."""
-    state, (innovation, alarm) = f.watched(state, frame)
-    return state, (innovation, alarm, state.belief)
+def watch(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
+    """The same with the alarm, None for a filter without alarms, and the belief."""
+    state, record = f.one_step(state, frame)
+    return state, (f.innovation_of(record, frame), record.info.alarm if f.alarms else None, state.belief)

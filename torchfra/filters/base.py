@@ -13,11 +13,10 @@ from typing_extensions import Self, TypeVar
 from torchfra.adaptive.fading import Fading
 from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.filters.engine import INTERPRETED, Engine
-from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradients, without_failed_gradients
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
-from torchfra.filters.fusion import fused
-from torchfra.filters.other_sensors import SensorViews
-from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo
+from torchfra.filters.records import Kept, Past, Record, Smoothed
+from torchfra.filters.several_sensors import SensorsInTurn, SensorViews
+from torchfra.filters.whole_tracks import WholeTracks
 from torchfra.gaussian.arguments import check, check_belief, warn_of_lost_digits
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import (
@@ -196,7 +195,7 @@ class Filter(Part, Generic[S]):
 
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(H, ..., n)`` of the state after a step without a measurement, and logs of their weights."""
-        _, record = self.advance(state, frame)
+        _, record = self.one_step(state, frame)
         return one_hypothesis(self.finish(state, record.belief, None)[0])
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
@@ -204,22 +203,15 @@ class Filter(Part, Generic[S]):
         whitened = self.compare(beliefs, frame)
         return Gaussian(whitened.residual, innovation(whitened)[0])
 
-    def check_smooths(self) -> None:
-        """Checks that the filter can be smoothed.
-
-        Raises:
-            NotImplementedError: it cannot, with the reason.
-        """
-
-    def check_smooths_several(self) -> None:
-        """Checks that the filter can be smoothed over several sensors.
+    def check_smooths(self, *, several: bool = False) -> None:
+        """Checks that the filter can be smoothed, if ``several`` over several sensors.
 
         Raises:
             NotImplementedError: it cannot, with the reason.
         """
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
-        """The past for the backward pass: a tree of ``(..., T, ...)`` tensors.
+        """The past for the backward pass: a tuple of ``(..., T, ...)`` tensors with the methods of ``records.Past``.
 
         Args:
             belief: the estimates of ``forward``.
@@ -228,18 +220,6 @@ class Filter(Part, Generic[S]):
             steps: ``Record.past`` of all steps; None for a filter that keeps no past.
         """
         return Past(belief, None, info=info)
-
-    def provisional_past(self, past: Any) -> Any:
-        """The past of a step before the next measurement has decided its estimate."""
-        return past if past.provisional is None else Past(*past.provisional)
-
-    def last_past(self, past: Any) -> Any:
-        """The past of the last step, whose estimate no later measurement can decide."""
-        return past._replace(provisional=None)
-
-    def needed_of_next(self, past: Any) -> Any:
-        """The part of the next step's past that ``retreat`` reads, here the fading factor; all else is None."""
-        return past._replace(belief=None, provisional=None)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
         """Where the backward pass begins: its state at the last step, and the smoothed estimate there."""
@@ -270,9 +250,9 @@ class Filter(Part, Generic[S]):
     def propagate(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Propagated:
         """A belief propagated over a step, with the fading factor ``(...)`` of the forward pass, if any."""
         propagated = propagate(self.motion, self.motion_rule, belief, frame)
-        return (
-            propagated if factor is None else propagated._replace(spread=self.fading.stretch(propagated.spread, factor))
-        )
+        if factor is None or self.fading is None:
+            return propagated
+        return propagated._replace(spread=self.fading.stretch(propagated.spread, factor))
 
     @property
     def frame_motion(self) -> Motion:
@@ -300,7 +280,8 @@ class Filter(Part, Generic[S]):
         n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
         batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
-        return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
+        begun: S = self.viewed.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
+        return begun
 
     @in_full_precision
     def step(
@@ -415,21 +396,12 @@ class Filter(Part, Generic[S]):
             NotImplementedError: ``past`` for a filter that cannot be smoothed.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
-        f = self if sensors is None and which is None else fused(self, sensors, which)
-        measurements = Measurements(z, dt, u, std, noise)
-        if f is self:
-            measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
-        if past:
-            f.check_smooths()
-            estimate, kept = f._filtered(measurements, prior, checkpoint, truncate, None)
-            return estimate._replace(past=kept)
-
-        def estimated(measurements: Measurements, prior: Gaussian) -> Estimate:
-            estimate: Estimate = f._run(measurements, prior, checkpoint, truncate)[0]
-            return estimate
-
-        estimate = estimated(measurements, prior)
-        return without_failed_gradients(f, estimate, estimate, measurements, prior, estimated)
+        turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
+        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), Measurements(z, dt, u, std, noise)
+        if not past:
+            return whole.estimate(measurements, prior)
+        self.check_smooths(several=turns is not None)
+        return whole.with_past(measurements, prior)
 
     if TYPE_CHECKING:  # torch types a call as one that may return anything
         __call__ = forward
@@ -477,18 +449,11 @@ class Filter(Part, Generic[S]):
             NotImplementedError: filters of constant gains, which have no process noise; ``GPB`` over several sensors,
                 as its backward pass has outliers of one sensor; ``JPDA`` around several models.
         """
-        f: Any = self if sensors is None and which is None else fused(self, sensors, which)
-        f.check_smooths()
+        turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
+        self.check_smooths(several=turns is not None)
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
-        measurements = Measurements(z, dt, u, std, noise)
-        if f is self:
-            measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
-
-        def smoothed(measurements: Measurements, prior: Gaussian, estimate: Estimate | None = None) -> Estimate:
-            return self._smoothed(f, measurements, prior, checkpoint, lag, truncate, estimate)
-
-        found = smoothed(measurements, prior, estimate)
-        return without_failed_gradients(f, found, found.info.filtered, measurements, prior, smoothed)
+        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), Measurements(z, dt, u, std, noise)
+        return whole.smoothed(measurements, prior, lag, estimate)
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
@@ -521,7 +486,17 @@ class Filter(Part, Generic[S]):
     @property
     def viewed(self) -> Any:
         """The filter that this one is a view of; the filter itself, unless ``with_sensor`` has made it."""
-        return self
+        return self.__dict__.get("_viewed", self)
+
+    @property
+    def one_step(self) -> Callable[..., tuple[Any, Record]]:
+        """``advance``; of a view from a state with an empty memory, and to one with the memory of the state before."""
+        return self.advance if "_viewed" not in self.__dict__ else self._step_elsewhere
+
+    def _step_elsewhere(self, state: S, frame: Frame, *mix: Mix) -> tuple[S, Record]:
+        """A step of another sensor than the filter's own, whose memory it neither uses nor changes."""
+        after, record = self.advance(self.without_memory(state), frame, *mix)
+        return self.with_memory_of(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Self:
         """A view of this filter around another sensor; motion, hyperparameters and states are those of this filter.
@@ -536,9 +511,11 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: an argument that is no sensor, or a filter that takes its own sensor only, with the reason.
         """
-        if sensor is None or sensor is self.sensor or any(sensor is x for x in self.originals):
-            return self
-        view: Self = self._views(self, sensor)
+        f: Any = self.viewed
+        if sensor is None or sensor is f.sensor or any(sensor is x for x in f.originals):
+            own: Self = f
+            return own
+        view: Self = f._views(f, sensor)
         return view
 
     def compile(self, *args: Any, wait: bool = True, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
@@ -578,35 +555,15 @@ class Filter(Part, Generic[S]):
 
     # ------------------------------------------------------------ to run a filter, for engines
 
-    def keep(self, state: S, frame: Frame, past: bool = False) -> tuple[S, Kept]:
-        """One step: the next state, and the parts of its record that the estimate (and the backward pass) needs."""
-        state, record = self.advance(state, frame)
-        nis, log_likelihood = self._scores(record, frame.measurement_noise.log_norm)
-        return state, Kept(record.belief, nis, log_likelihood, record.info, record.past if past else None)
+    def first_state(
+        self, measurements: Measurements, prior: Gaussian, batch: torch.Size | None = None
+    ) -> tuple[S, int]:
+        """The state before the first measurement, and its number of batch dimensions.
 
-    def observe(self, state: S, frame: Frame) -> tuple[S, Innovation]:
-        """One step: the next state, and the innovation."""
-        state, record = self.advance(state, frame)
-        return state, self.innovation_of(record, frame)
-
-    def watched(self, state: S, frame: Frame) -> tuple[S, tuple[Innovation, Alarm | None]]:
-        """One step: the next state, the innovation, and the alarm; None for a filter without alarms."""
-        state, record = self.advance(state, frame)
-        return state, (self.innovation_of(record, frame), record.info.alarm if self.alarms else None)
-
-    def _run(
-        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
-        past: bool = False,
-    ) -> tuple[Estimate, Any, Any]:  # fmt: skip
-        """The estimate of whole tracks, and for a backward pass the last state and ``Record.past`` of all steps."""
-        estimate, state, kept = self.engine.forward(self, measurements, prior, checkpoint, truncate, past)
-        if estimate.failure is None:
-            estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
-        return with_gradients(self, estimate), state, kept
-
-    def first_state(self, measurements: Measurements, prior: Gaussian) -> tuple[S, int]:
-        """The state before the first measurement, and its number of batch dimensions; arguments are checked."""
-        batch = self._batch(measurements, prior) + prior.mean.shape[-1 - self.scans : -1]
+        Without a ``batch`` the arguments are checked.
+        """
+        batch = self._batch(measurements, prior) if batch is None else batch
+        batch = batch + prior.mean.shape[-1 - self.scans : -1]
         mean, root = (x.to(measurements.z) for x in prior)
         return self.init(Gaussian(mean.expand((*batch, self.motion.size)), root)), len(batch)
 
@@ -642,44 +599,13 @@ class Filter(Part, Generic[S]):
         log_density = density(record.root, record.normalised) if record.density is None else record.density
         return safe_square(record.normalised).sum(-1), log_norm + log_density
 
+    def kept_of(self, record: Record, log_norm: Tensor) -> Kept:
+        """The parts of a step, or of several that are stacked, that an estimate and the backward pass need."""
+        return Kept(record.belief, *self._scores(record, log_norm), record.info, record.past)
+
     def innovation_of(self, record: Record, frame: Frame) -> Innovation:
         """The innovation of a step, in the units of the measurement."""
         noise = frame.measurement_noise
         assert record.residual is not None
         residual, root = noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
         return Innovation(residual, root, *self._scores(record, noise.log_norm))
-
-    def _smoothed(
-        self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, lag: int | None,
-        truncate: int | None, estimate: Estimate | None,
-    ) -> Estimate:  # fmt: skip
-        """The smoothed estimate by ``f``: this filter, or a view of it in which each step has a sensor of its own."""
-        filtered, past = f._filtered(measurements, prior, checkpoint, truncate, estimate)
-        rank = filtered.mean.dim() - 2
-        smoothed = self.engine.backward(
-            self, past, measurements, rank, lambda: f._frames(measurements, rank)[0], checkpoint, lag, truncate
-        )
-        info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)
-        estimate = Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)
-        return estimate._replace(failure=diagnose_smoothed(f, estimate, filtered))
-
-    def _filtered(
-        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
-        estimate: Estimate | None,
-    ) -> tuple[Estimate, Any]:  # fmt: skip
-        """The filtered estimate, and its past for the backward pass."""
-        state = steps = None
-        if estimate is not None:
-            z = measurements.z
-            targets, length = prior.mean.shape[-1 - self.scans : -1], z.shape[-2 - self.scans]
-            expected = (*self._batch(measurements, prior), *targets, length, self.motion.size)
-            if estimate.mean.shape != expected:
-                received = tuple(estimate.mean.shape)
-                raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
-            if estimate.failure is None:
-                estimate = estimate._replace(failure=diagnose(self, estimate, measurements, prior))
-            if estimate.past:
-                return estimate._replace(past=()), estimate.past
-        if estimate is None or self.keeps_past:
-            estimate, state, steps = self._run(measurements, prior, checkpoint, truncate, self.keeps_past)
-        return estimate, self.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)

@@ -65,7 +65,7 @@ def check_state(f: Any, state: Any) -> None:
     if not isinstance(getattr(state, "belief", None), Gaussian):
         raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
     check_belief(state.belief, "state.belief", size=f.motion.size)
-    if not _fits(f.begin(state.belief), state):
+    if not _fits(f.viewed.begin(state.belief), state):
         expected = f"one that init or step of this {type(f).__name__} has returned"
         raise ValueError(f"state: expected {expected}, received a {type(state).__name__} of another filter")
 

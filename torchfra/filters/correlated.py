@@ -129,7 +129,7 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
 
     def advance(self, state: WithCorrelatedErrorsState, frame: Frame) -> tuple[WithCorrelatedErrorsState, Record]:
         """One step of the inner filter."""
-        inner, record = self.inner.advance(state.inner, frame)
+        inner, record = self.inner.one_step(state.inner, frame)
         past = WithCorrelatedErrorsPast(record.belief, record.info, record.past)
         record = record._replace(belief=self.of_target(record.belief), info=self.of_target(record.info), past=past)
         return WithCorrelatedErrorsState(self.of_target(inner.belief), inner), record
@@ -160,21 +160,13 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
 
     # ------------------------------------------------------------ smoothing
 
-    def check_smooths(self) -> None:
-        """Checks that the inner filter can be smoothed.
+    def check_smooths(self, *, several: bool = False) -> None:
+        """Checks that the inner filter can be smoothed, if ``several`` over several sensors.
 
         Raises:
             NotImplementedError: it cannot, with the reason.
         """
-        self.inner.check_smooths()
-
-    def check_smooths_several(self) -> None:
-        """Checks that the inner filter can be smoothed over several sensors.
-
-        Raises:
-            NotImplementedError: it cannot, with the reason.
-        """
-        self.inner.check_smooths_several()
+        self.inner.check_smooths(several=several)
 
     def past(
         self, belief: Gaussian, info: Any, state: WithCorrelatedErrorsState, steps: WithCorrelatedErrorsPast
@@ -182,18 +174,6 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         """The past of the inner filter."""
         belief, info = self.inner.finish(state.inner, steps.belief, steps.info)
         return self.inner.past(belief, info, state.inner, steps.past)
-
-    def provisional_past(self, past: Any) -> Any:
-        """The past of a step before the next measurement has decided its estimate."""
-        return self.inner.provisional_past(past)
-
-    def last_past(self, past: Any) -> Any:
-        """The past of the last step, whose estimate no later measurement can decide."""
-        return self.inner.last_past(past)
-
-    def needed_of_next(self, past: Any) -> Any:
-        """The part of the next step's past that ``retreat`` reads."""
-        return self.inner.needed_of_next(past)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
         """Where the backward pass begins: the last step of the inner filter."""

@@ -42,7 +42,7 @@ class Engine(Protocol):
         self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
         past: bool,
     ) -> tuple[Any, Kept]:  # fmt: skip
-        """The state after all steps, and the result of ``f.keep`` for each, time behind ``rank`` batch dimensions.
+        """The state after all steps, and the ``Kept`` parts of each, time behind ``rank`` batch dimensions.
 
         Args:
             f: the filter.
@@ -90,11 +90,12 @@ class Interpreted:
 
     def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
         """The state after one measurement, and its innovation; if ``watched``, with alarm and a copy of the belief."""
-        frame, state = f._frame(state, measurements), spoilt(f, state)
+        frame = f._frame(state, measurements)
+        state, record = f.one_step(spoilt(f, state), frame)
+        innovation = f.innovation_of(record, frame)
         if not watched:
-            stepped: tuple[Any, Any] = f.observe(state, frame)
-            return stepped
-        state, (innovation, alarm) = f.watched(state, frame)
+            return state, innovation
+        alarm = record.info.alarm if f.alarms else None
         return state, (innovation, alarm, tree.map_tensors(torch.clone, state.belief))
 
     def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
@@ -109,11 +110,9 @@ class Interpreted:
         """The state after all steps, and the kept parts of each."""
         frames, log_norm = f._frames(measurements, rank)
         with _constants(checkpoint):
-            state, records = over_steps(f.advance, spoilt(f, state), frames, checkpoint, truncate)
+            state, records = over_steps(f.one_step, spoilt(f, state), frames, checkpoint, truncate)
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
-        stacked = tree.stack(needed, rank)
-        nis, log_likelihood = f._scores(stacked, log_norm.movedim(0, -1))
-        return state, Kept(stacked.belief, nis, log_likelihood, stacked.info, stacked.past)
+        return state, f.kept_of(tree.stack(needed, rank), log_norm.movedim(0, -1))
 
     def forward(
         self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
@@ -132,7 +131,7 @@ class Interpreted:
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
         with _constants(checkpoint):
-            return backward_pass(f, [*earlier, f.last_past(last)], steps, rank, checkpoint, lag, truncate)
+            return backward_pass(f, [*earlier, last.decided()], steps, rank, checkpoint, lag, truncate)
 
     def another(self) -> Engine:
         """This engine itself, as it holds nothing of a filter."""
@@ -224,7 +223,7 @@ def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
 
     For ``window[0]`` the past of the next step is provisional: no later measurement has decided that step.
     """
-    provisional = f.provisional_past(step.next)
+    provisional = step.next.undecided()
     if provisional is step.next:
         before, smoothed = f.retreat(step, window)
     else:
@@ -232,6 +231,6 @@ def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
         if len(tree.flatten(window)[0]) > 1:
             older, smoothed = f.retreat(step, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
-    now, _ = f.last(f.provisional_past(step.past))
+    now, _ = f.last(step.past.undecided())
     window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
     return window, tree.map_tensors(lambda x: x[-1], smoothed)

@@ -49,7 +49,7 @@ def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaus
     return Failure(step, torch.where(step < 0, int(Cause.NONE), cause), names)
 
 
-def diagnose_smoothed(f: Any, smoothed: Estimate, filtered: Estimate) -> Failure:
+def diagnose_smoothed(smoothed: Estimate, filtered: Estimate) -> Failure:
     """The failure of the filtered estimate, and of tracks of which the backward pass alone has failed its last step."""
     assert filtered.failure is not None
     mean, root = smoothed.mean.detach(), smoothed.scale_tril.detach()

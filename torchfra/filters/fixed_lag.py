@@ -11,8 +11,8 @@ from torchfra import tree
 from torchfra.filters.base import Filter, in_full_precision
 from torchfra.filters.checks import check_lengths
 from torchfra.filters.engine import backward_pass
-from torchfra.filters.fusion import joined
 from torchfra.filters.records import Record, Smoothed
+from torchfra.filters.several_sensors import joined
 from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.hyper import Part, spoilt
 from torchfra.sensors.base import Sensor
@@ -96,8 +96,7 @@ class FixedLag(Part):
             and the innovation.
         """
         f: Filter = self.filter.with_sensor(sensor)
-        if f is not self.filter:
-            self.filter.check_smooths_several()
+        self.filter.check_smooths(several=f is not self.filter)
         inner, record, step = step_kept(f, state.inner, Measurements(z, dt, u, std, noise))
         window = (*state.window, step)[-self.lag - 1 :]
         smoothed, rank = smooth_window(self.filter, inner, window), inner.belief.mean.dim() - 1
@@ -108,7 +107,7 @@ class FixedLag(Part):
 def step_kept(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     frame = f._frame(state, measurements)
-    state, record = f.advance(spoilt(f, state), frame)
+    state, record = f.one_step(spoilt(f, state), frame)
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 
@@ -119,4 +118,4 @@ def smooth_window(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smooth
     belief, info, steps = joined(steps, rank)
     past = f.past(*f.finish(inner, belief, info), inner, steps)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-    return backward_pass(f, [*earlier, f.provisional_past(now)], [step.frame for step in window], rank, None, None)
+    return backward_pass(f, [*earlier, now.undecided()], [step.frame for step in window], rank, None, None)

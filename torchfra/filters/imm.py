@@ -279,20 +279,6 @@ class IMM(Filter[IMMState]):
         """The past of every model."""
         return past_of_models(self.inner, state.inner, steps)
 
-    def provisional_past(self, past: ModelsPast) -> ModelsPast:
-        """The past of a step before the next measurement has decided its estimate."""
-        inner = self.inner.provisional_past(past.inner)
-        return past if inner is past.inner else past._replace(inner=inner)
-
-    def last_past(self, past: ModelsPast) -> ModelsPast:
-        """The past of the last step, whose estimate no later measurement can decide."""
-        return past._replace(inner=self.inner.last_past(past.inner))
-
-    def needed_of_next(self, past: ModelsPast) -> ModelsPast:
-        """The part of the next step's past that ``retreat`` reads: that of the models' filters."""
-        inner = self.inner.needed_of_next(past.inner)
-        return past._replace(inner=inner, log_weights=None)  # type: ignore[arg-type]  # ``retreat`` does not read it
-
     def last(self, past: ModelsPast) -> tuple[Models, Smoothed]:
         """Where the backward pass begins: the filtered models of the last step."""
         models = Models(past.inner.belief, past.log_weights)

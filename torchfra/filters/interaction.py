@@ -52,7 +52,7 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
         for all models together.
     """
     motion = inner.motion
-    state, record = inner.advance(state, frame, interact)
+    state, record = inner.one_step(state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     # A robust filter weighs models by its evidence: otherwise one outlier would decide between them.

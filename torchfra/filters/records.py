@@ -73,3 +73,15 @@ class Past(NamedTuple):
     """Belief and factor before the next measurement, for a filter that decides a step by the next one."""
     info: Any = None
     """``Estimate.info`` of the step, for a ``retreat`` that reads it."""
+
+    def undecided(self) -> Past:
+        """The past of a step before the next measurement has decided its estimate."""
+        return self if self.provisional is None else Past(*self.provisional)
+
+    def decided(self) -> Past:
+        """The past of a step whose estimate no later measurement can decide."""
+        return self._replace(provisional=None)
+
+    def of_next(self) -> Past:
+        """The part of the next step's past that ``retreat`` reads, here the fading factor; all else is None."""
+        return self._replace(belief=None, provisional=None)  # type: ignore[arg-type]  # ``retreat`` reads no belief

@@ -295,10 +295,8 @@ class Tracker:
         Raises:
             NotImplementedError: see ``Filter.smooth``; of ``gpb`` with another sensor than its own too.
         """
-        self.filter.check_smooths()
         around = [self.filter.with_sensor(sensor) for sensor in self._intake.sensors]
-        if any(f is not self.filter for f in around):
-            self.filter.check_smooths_several()
+        self.filter.check_smooths(several=any(f is not self.filter for f in around))
         time, state, moments = self._window.time, self._window.state.state, []
         for entry in self._window.entries:
             f = around[entry.sensor]

@@ -82,7 +82,7 @@ class ConstantGainFilter(Filter[S]):
         whitened = noise.whiten(frame.z.unsqueeze(-1) - mean).squeeze(-1)
         return Gaussian(whitened, tria(hstack(one, noise.whiten(root))))
 
-    def check_smooths(self) -> None:
+    def check_smooths(self, *, several: bool = False) -> None:
         """Refuses to smooth.
 
         Raises:

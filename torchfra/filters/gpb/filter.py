@@ -33,8 +33,8 @@ from torchfra.filters.gpb.regimes import Regimes, Switching
 from torchfra.filters.gpb.slopes import by_points_or_slope, elements_of
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
-from torchfra.filters.other_sensors import sharing
 from torchfra.filters.records import Record, Smoothed
+from torchfra.filters.several_sensors import sharing
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.gaussian.mixture import matched
@@ -372,7 +372,7 @@ class GPB(Filter[GPBState]):
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
         """The parts, by name, that differ around another sensor."""
-        outliers = sharing(self.outliers, Outliers, blocks=tuple(map(tuple, sensor.blocks)))
+        outliers = sharing(self.outliers, blocks=tuple(map(tuple, sensor.blocks)))
         outliers.check(sensor)
         return super().parts_for(sensor) | {"outliers": outliers}
 
@@ -397,27 +397,21 @@ class GPB(Filter[GPBState]):
 
     # ------------------------------------------------------------ smoothing
 
-    def check_smooths_several(self) -> None:
-        """Raises a ``NotImplementedError``: there is no smoother over several sensors."""
-        raise NotImplementedError(
-            f"{type(self).__name__}: hypotheses of outliers are of one sensor in the backward pass; smooth several "
-            "with presets.srckf or fra, or a bank of motions around them"
-        )
+    def check_smooths(self, *, several: bool = False) -> None:
+        """Checks that there are not several sensors.
+
+        Raises:
+            NotImplementedError: there are.
+        """
+        if several:
+            raise NotImplementedError(
+                f"{type(self).__name__}: hypotheses of outliers are of one sensor in the backward pass; smooth several "
+                "with presets.srckf or fra, or a bank of motions around them"
+            )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:
         """The hypotheses after each step."""
         return steps
-
-    def provisional_past(self, past: GPBPast) -> GPBPast:
-        """The past as it is: no later measurement changes it."""
-        return past
-
-    last_past = provisional_past
-
-    def needed_of_next(self, past: GPBPast) -> GPBPast:
-        """Of the next step the normalised innovation squared, whether it has a measurement, and ``log_same_offset``."""
-        none: Any = None  # ``retreat`` reads no others
-        return GPBPast(none, none, none, past.nis, past.measured, None, past.log_same_offset)
 
     def last(self, past: GPBPast) -> tuple[GPBPast, Smoothed]:
         """Where the backward pass begins: the filtered hypotheses of the last step."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -95,3 +95,16 @@ class GPBPast(NamedTuple):
     """See ``GPBState``."""
     log_same_offset: Tensor | None = None
     """``(..., R)`` log likelihood ratio of outliers after an outlier, with and without ``same_offset``."""
+
+    def undecided(self) -> GPBPast:
+        """The past as it is: no later measurement changes it."""
+        return self
+
+    def decided(self) -> GPBPast:
+        """The past as it is."""
+        return self
+
+    def of_next(self) -> GPBPast:
+        """As in ``records.Past``: of the next step all that is no belief and no weight."""
+        none: Any = None  # ``retreat`` reads no others
+        return GPBPast(none, none, none, self.nis, self.measured, None, self.log_same_offset)

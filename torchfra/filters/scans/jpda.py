@@ -53,6 +53,18 @@ class ScanPast(NamedTuple):
     inflations: Tensor
     """``(..., N)`` number of times that the covariance of a lost track has been quadrupled."""
 
+    def undecided(self) -> ScanPast:
+        """The past as it is: no later scan changes it, and ``retreat`` reads all of it."""
+        return self
+
+    def decided(self) -> ScanPast:
+        """The past as it is."""
+        return self
+
+    def of_next(self) -> ScanPast:
+        """The past as it is."""
+        return self
+
 
 class JPDA(Soft, Filter[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
@@ -147,7 +159,7 @@ class JPDA(Soft, Filter[JPDAState]):
     def begin(self, belief: Gaussian) -> JPDAState:
         """The state of beliefs: no target has been missed."""
         nothing, rank = torch.zeros_like(belief.mean[..., 0]), belief.mean.dim() - 1
-        inner = self.inner.begin(tree.insert_batch_dimension(belief))
+        inner = self.inner.viewed.begin(tree.insert_batch_dimension(belief))
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
@@ -282,7 +294,7 @@ class JPDA(Soft, Filter[JPDAState]):
         belief, inner = self.inner.finish(state.inner, belief, info.inner)
         return belief, info._replace(inner=inner)
 
-    def check_smooths(self) -> None:
+    def check_smooths(self, *, several: bool = False) -> None:
         """Checks that the inner filter is one of a single model.
 
         Raises:
@@ -298,12 +310,6 @@ class JPDA(Soft, Filter[JPDAState]):
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
         """The past of each target for the backward pass, which keeps the associations of the forward pass."""
         return ScanPast(self.inner.past(belief, info, None, None), steps)
-
-    def provisional_past(self, past: ScanPast) -> ScanPast:
-        """The past as it is: no later scan changes it."""
-        return past
-
-    last_past = needed_of_next = provisional_past
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
         """Where the backward pass begins: the filtered beliefs after the last scan."""

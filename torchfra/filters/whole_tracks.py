@@ -1,0 +1,106 @@
+"""Whole tracks through a filter: forwards, and backwards over what the forward pass has kept."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+
+from torchfra.filters.checks import needed_inputs
+from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradients, without_failed_gradients
+from torchfra.filters.records import Smoothed, SmoothInfo
+from torchfra.filters.several_sensors import SensorsInTurn
+from torchfra.gaussian.inputs import Measurements
+from torchfra.types import Estimate, Gaussian
+
+
+class WholeTracks(NamedTuple):
+    """How a call of a filter runs tracks."""
+
+    f: Any
+    """The filter."""
+    turns: SensorsInTurn | None
+    """The sensor of each step; None for the filter's own."""
+    checkpoint: int | None
+    """Steps between states that are kept for the gradient."""
+    truncate: int | None
+    """Steps after which gradients flow no further back."""
+
+    def estimate(self, measurements: Measurements, prior: Gaussian) -> Estimate:
+        """The filtered estimate."""
+
+        def estimated(measurements: Measurements, prior: Gaussian) -> Estimate:
+            return self._run(measurements, prior, past=False)[0]
+
+        measurements = self._needed(measurements, prior)
+        estimate = estimated(measurements, prior)
+        return without_failed_gradients(self.f, estimate, estimate, measurements, prior, estimated)
+
+    def with_past(self, measurements: Measurements, prior: Gaussian) -> Estimate:
+        """The filtered estimate with its past for the backward pass."""
+        estimate, past = self._filtered(self._needed(measurements, prior), prior, None)
+        return estimate._replace(past=past)
+
+    def smoothed(
+        self, measurements: Measurements, prior: Gaussian, lag: int | None, filtered: Estimate | None
+    ) -> Estimate:
+        """The smoothed estimate, by ``lag`` later steps or all, from the ``filtered`` one if there is one."""
+
+        def smoothed(measurements: Measurements, prior: Gaussian, filtered: Estimate | None = None) -> Estimate:
+            return self._back(measurements, prior, lag, filtered)
+
+        measurements = self._needed(measurements, prior)
+        estimate = smoothed(measurements, prior, filtered)
+        return without_failed_gradients(self.f, estimate, estimate.info.filtered, measurements, prior, smoothed)
+
+    def _needed(self, measurements: Measurements, prior: Gaussian) -> Measurements:
+        """The measurements with the inputs that they need alone."""
+        if self.turns is not None:
+            return measurements
+        return needed_inputs(self.f, measurements, lambda: self._batch(measurements, prior))
+
+    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
+        """The batch of the arguments, which are checked."""
+        checked: torch.Size = (self.f._batch if self.turns is None else self.turns.batch)(measurements, prior)
+        return checked
+
+    def _run(self, measurements: Measurements, prior: Gaussian, *, past: bool) -> tuple[Estimate, Any, Any]:
+        """The estimate, and for a backward pass the last state and ``Record.past`` of all steps."""
+        f, options = self.f, (self.checkpoint, self.truncate, past)
+        if self.turns is None:
+            estimate, state, kept = f.engine.forward(f, measurements, prior, *options)
+        else:
+            estimate, state, kept = self.turns.forward(measurements, prior, *options)
+        if estimate.failure is None:
+            estimate = estimate._replace(failure=diagnose(f, estimate, measurements, prior))
+        return with_gradients(f, estimate), state, kept
+
+    def _filtered(self, measurements: Measurements, prior: Gaussian, estimate: Estimate | None) -> tuple[Estimate, Any]:
+        """The filtered estimate, and its past for the backward pass."""
+        f, state, steps = self.f, None, None
+        if estimate is not None:
+            targets, length = prior.mean.shape[-1 - f.scans : -1], measurements.z.shape[-2 - f.scans]
+            expected = (*self._batch(measurements, prior), *targets, length, f.motion.size)
+            if estimate.mean.shape != expected:
+                received = tuple(estimate.mean.shape)
+                raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
+            if estimate.failure is None:
+                estimate = estimate._replace(failure=diagnose(f, estimate, measurements, prior))
+            if estimate.past:
+                return estimate._replace(past=()), estimate.past
+        if estimate is None or f.keeps_past:
+            estimate, state, steps = self._run(measurements, prior, past=f.keeps_past)
+        return estimate, f.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
+
+    def _back(
+        self, measurements: Measurements, prior: Gaussian, lag: int | None, filtered: Estimate | None
+    ) -> Estimate:
+        """The smoothed estimate."""
+        filtered, past = self._filtered(measurements, prior, filtered)
+        rank, frames = filtered.mean.dim() - 2, self.f._frames if self.turns is None else self.turns.frames
+        smoothed: Smoothed = self.f.engine.backward(
+            self.f, past, measurements, rank, lambda: frames(measurements, rank)[0], self.checkpoint, lag, self.truncate
+        )
+        info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)
+        estimate = Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)
+        return estimate._replace(failure=diagnose_smoothed(estimate, filtered))
