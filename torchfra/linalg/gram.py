@@ -53,10 +53,10 @@ def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
         the root of the rounding error.  The gradient is exact as long as no eigenvalue crosses that.
     """
     h = _finite(h)
-    u, eigenvalues = _left_singular(h.detach())
-    rounding = torch.finfo(h.dtype).eps
-    least = (max(h.shape[-2:]) * rounding) ** 2 * eigenvalues.amax(-1, keepdim=True)
-    kept = (eigenvalues > least) & (eigenvalues < 1 - rounding**0.5)
+    finest = h.detach() if is_elementary() else h.detach().double()  # LAPACK loses the digits of small rows, Jacobi keeps them
+    u, eigenvalues = (x.to(h) for x in _left_singular(finest))
+    limits = torch.finfo(h.dtype)
+    kept = (eigenvalues > limits.max ** (-2 / 3)) & (eigenvalues < 1 - limits.eps**0.5)
     inside = torch.where(kept, eigenvalues, 0.5)
     root, share = (1 / inside - 1).sqrt(), (inside - inside.square()).sqrt()
 
