@@ -79,7 +79,10 @@ def _log_det(root: Tensor) -> Tensor:
 
 
 def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = torch.sub) -> Future:
-    """The measurement that turns a ``predicted`` belief ``(..., n)`` into the ``smoothed`` one.
+    """The measurement that turns a ``predicted`` belief ``(..., n)``, of any root, into the ``smoothed`` one.
+
+    Which directions are certain is judged by the columns of that root: a triangle has forgotten of what scale its
+    pivots' terms were, and what is known well beside what is not looks like a rounding error.
 
     In units of the predicted root the smoothed belief is ``N(w, W W^T)``.  Eigenvalues ``p`` of ``W W^T`` are below 1
     where later measurements hold information on the state, which is ``1 / p - 1``.  The merging of several models can

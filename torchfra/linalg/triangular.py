@@ -118,7 +118,7 @@ def _triangularise(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
 
 
 def _finer(a: Tensor, way: _Way) -> Tensor:
-    """The matrix in double precision where its columns may be of any scale: reflections keep the digits of rows alone."""
+    """The matrix in double precision where columns may be of any scale: reflections keep the digits of rows alone."""
     return a if way is _Way.EVEN else a.double()
 
 

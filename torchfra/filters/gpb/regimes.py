@@ -141,7 +141,7 @@ class Regimes(Part):
         """The index of each regime's values."""
         self.sharing = tuple(float(self.kind_of.count(kind)) for kind in self.kind_of)
         """The number of regimes that share each regime's entry of the restart distribution."""
-        self.noise_levels = Hyper(levels, event_dim=1, name="noise_levels")
+        self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
@@ -296,7 +296,9 @@ class Regimes(Part):
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
             position: components of a state that are its position.
         """
-        root = self.per_regime(tria(propagated.spread))  # columns of any scale; beside a triangle the noise leaves them so
+        root = self.per_regime(
+            tria(propagated.spread)
+        )  # columns of any scale; beside a triangle the noise leaves them so
         root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
         widths = self._widths(propagated.mean, nis, position)
         return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
@@ -367,7 +369,9 @@ class Regimes(Part):
         others = every.of(self.of_others).merged(BEFORE, angles=angles, triangular=triangular)
         wider = first.belief.scale_tril.shape[-1] - others.belief.scale_tril.shape[-1]
         if wider:
-            others = others._replace(belief=others.belief._replace(scale_tril=pad(others.belief.scale_tril, (0, wider))))
+            others = others._replace(
+                belief=others.belief._replace(scale_tril=pad(others.belief.scale_tril, (0, wider)))
+            )
         both: Hypotheses = tree.map_tensors(lambda *parts: torch.cat(parts, MOTION), first, others)
         return both
 
