@@ -144,6 +144,7 @@ def summary(of: dict[str, Tensor]) -> dict[str, float]:
     """Figures of all runs together."""
     total = {key: float(value.double().sum()) for key, value in of.items()}
     found = {key: float(value.mean()) for key, value in of.items() if key.startswith("GOSPA")}
+    lives = max(total["length"], 1.0)  # of no scan if runs end before any target is there
     return found | {
         "runs without a switch of identity": float((of["switches"] == 0).double().mean()),
         "targets": total["targets"],
@@ -151,8 +152,8 @@ def summary(of: dict[str, Tensor]) -> dict[str, float]:
         "breaks": total["breaks"],
         "missed targets": total["missed_targets"],
         "false tracks": total["false_tracks"],
-        "share of a target's life in which it is followed": total["followed"] / total["length"],
-        "share that one track follows it for": total["longest"] / total["length"],
+        "share of a target's life in which it is followed": total["followed"] / lives,
+        "share that one track follows it for": total["longest"] / lives,
         "scans until it is confirmed": float(of["begun"].nanmean()),
         "share of the tracks' scans that are false": total["false"] / max(total["track_length"], 1.0),
     }

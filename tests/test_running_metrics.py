@@ -6,9 +6,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from torchfra import Gaussian, presets
 from torchfra.evaluation import evaluate
 from torchfra.evaluation.running_metrics import RunningMedian, RunningMetrics
+from torchfra.metrics import nees
+from torchfra.motion import ConstantAcceleration
 from torchfra.scenarios import bearings_outliers
+from torchfra.sensors import Position
 from torchfra.types import Estimate
 
 
@@ -87,3 +91,24 @@ def test_chunks_leave_the_figures():
         part = evaluate(scenario, ["srckf"], runs=30, **options)["srckf"]
         for key in at_once.keys() - {"microseconds", "relative_time"}:
             assert part[key] == pytest.approx(at_once[key], rel=1e-9), key
+
+
+def test_errors_of_a_singular_covariance_are_those_of_its_span_or_ruled_out():
+    """The limit of covariances that are not singular; the acceleration of a target is certain to three fixed gains."""
+    root = torch.tensor([[2.0, 0, 0], [1.0, 0, 0], [0, 0, 0.5]]).double()
+    errors = torch.tensor([[2.0, 1.0, 0.5], [2.0, 1.5, 0.5], [torch.nan, 1.0, 0.5]]).double()
+    estimate = Estimate(errors, root.expand(3, 3, 3), errors[:, 0], errors[:, 0], None)
+    found = nees(estimate, torch.zeros(3, 3).double())
+    assert found[:2].tolist() == [2.0, torch.inf]
+    assert found[2].isnan()
+    least = root @ root.mT + 1e-9 * torch.eye(3).double()
+    limit = errors[0] @ torch.linalg.solve(least, errors[0])
+    torch.testing.assert_close(found[0], limit, rtol=1e-6, atol=0.0)
+    three = presets.alphabeta(ConstantAcceleration(1.0), Position(2.0))
+    z, prior = torch.zeros(8, 2).double(), Gaussian(torch.zeros(6).double(), 10 * torch.eye(6).double())
+    estimate = three(z, prior)
+    still, moving = torch.zeros(8, 6).double(), torch.ones(8, 6).double()
+    assert nees(estimate, still).tolist() == [0.0] * 8
+    certain = estimate.scale_tril[:, 4, 4] == 0
+    assert certain.any()
+    assert torch.equal(nees(estimate, moving).isinf(), certain)

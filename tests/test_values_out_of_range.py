@@ -91,6 +91,19 @@ def test_noise_that_is_infinite_fails_every_track_and_is_named(name):
         assert estimate.failure.values == (path,)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILTERS)
+def test_an_infinity_that_fails_a_track_is_named(name):
+    made = FILTERS[name]()
+    z, prior = tracks(made, 1)
+    for path in hypers(made):
+        for infinite in (torch.inf, -torch.inf):
+            f = copy.deepcopy(made)
+            hypers(f)[path].raw.data.fill_(infinite)
+            estimate = f(z, prior)
+            assert estimate.failure.values == ((path,) if estimate.failed.any() else ())
+
+
 @pytest.mark.parametrize("make", [ConstantVelocity, Position])
 def test_noise_that_is_infinite_is_refused(make):
     with pytest.raises(ValueError, match=r"(q|std): expected finite numbers, received inf"):

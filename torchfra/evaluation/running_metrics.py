@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra import metrics
+from torchfra.linalg.triangular import marginal_root
 from torchfra.metrics.statistics import chi_square_bounds, mean_interval, median_interval
 from torchfra.types import Estimate
 
@@ -112,7 +113,8 @@ class RunningMetrics:
         states = self.states["position"]
         nees = metrics.nees(estimate, truth, states)
         self.nees.add(nees)
-        self._add_squares("nees", nees, (~nees.isnan()) * truth[..., states].shape[-1])
+        rank = (marginal_root(estimate.scale_tril, states).diagonal(dim1=-2, dim2=-1) != 0).sum(-1)
+        self._add_squares("nees", nees, (~nees.isnan()) * rank)
         if z is not None:
             measured = (~z.isnan()).sum(-1) * ~estimate.nis.isnan()
             self._add_squares("nis", estimate.nis, measured)

@@ -22,7 +22,7 @@ def sojourn_times(value: Value, event_dim: int, name: str) -> Hyper:
     value = as_numbers(value, name).double()
     if bool(value.isinf().any()):
         raise ValueError(f"{name}: expected finite numbers of seconds, received {value.tolist()}")
-    return Hyper(value, event_dim=event_dim, name=name)
+    return Hyper(value, event_dim=event_dim, finite=True, name=name)
 
 
 def generator(durations: Tensor, follows: Tensor) -> Tensor:

@@ -108,7 +108,7 @@ def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Mo
     before, source = (repeated(models_first(x.inner.belief), share.shape[-1]) for x in (step.past, step.source))
     mixed = moment_match(source, of_source.movedim(-2, 0), inner.motion.angles)  # (was, ..., now) before
     frame = adapted(step.frame, mixed.mean)  # shift and process noise of the forward pass
-    predicted, _ = inner.propagate(mixed, frame, step.next.factor).belief()
+    predicted, _ = inner.propagate(mixed, frame, step.next.factor).belief(triangular=False)
     difference = inner.motion.difference
     # The information of later measurements on a prediction updates every model before that leads to it.
     later = future(predicted, after.belief, difference)

@@ -10,10 +10,9 @@ from torch.nn.functional import pad
 
 from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
-from torchfra.gaussian.smoothing import invertible
 from torchfra.linalg.gram import downdate, gram_information
 from torchfra.linalg.tracing import batchwise
-from torchfra.linalg.triangular import apply, hstack, tria_beside
+from torchfra.linalg.triangular import apply, hstack, split, tria_beside
 from torchfra.tree import event_ranks
 from torchfra.types import Gaussian
 
@@ -80,16 +79,22 @@ def _log_det(root: Tensor) -> Tensor:
 
 
 def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = torch.sub) -> Future:
-    """The measurement that turns a ``predicted`` belief ``(..., n)`` into the ``smoothed`` one.
+    """The measurement that turns a ``predicted`` belief ``(..., n)``, of any root, into the ``smoothed`` one.
+
+    Which directions are certain is judged by the columns of that root: a triangle has forgotten of what scale its
+    pivots' terms were, and what is known well beside what is not looks like a rounding error.
 
     In units of the predicted root the smoothed belief is ``N(w, W W^T)``.  Eigenvalues ``p`` of ``W W^T`` are below 1
     where later measurements hold information on the state, which is ``1 / p - 1``.  The merging of several models can
     leave eigenvalues above 1: they count as no information.  ``difference`` subtracts two states.
     """
-    root, certain = invertible(predicted.scale_tril, 4 * predicted.mean.shape[-1])
+    n = predicted.mean.shape[-1]
+    root, _, _, certain = split(predicted.scale_tril, n)
+    none = torch.diag_embed(certain.to(root))
+    root = torch.where(certain.unsqueeze(-1), none, root)  # what depends on other directions tells no more than they do
     gap = difference(smoothed.mean, predicted.mean).unsqueeze(-1)
     later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
     whitened = torch.linalg.solve_triangular(root, later, upper=False)  # [w, W]
-    slope, weight = gram_information(whitened[..., 1:])
+    slope, weight = gram_information(hstack(whitened[..., 1:], none))
     of_state = torch.linalg.solve_triangular(root.mT, slope, upper=True).mT  # slope is symmetric
     return Future(predicted.mean, torch.where(certain.unsqueeze(-2), 0.0, of_state), apply(weight, whitened[..., 0]))

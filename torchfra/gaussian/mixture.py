@@ -48,7 +48,7 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     if not triangular:
         return Gaussian(middle, torch.cat(columns, -1))
     zeros = middle.new_zeros(*middle.shape, middle.shape[-1])
-    return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True))
+    return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True, graded=False))
 
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:

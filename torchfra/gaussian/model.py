@@ -57,12 +57,15 @@ class Propagated(NamedTuple):
     subtracted: Tensor | None
     """``(..., n, k)`` root of what a rule with negative weights subtracts."""
 
-    def belief(self) -> tuple[Gaussian, Tensor | None]:
-        """The prediction, and ``(...)`` bool whether its covariance was repaired; None if nothing is subtracted."""
-        root = tria(hstack(self.spread, self.process_noise))
+    def belief(self, *, triangular: bool = True) -> tuple[Gaussian, Tensor | None]:
+        """The prediction, and ``(...)`` bool whether its covariance was repaired; None if nothing is subtracted.
+
+        If not ``triangular`` and nothing is subtracted, its root is ``(..., n, r)``, whose columns may be of any scale.
+        """
+        root = hstack(self.spread, self.process_noise)
         if self.subtracted is None:
-            return Gaussian(self.mean, root), None
-        root, repaired = downdate(root, self.subtracted)
+            return Gaussian(self.mean, tria(root) if triangular else root), None
+        root, repaired = downdate(tria(root), self.subtracted)
         return Gaussian(self.mean, root), repaired
 
 

@@ -9,8 +9,7 @@ from torch.nn.functional import pad
 from torchfra.gaussian.model import Propagated
 from torchfra.gaussian.rules import Difference
 from torchfra.linalg.gram import downdate
-from torchfra.linalg.tracing import is_traced
-from torchfra.linalg.triangular import dependent, hstack, split, tria
+from torchfra.linalg.triangular import hstack, split, tria
 from torchfra.types import Gaussian
 
 
@@ -54,32 +53,3 @@ def smooth_step(
     later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, after.scale_tril))
     gained = cross @ torch.linalg.solve_triangular(root, later, upper=False)  # G [x_after - predicted, S_after]
     return Gaussian(belief.mean + gained[..., 0], tria(hstack(remainder, gained[..., 1:]))), repaired
-
-
-def invertible(root: Tensor, terms: int) -> tuple[Tensor, Tensor]:
-    """A lower root ``(..., n, n)`` with the identity in certain directions, and ``(..., n)`` bool which those are.
-
-    A direction is certain if its pivot is at the level of the rounding errors of sums of ``terms`` terms.
-    """
-    root, certain = without_certain(root, root.shape[-1], terms)
-    return root + torch.diag_embed(certain.to(root)), certain
-
-
-def without_certain(root: Tensor, count: int, terms: int) -> tuple[Tensor, Tensor]:
-    """A lower root ``(..., m, m)`` with 0 in the rows and columns of certain directions among the first ``count`` rows.
-
-    A pivot of rounding errors stands for a direction of any kind, in which the rows below may well be uncertain: their
-    part in it goes to their own pivots.
-
-    Args:
-        root: lower.
-        count: number of rows that count.
-        terms: see ``invertible``.
-
-    Returns:
-        The root, and ``(..., count)`` bool, which directions are certain.
-    """
-    certain = dependent(root[..., :count, :count], terms)
-    if is_traced(root) or bool(certain.any()):
-        root = tria(torch.where(pad(certain, (0, root.shape[-2] - count)).unsqueeze(-1), 0.0, root))
-    return root, certain

@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.gram import downdate
 from torchfra.linalg.safe import safe_log, safe_sqrt, safe_square
-from torchfra.linalg.triangular import apply, hstack, tria, whiten
+from torchfra.linalg.triangular import apply, hstack, tria, tria_of_update, whiten
 from torchfra.types import Gaussian, Whitened
 
 
@@ -53,7 +53,7 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
     m, n, d = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads
     top = pad(_blocks(whitened), (m + n, n - d))  # behind the zeros that tria wants
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
-    lower = tria(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), padded=True)
+    lower = tria_of_update(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), m, d)
     top, bottom = lower.split([m, n], -2)
     return Joint(top[..., :m], *bottom.split([m, n], -1))
 

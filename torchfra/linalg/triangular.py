@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from enum import Enum
 from functools import lru_cache
 from typing import Any
 
@@ -15,12 +16,14 @@ from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import batchwise, has_tangents, is_elementary, is_traced
 
 
-def tria(a: Tensor, *, padded: bool = False) -> Tensor:
+def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
     """Lower-triangular root of ``a a^T`` with a non-negative diagonal, by orthogonal transformations.
 
     Args:
         a: ``(..., n, p)``, any ``n`` and ``p``: wide, square or tall.
         padded: whether the first ``n`` columns of ``a`` are already zero; otherwise they are added, which copies ``a``.
+        graded: whether columns may be of any scale, as where little is known beside what is known well, and keep their
+            own digits.  Otherwise all entries of a row may lose the digits of its largest.
 
     Returns:
         ``L (..., n, n)`` with ``L L^T = a a^T``.  Where a row of ``a`` is zero, so are that row of ``L`` and the
@@ -41,9 +44,21 @@ def tria(a: Tensor, *, padded: bool = False) -> Tensor:
     # diagonal of R is never positive.  And a row that depends on those above leaves its zero coordinate untouched, so
     # no arbitrary direction enters its column of L.
     a = a if padded else pad(a, (a.shape[-2], 0))
+    way = _Way.GRADED if graded else _Way.EVEN
     if not _differentiated(a):
-        return _reflect(a)  # the same result, without the overhead of autograd
-    return _apply(a, False)
+        return _reflect(a, way)  # the same result, without the overhead of autograd
+    return _apply(a, way)
+
+
+def tria_of_update(a: Tensor, measured: int, reads: int) -> Tensor:
+    """``tria(a)`` of ``a = [[0, B, C, 0], [0, 0, S]]``, where ``B`` has full rank and ``S (..., n, n)`` is lower.
+
+    Args:
+        a: ``(..., measured + n, measured + n + p)``; its first columns are zero, as many as it has rows.
+        measured: number of rows above those of ``S``.
+        reads: number of columns of ``C``, those on top of the first columns of ``S``.
+    """
+    return _apply(a, (measured, reads)) if is_elementary() else tria(a, padded=True)
 
 
 def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
@@ -55,13 +70,24 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
     if _by_rows(full):
         return tria(full)
     if not _differentiated(full):
-        return _positive(_reflect(full))
-    return _apply(full, True)
+        return _positive(_reflect(full, _Way.GRADED))
+    return _apply(full, _Way.BESIDE)
 
 
-def _apply(a: Tensor, beside: bool) -> Tensor:
-    """The triangularisation as an autograd function."""
-    result: Tensor = (_ForwardModeTria if has_tangents() else _Tria).apply(a, beside)  # type: ignore[no-untyped-call]  # untyped in torch
+class _Way(Enum):
+    """How a matrix is made triangular."""
+
+    EVEN = 0
+    """Columns of one scale, the first of them zero."""
+    GRADED = 1
+    """Columns of any scale, the first of them zero."""
+    BESIDE = 2
+    """Columns of any scale beside a diagonal matrix."""
+
+
+def _apply(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
+    """The triangularisation as an autograd function; ``way`` has the two sizes of ``tria_of_update`` for such a one."""
+    result: Tensor = (_ForwardModeTria if has_tangents() else _Tria).apply(a, way)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
 
@@ -80,32 +106,86 @@ def _by_rows(a: Tensor) -> bool:
     return a.is_cuda or is_elementary() or (torch.compiler.is_compiling() and a.shape[-2] <= _SMALL)
 
 
-def _triangularise(a: Tensor) -> Tensor:
-    """The fastest of three ways to the same root of ``a``, whose first columns are zero."""
+def _triangularise(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
+    """The fastest of four ways to the same root of ``a``, whose first columns are zero."""
+    if isinstance(way, tuple):
+        return _rotations(*way)(a)
     if _by_rows(a):
-        return _orthogonalise(a)[0]
+        return _by_gram_schmidt(a, way)[0]
     if not is_traced(a):
-        return _reflect(a)
-    return -torch.linalg.qr(a.mT, mode="r").R.mT  # type: ignore[no-any-return]  # untyped in torch
+        return _reflect(a, way)
+    return -torch.linalg.qr(_finer(a, way).mT, mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
+
+
+def _finer(a: Tensor, way: _Way) -> Tensor:
+    """The matrix in double precision where columns may be of any scale: reflections keep the digits of rows alone."""
+    return a if way is _Way.EVEN else a.double()
 
 
 _SMALL = 16
 """Number of rows up to which a loop over rows, which a compiler can fuse, is faster than a call of LAPACK."""
 
 
+def _by_gram_schmidt(a: Tensor, way: _Way) -> tuple[Tensor, Tensor]:
+    """In exact arithmetic the same root as that of Householder reflections, and its ``Q^T``."""
+    return _orthogonalise(a) if way is _Way.EVEN else _orthogonalise_twice(a)
+
+
 @batchwise(2)
 def _orthogonalise(a: Tensor) -> tuple[Tensor, Tensor]:
-    """Modified Gram-Schmidt: in exact arithmetic the same root as that of Householder reflections, and its ``Q^T``."""
-    columns, units, rest = [], [], a[..., a.shape[-2] :]
+    """Modified Gram-Schmidt."""
+    return _gram_schmidt(a, twice=False)
+
+
+@batchwise(2)
+def _orthogonalise_twice(a: Tensor) -> tuple[Tensor, Tensor]:
+    """The same, with what rounding errors leave of a row along those above it taken away: see ``eliminated``."""
+    return _gram_schmidt(a, twice=True)
+
+
+def _gram_schmidt(a: Tensor, *, twice: bool) -> tuple[Tensor, Tensor]:
+    columns: list[Tensor] = []
+    units: list[Tensor] = []
+    rest = a[..., a.shape[-2] :]
     for j in range(a.shape[-2]):  # of a tall matrix too: rows without length, as of missing elements, take no direction
         row, rest = rest[..., :1, :], rest[..., 1:, :]
+        if twice and units:
+            row, _ = _orthogonal(row, torch.cat(units, -2))
         norm = _norms(row)
         unit = row / torch.where(norm == 0, 1.0, norm)  # a row without length is zero
         below = (rest * unit).sum(-1, keepdim=True)
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
-        units.append(pad(unit, (a.shape[-2], 0)))
-    return torch.cat(columns, -1), torch.cat(units, -2)
+        units.append(unit)
+    return torch.cat(columns, -1), pad(torch.cat(units, -2), (a.shape[-2], 0))
+
+
+@lru_cache(maxsize=64)
+def _rotations(measured: int, reads: int) -> Callable[[Tensor], Tensor]:
+    """The root of ``tria_of_update``, entry by entry.
+
+    Plane rotations of a column of the measurement and one of ``S`` at a time: each keeps the digits of its two columns,
+    whatever their scales, and ``S``, taken from its last column to its first, stays lower.
+
+    Source: Carlson (1973), "Fast Triangular Formulation of the Square Root Filter", for one measurement.
+    """
+
+    @batchwise(2)
+    def rotated_root(a: Tensor) -> Tensor:
+        size, start = a.shape[-2], a.shape[-1] - (a.shape[-2] - measured)
+        first = tria(a[..., :measured, size:start])
+        first = torch.cat([first, torch.zeros_like(a[..., measured:, :measured])], -2)
+        rows = [list(row.unbind(-1)) for row in torch.cat([first, a[..., start:]], -1).unbind(-2)]
+        for k in range(measured):
+            for j in reversed(range(measured, measured + reads)):
+                norm = _norms(torch.stack([rows[k][k], rows[k][j]], -1)).squeeze(-1)  # not zero, as B has full rank
+                cosine, sine = rows[k][k] / norm, rows[k][j] / norm
+                rows[k][k] = norm
+                for row in [*rows[k + 1 : measured], *rows[j:]]:
+                    row[k], row[j] = cosine * row[k] + sine * row[j], cosine * row[j] - sine * row[k]
+        return torch.stack([torch.stack(row, -1) for row in rows], -2).tril()
+
+    return rotated_root
 
 
 def eliminated(a: Tensor, count: int, least: float, *, graded: bool = False) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -208,7 +288,7 @@ def _norms(a: Tensor) -> Tensor:
     return norms
 
 
-def _reflect(a: Tensor) -> Tensor:
+def _reflect(a: Tensor, way: _Way) -> Tensor:
     """``-torch.linalg.qr(a.mT, mode="r").R.mT`` to the bit, by the call of LAPACK that stands behind it.
 
     What is left out is a copy and ``triu``, whose threads an eager step of small matrices pays for.  An eager step of
@@ -216,9 +296,9 @@ def _reflect(a: Tensor) -> Tensor:
     two threads; with one thread 1.02 +- 0.02 and 1.00 +- 0.02 times, for 1000 tracks 1.06 +- 0.01 (processor time,
     medians of ratios of turns with standard errors, torch 2.13, a busy server).
     """
-    n = a.shape[-2]
-    lower: Tensor = torch.geqrf(a.mT)[0][..., :n, :].mT * _minus_lower(n, a.dtype, a.device)
-    return lower
+    n, finer = a.shape[-2], _finer(a, way)
+    lower: Tensor = torch.geqrf(finer.mT)[0][..., :n, :].mT * _minus_lower(n, finer.dtype, a.device)
+    return lower.to(a.dtype)
 
 
 @lru_cache(maxsize=64)
@@ -237,17 +317,19 @@ class _Tria(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(a: Tensor, beside: bool = False) -> Tensor:
-        return _positive(_triangularise(a)) if beside else _triangularise(a)
+    def forward(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
+        root = _triangularise(a, way)
+        return _positive(root) if way is _Way.BESIDE else root
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Tensor, Any], output: Tensor) -> None:
         ctx.save_for_backward(inputs[0], output)
+        ctx.way = inputs[1]
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         a, lower = ctx.saved_tensors
-        root, q, nonzero = _pivoted(a, lower)
+        root, q, nonzero = _pivoted(a, lower, ctx.way)
         grad = grad.tril() * nonzero.unsqueeze(-2)
         rotation = lower.mT @ grad
         rotation = (rotation.mT - rotation).triu(1) * (nonzero.unsqueeze(-1) & nonzero.unsqueeze(-2))
@@ -266,20 +348,22 @@ class _ForwardModeTria(_Tria):
     @staticmethod
     def jvp(ctx: Any, rate: Tensor, _: None) -> Tensor:
         a, lower = ctx.saved_tensors
-        root, q, nonzero = _pivoted(a, lower)
+        root, q, nonzero = _pivoted(a, lower, ctx.way)
         b, kept = rate @ (q * nonzero.unsqueeze(-1)).mT, nonzero.unsqueeze(-1)
         rotation = torch.linalg.solve_triangular(root, b, upper=False).triu(1) * kept
         moved: Tensor = (b - lower @ (rotation - rotation.mT)).tril() * kept.mT
         return moved
 
 
-def _pivoted(a: Tensor, lower: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _pivoted(a: Tensor, lower: Tensor, way: _Way | tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
     """``L`` with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
     rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
     nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * lower.abs().sum(-1)  # not the norms, which take roots
     root = lower + torch.diag_embed((~nonzero).to(a.dtype))
-    # A kernel has computed the rows of Q^T with L, and keeps each expression once.
-    q = _orthogonalise(a)[1] if is_elementary() else torch.linalg.solve_triangular(root, a, upper=False)
+    if is_elementary() and not isinstance(way, tuple):
+        q = _by_gram_schmidt(a, way)[1]  # a kernel has computed these rows with L, and keeps each expression once
+    else:
+        q = torch.linalg.solve_triangular(root, a, upper=False)
     return root, q, nonzero
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchfra.linalg.triangular import marginal_root, whiten
+from torchfra.linalg.triangular import apply, marginal_root, rounding, tria, whiten
 from torchfra.types import Estimate
 
 
@@ -53,6 +53,10 @@ def diverged(mean: Tensor, truth: Tensor, states: slice, limit: float = 2000.0) 
 def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tensor:
     """Normalised estimation error squared ``(..., T)``; for a consistent filter its mean is the number of components.
 
+    Where the covariance is singular it is the limit of covariances that are not: infinite for an error that the filter
+    rules out, as of an acceleration that it is certain of and that is another; otherwise that of the covariance's span,
+    whose mean is the rank.
+
     Args:
         estimate: of tracks ``(..., T, n)``.
         truth: ``(..., T, n)``.
@@ -63,4 +67,13 @@ def nees(estimate: Estimate, truth: Tensor, states: slice | None = None) -> Tens
     """
     states = slice(None) if states is None else states
     error = estimate.mean[..., states] - truth[..., states]
-    return whiten(marginal_root(estimate.scale_tril, states), error).square().sum(-1)
+    root = marginal_root(estimate.scale_tril, states)
+    if not bool((root.diagonal(dim1=-2, dim2=-1) == 0).any()):
+        return whiten(root, error).square().sum(-1)
+    root = tria(root)  # nothing depends on a component without variance
+    certain = root.diagonal(dim1=-2, dim2=-1) == 0
+    normalised = torch.where(certain, 0 * error, whiten(root + torch.diag_embed(certain.to(root)), error))
+    left = (error - apply(root, normalised)).abs()
+    terms = error.abs() + apply(root.abs(), normalised.abs())
+    ruled_out = certain & (left > rounding(root.shape[-1] + 1, root.dtype) * terms)
+    return torch.where(ruled_out.any(-1), torch.inf, normalised.square().sum(-1))

@@ -160,7 +160,9 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
             raise ValueError("expanding: expected two gains, received three")
         self.alpha = Hyper(gains.alpha, constraints.unit_interval, name="alpha")
         self.beta = Hyper(gains.beta, constraints.interval(0.0, 4.0), name="beta")
-        self.gamma = None if gains.gamma is None else Hyper(gains.gamma, constraints.nonnegative, name="gamma")
+        self.gamma = (
+            None if gains.gamma is None else Hyper(gains.gamma, constraints.nonnegative, finite=True, name="gamma")
+        )
         self.expanding = expanding
 
     def begin(self, belief: Gaussian) -> AlphaBetaState:

@@ -279,7 +279,9 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         self.alpha = Hyper(gains.alpha, constraints.unit_interval, event_dim=1, name="alpha")
         self.beta = Hyper(gains.beta, constraints.interval(0.0, 4.0), event_dim=1, name="beta")
         self.gamma = (
-            None if gains.gamma is None else Hyper(gains.gamma, constraints.nonnegative, event_dim=1, name="gamma")
+            None
+            if gains.gamma is None
+            else Hyper(gains.gamma, constraints.nonnegative, event_dim=1, finite=True, name="gamma")
         )
 
     def _set_thresholds(

@@ -77,15 +77,16 @@ class Hypotheses(NamedTuple):
         log_regimes = log_mode + safe_log(share.square().sum(BEFORE, keepdim=True)) - log_likelihood
         return Posterior((share * mode).square(), share.square(), mode, log_regimes, log_likelihood[0, 0])
 
-    def merged(self, *axes: int, angles: Sequence[int] = ()) -> Hypotheses:
+    def merged(self, *axes: int, angles: Sequence[int] = (), triangular: bool = True) -> Hypotheses:
         """The hypotheses along some axes merged into one with their moments.
 
         Args:
             axes: the axes to merge over; they have size 1 afterwards.
             angles: components of a state that are angles, as in ``gaussian.moment_match``.
+            triangular: as in ``gaussian.mixture.matched``.
         """
         roots, total = self.share_roots(*axes)
-        return Hypotheses(merge(self.belief, roots, axes, angles), total)
+        return Hypotheses(merge(self.belief, roots, axes, angles, triangular=triangular), total)
 
     def of(self, regimes: Sequence[int]) -> Hypotheses:
         """The hypotheses of some regimes."""
@@ -100,7 +101,9 @@ def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
     return x.index_select(axis, torch.tensor(which, dtype=torch.int64, device=x.device))
 
 
-def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int] = ()) -> Gaussian:
+def merge(
+    belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int] = (), *, triangular: bool = True
+) -> Gaussian:
     """The beliefs of hypotheses along some axes merged into one with their moments.
 
     Args:
@@ -108,18 +111,21 @@ def merge(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence
         roots: ``(2, R, 2, ...)`` square roots of the probabilities.
         axes: the axes to merge over; they have size 1 afterwards.
         angles: components of a state that are angles, as in ``gaussian.moment_match``.
+        triangular: as in ``gaussian.mixture.matched``.
     """
-    mean, root = _merged(belief, roots, axes, angles)
+    mean, root = _merged(belief, roots, axes, angles, triangular)
     return Gaussian(_reinserted(mean, axes), _reinserted(root, axes))
 
 
-def _merged(belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int]) -> Gaussian:
+def _merged(
+    belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int], triangular: bool = True
+) -> Gaussian:
     """``merge`` without the axes that it has merged over."""
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
     mean = belief.mean.expand(*batch, -1)
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
     mean, root, roots = [_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch))]
-    return matched(Gaussian(mean, root), roots, angles)
+    return matched(Gaussian(mean, root), roots, angles, triangular=triangular)
 
 
 def moments(belief: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:

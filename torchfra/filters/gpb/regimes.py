@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 from torch.distributions import constraints
+from torch.nn.functional import pad
 
 from torchfra import tree
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
@@ -140,7 +141,7 @@ class Regimes(Part):
         """The index of each regime's values."""
         self.sharing = tuple(float(self.kind_of.count(kind)) for kind in self.kind_of)
         """The number of regimes that share each regime's entry of the restart distribution."""
-        self.noise_levels = Hyper(levels, event_dim=1, name="noise_levels")
+        self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
@@ -295,7 +296,10 @@ class Regimes(Part):
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
             position: components of a state that are its position.
         """
-        root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)))
+        root = self.per_regime(
+            tria(propagated.spread)
+        )  # columns of any scale; beside a triangle the noise leaves them so
+        root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
         widths = self._widths(propagated.mean, nis, position)
         return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
@@ -354,12 +358,20 @@ class Regimes(Part):
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
         return self._per_belief(log_weight, axis, lambda x: log_sum(x, axis).unsqueeze(axis))
 
-    def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
-        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``."""
-        first = every.of(self.of_first).merged(MOTION, BEFORE, angles=angles)
+    def merged(self, every: Hypotheses, angles: Sequence[int], *, triangular: bool = True) -> Hypotheses:
+        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``.
+
+        If not ``triangular``, their roots are ``(..., n, p)``, as in ``gaussian.mixture.matched``.
+        """
+        first = every.of(self.of_first).merged(MOTION, BEFORE, angles=angles, triangular=triangular)
         if not self.of_others:
             return first
-        others = every.of(self.of_others).merged(BEFORE, angles=angles)
+        others = every.of(self.of_others).merged(BEFORE, angles=angles, triangular=triangular)
+        wider = first.belief.scale_tril.shape[-1] - others.belief.scale_tril.shape[-1]
+        if wider:
+            others = others._replace(
+                belief=others.belief._replace(scale_tril=pad(others.belief.scale_tril, (0, wider)))
+            )
         both: Hypotheses = tree.map_tensors(lambda *parts: torch.cat(parts, MOTION), first, others)
         return both
 

@@ -66,9 +66,10 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, frame.dt, measured))
     # Shift and process noise are those of the forward pass.
     frame = adapted(for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean)
-    predicted = regimes.predictions(propagate_motions(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
+    parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
+    predicted, _ = parts.belief(triangular=False)
     to_step = Hypotheses(predicted, log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
-    measurement = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
+    measurement = future(regimes.merged(to_step, f.motion.angles, triangular=False).belief, later.belief, difference)
     measurement = tree.map_tensors(regimes.per_regime, measurement)  # (2, R, 1, 1, ...)
 
     # The belief of every motion before, propagated by every regime, is updated by it.
