@@ -6,6 +6,7 @@ from torchfra.motion.base import KINDS, Adaptation, Motion
 from torchfra.motion.bicycle import Bicycle
 from torchfra.motion.correlated import CurrentStatistical, GaussMarkov, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
 from torchfra.motion.level import Level
+from torchfra.motion.linear import Linear
 from torchfra.motion.odometry import Odometry
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.speed import ConstantSpeed
@@ -29,6 +30,7 @@ __all__ = [
     "GaussMarkov",
     "IntegratedOrnsteinUhlenbeck",
     "Level",
+    "Linear",
     "Motion",
     "Odometry",
     "RandomWalk",

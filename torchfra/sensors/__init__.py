@@ -4,8 +4,10 @@ from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.camera import Camera, facing
 from torchfra.sensors.composed import Biased, Stacked
 from torchfra.sensors.correlated import Correlated
+from torchfra.sensors.cross_correlated import CrossCorrelated, cross_correlated
 from torchfra.sensors.direction import Bearings, RangeBearing
 from torchfra.sensors.infrared import InfraredLaser
+from torchfra.sensors.linear import Linear
 from torchfra.sensors.position import Position
 from torchfra.sensors.ranges import RangeRates, Ranges
 from torchfra.sensors.signals import Pseudoranges, TimeDifferences
@@ -15,7 +17,9 @@ __all__ = [
     "Biased",
     "Camera",
     "Correlated",
+    "CrossCorrelated",
     "InfraredLaser",
+    "Linear",
     "MeasurementNoise",
     "Position",
     "Pseudoranges",
@@ -25,5 +29,6 @@ __all__ = [
     "Sensor",
     "Stacked",
     "TimeDifferences",
+    "cross_correlated",
     "facing",
 ]
