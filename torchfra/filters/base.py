@@ -18,7 +18,7 @@ from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.fusion import fused
 from torchfra.filters.other_sensors import SensorViews
 from torchfra.filters.records import Kept, Past, Record, Smoothed, SmoothInfo
-from torchfra.gaussian.arguments import check, check_belief, warn_of_lost_digits
+from torchfra.gaussian.arguments import belief_of, check, check_belief, measurements_of, warn_of_lost_digits
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import (
     BackwardStep,
@@ -297,7 +297,7 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape that does not fit.
         """
-        n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
+        n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
         batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         return self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
@@ -332,7 +332,7 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        stepped: tuple[S, Innovation] = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=False)
+        stepped: tuple[S, Innovation] = self._step(state, measurements_of(z, dt, u, std, noise), sensor, watched=False)
         return stepped
 
     @in_full_precision
@@ -357,7 +357,7 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        after, (innovation, alarm, _) = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=True)
+        after, (innovation, alarm, _) = self._step(state, measurements_of(z, dt, u, std, noise), sensor, watched=True)
         return after, innovation, alarm
 
     def _step(self, state: S, measurements: Measurements, sensor: Sensor | None, *, watched: bool) -> tuple[Any, Any]:
@@ -416,7 +416,7 @@ class Filter(Part, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         f = self if sensors is None and which is None else fused(self, sensors, which)
-        measurements = Measurements(z, dt, u, std, noise)
+        measurements, prior = measurements_of(z, dt, u, std, noise), belief_of(prior)
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
         if past:
@@ -480,7 +480,7 @@ class Filter(Part, Generic[S]):
         f: Any = self if sensors is None and which is None else fused(self, sensors, which)
         f.check_smooths()
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
-        measurements = Measurements(z, dt, u, std, noise)
+        measurements, prior = measurements_of(z, dt, u, std, noise), belief_of(prior)
         if f is self:
             measurements = needed_inputs(f, measurements, lambda: f._batch(measurements, prior))
 
@@ -516,7 +516,7 @@ class Filter(Part, Generic[S]):
         check_state(f, state)
         mean = state.belief.mean
         nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
-        return forecast(f, state, f._frame(state, Measurements(nothing, dt, u)))
+        return forecast(f, state, f._frame(state, measurements_of(nothing, dt, u)))
 
     @property
     def viewed(self) -> Any:
