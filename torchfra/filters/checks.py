@@ -33,7 +33,7 @@ _OF_A_MODULE = {
         def forward(self, x, u=None):
             return self.module(x[..., :2])""",
 }
-"""What turns a module of torch into a model, behind the error about it."""
+"""By the name of the argument."""
 
 
 def check_models(motion: Motion, sensor: Sensor) -> None:
@@ -46,8 +46,8 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
     for name, model, kind in (("motion", motion, Motion), ("sensor", sensor, Sensor)):
         if not isinstance(model, kind):
             received = model.__name__ if isinstance(model, type) else type(model).__name__
-            hint = _OF_A_MODULE[name] if isinstance(model, nn.Module) and not isinstance(model, Motion | Sensor) else ""
-            raise ValueError(f"{name}: expected an instance of torchfra's {kind.__name__}, received {received}{hint}")
+            expected = f"an instance of torchfra's {kind.__name__}"
+            raise ValueError(f"{name}: expected {expected}, received {received}{of_a_module(name, model)}")
     if any(isinstance(part, Correlated) for part in sensor.modules()):
         expected = "one without time-correlated errors (a preset of single targets takes them, outermost or in Stacked)"
         raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
@@ -61,6 +61,11 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
             has = f"{motion.components[i]!r}, {motion.stated[i]}, in [{', '.join(motion.components)}]"
             expected = f"a motion whose component {i} is {' or '.join(kinds)}"
             raise ValueError(f"sensor: {sensor.describe()}: expected {expected}, received {has}")
+
+
+def of_a_module(name: str, model: Any) -> str:
+    """What turns a module of torch into a motion or a sensor, for an error about it; nothing for anything else."""
+    return _OF_A_MODULE[name] if isinstance(model, nn.Module) and not isinstance(model, Motion | Sensor) else ""
 
 
 def check_parts(**parts: tuple[Any, type]) -> None:
