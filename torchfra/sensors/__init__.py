@@ -2,7 +2,7 @@
 
 from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.sensors.camera import Camera, facing
-from torchfra.sensors.composed import Biased, Stacked
+from torchfra.sensors.composed import Biased, Mounted, Stacked
 from torchfra.sensors.correlated import Correlated
 from torchfra.sensors.cross_correlated import CrossCorrelated, cross_correlated
 from torchfra.sensors.direction import Bearings, RangeBearing
@@ -21,6 +21,7 @@ __all__ = [
     "InfraredLaser",
     "Linear",
     "MeasurementNoise",
+    "Mounted",
     "Position",
     "Pseudoranges",
     "RangeBearing",
