@@ -20,6 +20,8 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 PRECISIONS = (torch.float32, torch.float64)
+_TIMES = float, Tensor, *NUMBERS
+"""Types of time steps that stay as they are, the most frequent first."""
 
 
 def check(
@@ -75,9 +77,9 @@ def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise
     Raises:
         ValueError: no numbers, or rows of different lengths.
     """
-    if not isinstance(z, Tensor) or z.dtype not in PRECISIONS or z.is_nested:
+    if not isinstance(z, Tensor) or z.dtype not in PRECISIONS:
         z = _numbers("z", z)
-    if not isinstance(dt, (Tensor, *NUMBERS)):
+    if not isinstance(dt, _TIMES):
         dt = _numbers("dt", dt)
     if u is std is noise is None:
         return Measurements(z, dt)
@@ -99,9 +101,6 @@ def belief_of(belief: Any) -> Any:
 def _numbers(name: str, x: Any) -> Tensor:
     """Numbers as a tensor: a tensor of floating-point or complex numbers as it is, all else in double precision."""
     if isinstance(x, Tensor):
-        if x.is_nested:
-            pad = f"torch.nested.to_padded_tensor({name}, torch.nan)"
-            raise ValueError(f"{name}: expected a tensor of tracks of one length, received a nested one: take {pad}")
         whole = x.dtype in (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
         return x.double() if whole else x
     try:
@@ -179,6 +178,9 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
         plain = f"{name}.astype(float).filled(numpy.nan)" if masked else name
         hint = f"take torch.as_tensor({plain}, dtype=torch.float64)"  # without it a list would be rounded to float32
         raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
+    if x.is_nested:
+        pad = f"torch.nested.to_padded_tensor({name}, torch.nan)"
+        raise ValueError(f"{name}: expected a tensor of tracks of one length, received a nested one: take {pad}")
     if x.is_meta:
         raise ValueError(f"{name}: expected a tensor with numbers, received one on the meta device, which has none")
     if precisions and x.dtype not in precisions:

@@ -119,6 +119,10 @@ class BodyOdometry(Motion):
     """
 
     measures_itself = True
+    along: Hyper
+    across: Hyper
+    heading: Hyper
+    turn: Hyper
 
     def __init__(
         self,
@@ -236,5 +240,6 @@ def body_velocities(time: Any, pose: Any) -> Tensor:
     ahead, left = gap[..., 0] * cos + gap[..., 1] * sin, gap[..., 1] * cos - gap[..., 0] * sin
     along, aside = arc(turn)
     square = along.square() + aside.square()
-    velocity = [(along * ahead + aside * left) / square, (along * left - aside * ahead) / square, turn]
-    return torch.stack(velocity, -1) / seconds.to(pose).unsqueeze(-1)
+    velocity: list[Tensor] = [(along * ahead + aside * left) / square, (along * left - aside * ahead) / square, turn]
+    found: Tensor = torch.stack(velocity, -1) / seconds.to(pose).unsqueeze(-1)
+    return found

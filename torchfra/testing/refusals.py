@@ -91,7 +91,8 @@ def numbers_of_any_kind_are_taken_alike(case: Case) -> None:
     """Lists and arrays of NumPy give what tensors give, and tensors of integers what those of their values give."""
     z, prior = case.z, case.prior
     numpy: Any = [x.numpy() for x in prior]
-    for way in (lambda x: x.numpy(), lambda x: x.tolist()):
+    ways: tuple[Callable[[Tensor], Any], ...] = (Tensor.numpy, Tensor.tolist)
+    for way in ways:
         found = case(z=way(z), prior=Gaussian(*numpy), std=way(case.std), dt=way(torch.ones(STEPS).double()))
         expect_same(found.mean, case(std=case.std, dt=torch.ones(STEPS).double()).mean, "estimates")
     whole = z.nan_to_num().round()
