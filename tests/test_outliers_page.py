@@ -19,10 +19,10 @@ def test_each_kind_of_outliers_has_its_row_and_argument():
 
 def test_the_arguments_of_the_page_are_those_of_the_script():
     fitted = {name: kind.fitted() for name, kind in outliers.KINDS.items()}
-    assert fitted["bursts"].outliers.outlier_durations().tolist() == [100.0, 10.0]
-    assert fitted["one side"].outliers.outlier_durations().tolist() == [60.0, 20.0]
+    assert fitted["bursts"].outliers.outlier_durations().tolist() == pytest.approx([100, 10])
+    assert fitted["one side"].outliers.outlier_durations().tolist() == pytest.approx([60, 20])
     assert isinstance(fitted["lasting"].originals[0], Correlated)
-    assert float(fitted["second target"].outliers.same_offset()) == 0.9
+    assert float(fitted["second target"].outliers.same_offset()) == pytest.approx(0.9)
 
 
 def test_a_fault_lasts_as_long_as_it_is_said_to():

@@ -82,7 +82,8 @@ def correlation(residuals: Any, time: Any) -> Correlation:
         raise ValueError("residuals: expected finite numbers, or NaN where there is none, received infinite ones")
     each = [_element(values[..., i], np.broadcast_to(gaps, values.shape[:2]), i) for i in range(values.shape[2])]
     found, ends, gain = (np.array(part) for part in zip(*each, strict=True))
-    return Correlation(*found.T, ends.swapaxes(0, 1), gain)
+    white, std, lasts = found.T
+    return Correlation(white, std, lasts, ends.swapaxes(0, 1), gain)
 
 
 def _fit(seconds: Array, values: Array) -> bool:
@@ -91,7 +92,7 @@ def _fit(seconds: Array, values: Array) -> bool:
 
 
 def _element(r: Array, gaps: Array, i: int) -> tuple[Array, Array, float]:
-    """White std, correlated std and time ``(3,)``, their intervals ``(3, 2)`` and the gain, of an element ``(B, T)``."""
+    """White std, correlated std and time ``(3,)``, intervals ``(3, 2)`` and the gain, of an element ``(B, T)``."""
     count, scale = int((~np.isnan(r)).sum()), float(np.sqrt(np.nanmean(r**2))) if (~np.isnan(r)).any() else 0.0
     if count < _FEWEST or not scale > 0:
         received = f"{count} of element {i}" if count < _FEWEST else f"zeros in element {i}"

@@ -138,13 +138,11 @@ class BodyOdometry(Motion):
             kinds=("position", "position", "angle"),
         )  # fmt: skip
         given = {"along": along, "across": across, "heading": heading}
-        if missing := [name for name, value in given.items() if value is None]:
-            if len(missing) < 3:
-                raise ValueError(
-                    f"along, across, heading: expected all or none, received no {' and no '.join(missing)}"
-                )
-        else:
-            for name, value in (given | {"turn": turn}).items():
+        missing = [name for name, value in given.items() if value is None]
+        if 0 < len(missing) < 3:
+            raise ValueError(f"along, across, heading: expected all or none, received no {' and no '.join(missing)}")
+        for name, value in (given | {"turn": None if missing else turn}).items():
+            if value is not None:
                 setattr(self, name, Hyper(value, constraints.nonnegative, finite=True, name=name))
         self.states_noise, self.steps = not missing, steps
 
