@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchfra import Gaussian, presets
-from torchfra.adapters.linear import LinearMotion, LinearSensor, root_of
+from torchfra import presets
+from torchfra.adapters.linear import of_seconds
 
 START = datetime(2024, 5, 1, 12)
 ORDER = (0, 2, 1, 3)
@@ -17,38 +17,16 @@ ORDER = (0, 2, 1, 3)
 # ---------------------------------------------------------------- matrices
 
 
-def test_a_root_is_one_of_a_covariance_of_any_rank_and_what_is_none_is_refused():
-    half = np.random.default_rng(0).standard_normal((4, 2))
-    root = root_of(half @ half.T, "Q")
-    np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-12)
-    indefinite, shape = "symmetric positive semidefinite", r"covariance \(n, n\)"
-    cases = (
-        (np.diag([1.0, -1.0]), indefinite),
-        ([[1.0, 2.0], [0.0, 1.0]], indefinite),
-        ([[1.0, 2.0]], shape),
-        ([[np.nan]], shape),
-    )
-    for bad, said in cases:
-        with pytest.raises(ValueError, match=f"Q: expected a {said}"):
-            root_of(bad, "Q")
-
-
 def test_matrices_of_a_step_are_computed_once_for_each_step_that_differs():
     asked = []
 
-    def matrices(seconds):
+    def matrix(seconds):
         asked.append(seconds)
-        return np.array([[1.0, seconds], [0.0, 1.0]]), np.diag([0.0, seconds])
+        return np.array([[1.0, seconds], [0.0, 1.0]])
 
-    motion = LinearMotion(matrices, 2, 1)
-    found = motion.transition(torch.tensor([[1.0, 2.0], [2.0, 1.0]]).double())
+    found = of_seconds(matrix)(torch.tensor([[1.0, 2.0], [2.0, 1.0]]).double())
     assert asked == [1.0, 2.0]
     assert found[..., 0, 1].tolist() == [[1.0, 2.0], [2.0, 1.0]]
-    z = torch.tensor([[1.0], [2.5], [3.0]]).double()
-    prior = Gaussian(torch.zeros(2).double(), torch.eye(2).double())
-    sensor = LinearSensor(np.array([[1.0, 0.0]]), np.array([[0.5]]))
-    steps = presets.srckf(motion, sensor)(z, prior, dt=torch.tensor([1.0, 2.0, 1.0]).double())
-    assert not steps.failed
 
 
 # ---------------------------------------------------------------- FilterPy

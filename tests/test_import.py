@@ -14,8 +14,8 @@ import torchfra
 
 LIBRARY, TESTS = Path(torchfra.__file__).parent, Path(__file__).parent
 CORE = {
-    "adaptive", "angles", "association", "coordinates", "filters", "gaussian", "hyper", "linalg", "motion", "numbers",
-    "presets", "register", "robust", "sensors", "suggestions", "tables", "tree", "types", "version",
+    "adaptive", "angles", "association", "coordinates", "entries", "filters", "gaussian", "hyper", "linalg", "motion",
+    "numbers", "presets", "register", "robust", "sensors", "suggestions", "tables", "tree", "types", "version",
 }  # fmt: skip
 """The parts of the package that a filter needs."""
 FILTER = """

@@ -24,6 +24,7 @@ __all__ = [
     "cleaning",
     "compare",
     "coordinates",
+    "correlation",
     "evaluation",
     "filters",
     "fit",
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
     )
     from torchfra.cleaning.clean import clean, track
     from torchfra.comparison.comparison import compare
+    from torchfra.fitting.correlation import correlation
     from torchfra.fitting.from_tracks import fit
     from torchfra.hyper import Hyper, learnable, summary
     from torchfra.presets.values import values
@@ -91,6 +93,7 @@ else:
         "presets.values": ("values",),
         "testing.models": ("check_model",),
         "fitting.from_tracks": ("fit",),
+        "fitting.correlation": ("correlation",),
         "cleaning.clean": ("clean", "track"),
         "comparison.comparison": ("compare",),
         "running.memory": ("keep_memory",),

@@ -88,7 +88,18 @@ def as_numbers(value: Any, name: str) -> Tensor:
         ValueError: the value is not numeric.
     """
     try:
-        values = value if isinstance(value, Tensor) else torch.as_tensor(unmasked(value), dtype=torch.float64)
+        values = (
+            value if isinstance(value, Tensor) else torch.as_tensor(_of_table(unmasked(value)), dtype=torch.float64)
+        )
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"{name}: expected numbers, received {value!r}") from None
     return values if values.is_floating_point() else values.double()
+
+
+def _of_table(values: Any) -> Any:
+    """A column or a table of a data frame as an array, NaN where it has nothing; anything else as it is."""
+    if isinstance(values, np.ndarray) or not hasattr(values, "__array__") or not hasattr(values, "shape"):
+        return values
+    if hasattr(values, "iloc"):  # of pandas, whose own missing values numpy does not know
+        return values.to_numpy(dtype=float, na_value=np.nan).copy()
+    return np.array(values, dtype=float)

@@ -32,9 +32,11 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
+from torchfra.linalg.batches import broadcast_shapes
+from torchfra.linalg.covariance import covariance_root
+from torchfra.numbers import as_numbers
 from torchfra.tree import event_ranks
 
 
@@ -56,20 +58,47 @@ class Gaussian(NamedTuple):
         return ~(self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1))
 
     @classmethod
-    def from_covariance(cls, mean: Tensor, covariance: Tensor) -> Gaussian:
-        """The belief of this mean ``(..., n)`` and positive definite covariance ``(..., n, n)``.
+    def from_covariance(cls, mean: Any, covariance: Any) -> Gaussian:
+        """The belief of this mean ``(..., n)`` and covariance ``(..., n, n)``, of any rank.
+
+        What is known has variance 0.  Both may be tensors, arrays or lists.
 
         Raises:
-            ValueError: a covariance that is not positive definite.
+            ValueError: no numbers, a covariance that is not positive semidefinite, or shapes that do not fit.
 
         Example:
-            >>> torchfra.Gaussian.from_covariance(torch.zeros(1), torch.tensor([[4.0]])).scale_tril
-            tensor([[2.]])
+            >>> torchfra.Gaussian.from_covariance([0.0, 5.0], [[4, 0], [0, 0]]).scale_tril
+            tensor([[2., 0.],
+                    [0., 0.]], dtype=torch.float64)
         """
-        root, failed = torch.linalg.cholesky_ex(covariance)
-        if bool((failed != 0).any()):
-            raise ValueError("covariance: expected positive definite matrices, received one that is not")
-        return cls(mean, root)
+        mean, covariance = as_numbers(mean, "mean"), as_numbers(covariance, "covariance")
+        if mean.dim() < 1 or covariance.shape[-2:] != mean.shape[-1:] * 2:
+            received = f"{tuple(mean.shape)} and {tuple(covariance.shape)}"
+            raise ValueError(f"mean, covariance: expected (..., n) and (..., n, n), received {received}")
+        return cls(mean, covariance_root(covariance).to(mean))
+
+    @classmethod
+    def from_std(cls, mean: Any, std: Any) -> Gaussian:
+        """The belief of this mean ``(..., n)`` and standard deviations ``(..., n)``, or one for all components.
+
+        The components are independent; what is known has 0.  Both may be tensors, arrays or lists.
+
+        Raises:
+            ValueError: no numbers, standard deviations below 0 or not finite, or shapes that do not fit.
+
+        Example:
+            >>> torchfra.Gaussian.from_std([0.0, 5.0], [2.0, 0.0]).scale_tril
+            tensor([[2., 0.],
+                    [0., 0.]], dtype=torch.float64)
+        """
+        mean, std = as_numbers(mean, "mean"), as_numbers(std, "std")
+        if mean.dim() < 1 or (std.dim() and std.shape[-1] != mean.shape[-1]):
+            received = f"{tuple(mean.shape)} and {tuple(std.shape)}"
+            raise ValueError(f"mean, std: expected (..., n) and (..., n) or a number, received {received}")
+        if not bool(((std >= 0) & std.isfinite()).all()):
+            raise ValueError(f"std: expected finite numbers of 0 or more, received {std.tolist()}")
+        batch = broadcast_shapes(mean.shape[:-1], std.shape[:-1])
+        return cls(mean, std.to(mean).expand(*batch, mean.shape[-1]).diag_embed())
 
 
 @event_ranks(spread=2, process_noise=2, repaired=0)

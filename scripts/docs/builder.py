@@ -31,7 +31,8 @@ PAGES = {
     "torchfra/cleaning/README.md": "cleaning", "torchfra/compiler/README.md": "performance",
     "scripts/examples": "gallery/examples/index", "torchfra/fitting/README.md": "fitting",
     "torchfra/comparison/README.md": "comparing",
-    "torchfra/adapters/README.md": "adapters",
+    "torchfra/adapters/README.md": "adapters", "torchfra/motion/README.md": "matrices",
+    "torchfra/robust/README.md": "outliers",
 }  # fmt: skip
 """The page that includes a file which others link to."""
 SECTIONS = {

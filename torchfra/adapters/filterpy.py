@@ -8,16 +8,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from filterpy.kalman import KalmanFilter
 
-from torchfra.adapters.linear import Array, LinearMotion, LinearSensor, Models, checked_order, gaussian, root_of
+from torchfra import motion, sensors
+from torchfra.adapters.linear import Array, Models, checked_order, gaussian
+from torchfra.linalg import covariance_root
 
 
 def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | None = None) -> Models:
     """Motion, sensor and prior of a ``KalmanFilter``, by its ``F``, ``Q``, ``B``, ``H``, ``R``, ``x`` and ``P``.
 
-    Its matrices are those of one step, of whatever length: ``dt`` does not matter.  A number is what it is in a step of
-    FilterPy: ``Q`` is added to every element, ``P`` is times the identity, and ``R`` is of a single measured element.
+    Its matrices are those of one step, of whatever length, and a ``dt`` of 0 is no step.  A number is what it is in a
+    step of FilterPy: ``Q`` is added to every element, ``P`` is times the identity, and ``R`` is of a single
+    measured element.
 
     Args:
         kf: with its matrices set.
@@ -37,11 +41,11 @@ def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | 
     square = np.ix_(index, index)
     n, m = kf.dim_x, kf.dim_z
     matrix, noise = _matrix(kf, "F", n, n)[square], _matrix(kf, "Q", n, n, np.ones((n, n)))[square]
-    root_of(noise, "kf.Q")  # now, and not at the first step
+    root = covariance_root(torch.from_numpy(noise), "kf.Q")
     control = None if kf.B is None else np.array(kf.B, dtype=float).reshape(n, -1)[index]
-    motion = LinearMotion(lambda seconds: (matrix, noise), n, dims or min(m, n), control)
-    sensor = LinearSensor(_matrix(kf, "H", m, n)[:, index], _matrix(kf, "R", m, m))
-    return Models(motion, sensor, gaussian(kf.x, _matrix(kf, "P", n, n, np.eye(n)), index))
+    moves = motion.Linear(matrix, root=root, B=control, dims=dims or min(m, n))
+    sensor = sensors.Linear(_matrix(kf, "H", m, n)[:, index], _matrix(kf, "R", m, m))
+    return Models(moves, sensor, gaussian(kf.x, _matrix(kf, "P", n, n, np.eye(n)), index))
 
 
 def _matrix(kf: KalmanFilter, name: str, rows: int, columns: int, unit: Array | None = None) -> Array:

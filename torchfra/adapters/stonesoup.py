@@ -6,7 +6,7 @@ Soup's components in torchfra's order, here ``(0, 2, 1, 3)``, which ``order_of``
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -25,8 +25,10 @@ from stonesoup.types.state import GaussianState
 from stonesoup.types.track import Track
 from torch import Tensor
 
-from torchfra.adapters.linear import Array, LinearMotion, LinearSensor, checked_order, gaussian, root_of
-from torchfra.motion.base import Motion
+from torchfra import sensors
+from torchfra.adapters.linear import Array, checked_order, gaussian, of_seconds
+from torchfra.linalg import covariance_root
+from torchfra.motion import Linear, Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
@@ -74,12 +76,12 @@ def motion(model: Any, *, order: Sequence[int] | None = None, dims: int | None =
     combined = isinstance(model, CombinedLinearGaussianTransitionModel)
     places = dims or (len(model.model_list) if combined else max(model.ndim_state // 2, 1))
 
-    def matrices(seconds: float) -> tuple[Array, Array]:
-        step, square = timedelta(seconds=seconds), np.ix_(index, index)
-        found = (model.matrix(time_interval=step), model.covar(time_interval=step))
-        return np.asarray(found[0], dtype=float)[square], np.asarray(found[1], dtype=float)[square]
+    def of(matrix: Callable[..., Any]) -> Callable[[Tensor], Tensor]:
+        """A matrix of the model as a function of ``dt (...)``."""
+        square = np.ix_(index, index)
+        return of_seconds(lambda s: np.asarray(matrix(time_interval=timedelta(seconds=s)), dtype=float)[square])
 
-    return LinearMotion(matrices, model.ndim_state, places)
+    return Linear(of(model.matrix), of(model.covar), size=model.ndim_state, dims=places)
 
 
 class Polar(Sensor):
@@ -97,9 +99,9 @@ class Polar(Sensor):
     rotation: Tensor
 
     def __init__(
-        self, places: Sequence[int], offset: Array, rotation: Array, angles: Sequence[bool], noise: Array
+        self, places: Sequence[int], offset: Array, rotation: Array, angles: Sequence[bool], noise: Tensor
     ) -> None:
-        super().__init__(max(places) + 1, angles, noise=torch.from_numpy(noise))
+        super().__init__(max(places) + 1, angles, noise=noise)
         self.places = list(places)
         self.register_buffer("offset", torch.from_numpy(offset), persistent=False)
         self.register_buffer("rotation", torch.from_numpy(rotation), persistent=False)
@@ -129,13 +131,13 @@ def sensor(model: Any, *, order: Sequence[int] | None = None) -> Sensor:
     """
     index = checked_order(order, model.ndim_state)
     if isinstance(model, LinearGaussian):
-        return LinearSensor(np.asarray(model.matrix(), dtype=float)[:, index], np.asarray(model.covar(), dtype=float))
+        return sensors.Linear(np.asarray(model.matrix(), dtype=float)[:, index], np.asarray(model.covar(), dtype=float))
     if type(model) not in _ANGLES:
         known = ", ".join(kind.__name__ for kind in (LinearGaussian, *_ANGLES))
         raise ValueError(f"model: expected one of {known}, received {type(model).__name__}")
     places = [index.index(i) for i in model.mapping]
     offset = np.asarray(model.translation_offset, dtype=float).reshape(-1)[: len(places)]
-    noise = root_of(model.covar(), "noise_covar")
+    noise = covariance_root(torch.as_tensor(model.covar(), dtype=torch.float64), "noise_covar")
     return Polar(places, offset, np.asarray(model.rotation_matrix, dtype=float), _ANGLES[type(model)], noise)
 
 

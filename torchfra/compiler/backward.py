@@ -139,8 +139,8 @@ def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, following, source = _lower(tree.unflatten(like, leaves))
     dt, u, motion = data["dt"], data.get("u"), f.frame_motion
-    models = motion.transition(dt) if motion.linear else None, motion.shift(dt, u)
-    noise = motion.process_noise(dt), motion.adaptation(dt)
+    models = motion.transition_by(dt, u) if motion.linear else None, motion.shift(dt, u)
+    noise = motion.process_noise_by(dt, u), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
     stepped = f.retreat(BackwardStep(past, following, frame, past if source is None else source), after)
     begun_or_stepped: tuple[Any, Any] = tree.where(data["last"] > 0, f.last(past), stepped)

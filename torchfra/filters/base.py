@@ -17,7 +17,7 @@ from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.records import Kept, Past, Record, Smoothed
 from torchfra.filters.several_sensors import SensorsInTurn, SensorViews
 from torchfra.filters.whole_tracks import WholeTracks
-from torchfra.gaussian.arguments import check, check_belief, warn_of_lost_digits
+from torchfra.gaussian.arguments import belief_of, check, check_belief, measurements_of, warn_of_lost_digits
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import (
     BackwardStep,
@@ -277,7 +277,7 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape that does not fit.
         """
-        n, (mean, root) = self.motion.size, check_belief(prior, size=self.motion.size)
+        n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
         batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         begun: S = self.viewed.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
@@ -313,7 +313,7 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        stepped: tuple[S, Innovation] = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=False)
+        stepped: tuple[S, Innovation] = self._step(state, measurements_of(z, dt, u, std, noise), sensor, watched=False)
         return stepped
 
     @in_full_precision
@@ -338,7 +338,7 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        after, (innovation, alarm, _) = self._step(state, Measurements(z, dt, u, std, noise), sensor, watched=True)
+        after, (innovation, alarm, _) = self._step(state, measurements_of(z, dt, u, std, noise), sensor, watched=True)
         return after, innovation, alarm
 
     def _step(self, state: S, measurements: Measurements, sensor: Sensor | None, *, watched: bool) -> tuple[Any, Any]:
@@ -397,11 +397,11 @@ class Filter(Part, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
-        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), Measurements(z, dt, u, std, noise)
+        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), measurements_of(z, dt, u, std, noise)
         if not past:
-            return whole.estimate(measurements, prior)
+            return whole.estimate(measurements, belief_of(prior))
         self.check_smooths(several=turns is not None)
-        return whole.with_past(measurements, prior)
+        return whole.with_past(measurements, belief_of(prior))
 
     if TYPE_CHECKING:  # torch types a call as one that may return anything
         __call__ = forward
@@ -452,8 +452,8 @@ class Filter(Part, Generic[S]):
         turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
         self.check_smooths(several=turns is not None)
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
-        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), Measurements(z, dt, u, std, noise)
-        return whole.smoothed(measurements, prior, lag, estimate)
+        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), measurements_of(z, dt, u, std, noise)
+        return whole.smoothed(measurements, belief_of(prior), lag, estimate)
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
@@ -481,7 +481,7 @@ class Filter(Part, Generic[S]):
         check_state(f, state)
         mean = state.belief.mean
         nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
-        return forecast(f, state, f._frame(state, Measurements(nothing, dt, u)))
+        return forecast(f, state, f._frame(state, measurements_of(nothing, dt, u)))
 
     @property
     def viewed(self) -> Any:

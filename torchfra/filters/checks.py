@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra.gaussian.arguments import check_belief, check_kinds
 from torchfra.gaussian.inputs import Measurements
@@ -16,6 +16,24 @@ from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.correlated import Correlated
 from torchfra.types import Gaussian
+
+_OF_A_MODULE = {
+    "motion": """, which these lines make one:
+    class Mine(torchfra.motion.Motion):
+        def __init__(self, module):
+            super().__init__(dims=2, orders=2, q=1.0)  # [x, y, vx, vy]; variance of the acceleration noise, m^2/s^4
+            self.module = module
+        def forward(self, x, dt, u=None):
+            return self.module(x)""",
+    "sensor": """, which these lines make one:
+    class Mine(torchfra.sensors.Sensor):
+        def __init__(self, module):
+            super().__init__(reads=2, angles=[False, False], std=1.0)  # [x, y] of the state; noise of each element
+            self.module = module
+        def forward(self, x, u=None):
+            return self.module(x[..., :2])""",
+}
+"""By the name of the argument."""
 
 
 def check_models(motion: Motion, sensor: Sensor) -> None:
@@ -28,7 +46,8 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
     for name, model, kind in (("motion", motion, Motion), ("sensor", sensor, Sensor)):
         if not isinstance(model, kind):
             received = model.__name__ if isinstance(model, type) else type(model).__name__
-            raise ValueError(f"{name}: expected an instance of torchfra's {kind.__name__}, received {received}")
+            expected = f"an instance of torchfra's {kind.__name__}"
+            raise ValueError(f"{name}: expected {expected}, received {received}{of_a_module(name, model)}")
     if any(isinstance(part, Correlated) for part in sensor.modules()):
         expected = "one without time-correlated errors (a preset of single targets takes them, outermost or in Stacked)"
         raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
@@ -42,6 +61,11 @@ def check_models(motion: Motion, sensor: Sensor) -> None:
             has = f"{motion.components[i]!r}, {motion.stated[i]}, in [{', '.join(motion.components)}]"
             expected = f"a motion whose component {i} is {' or '.join(kinds)}"
             raise ValueError(f"sensor: {sensor.describe()}: expected {expected}, received {has}")
+
+
+def of_a_module(name: str, model: Any) -> str:
+    """What turns a module of torch into a motion or a sensor, for an error about it; nothing for anything else."""
+    return _OF_A_MODULE[name] if isinstance(model, nn.Module) and not isinstance(model, Motion | Sensor) else ""
 
 
 def check_parts(**parts: tuple[Any, type]) -> None:
@@ -64,7 +88,7 @@ def check_state(f: Any, state: Any) -> None:
     """
     if not isinstance(getattr(state, "belief", None), Gaussian):
         raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
-    check_belief(state.belief, "state.belief", size=f.motion.size)
+    check_belief(state.belief, "state.belief", size=f.motion.size, from_filter=True)
     if not _fits(f.viewed.begin(state.belief), state):
         expected = f"one that init or step of this {type(f).__name__} has returned"
         raise ValueError(f"state: expected {expected}, received a {type(state).__name__} of another filter")
@@ -114,9 +138,14 @@ def needed_inputs(f: Any, measurements: Measurements, check: Callable[[], Any]) 
         needed = (f.sensor(x, u).isnan() & ~f.sensor(x, filled).isnan() & ~z.isnan()).any(-1, keepdim=True)
         dt = torch.ones_like(u[..., 0])
         for motion in getattr(f.motion, "models", [f.motion]):
-            moved = motion.shift(dt, u) if motion.linear else motion(x, dt, u)
-            if moved is not None:
-                needed = needed | moved.isnan().any(-1, keepdim=True)
+            moved = [
+                motion.shift(dt, u) if motion.linear else motion(x, dt, u),
+                motion.process_noise_by(dt, u).flatten(-2),
+            ]
+            moved += [motion.transition_by(dt, u).flatten(-2)] if motion.linear else []
+            for part in moved:
+                if part is not None:
+                    needed = needed | part.isnan().any(-1, keepdim=True)
     return measurements._replace(u=torch.where(u.isnan() & ~needed, 1.0, u))
 
 

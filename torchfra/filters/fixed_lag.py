@@ -13,6 +13,7 @@ from torchfra.filters.checks import check_lengths
 from torchfra.filters.engine import backward_pass
 from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.several_sensors import joined
+from torchfra.gaussian.arguments import measurements_of
 from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.hyper import Part, spoilt
 from torchfra.sensors.base import Sensor
@@ -97,7 +98,7 @@ class FixedLag(Part):
         """
         f: Filter = self.filter.with_sensor(sensor)
         self.filter.check_smooths(several=f is not self.filter)
-        inner, record, step = step_kept(f, state.inner, Measurements(z, dt, u, std, noise))
+        inner, record, step = step_kept(f, state.inner, measurements_of(z, dt, u, std, noise))
         window = (*state.window, step)[-self.lag - 1 :]
         smoothed, rank = smooth_window(self.filter, inner, window), inner.belief.mean.dim() - 1
         first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), smoothed)

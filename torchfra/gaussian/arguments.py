@@ -15,11 +15,13 @@ from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
-from torchfra.numbers import NUMBERS, as_tensor
+from torchfra.numbers import NUMBERS, as_numbers, as_tensor
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 PRECISIONS = (torch.float32, torch.float64)
+_TIMES = float, Tensor, *NUMBERS
+"""Types of time steps that stay as they are, the most frequent first."""
 
 
 def check(
@@ -46,7 +48,7 @@ def check(
     Raises:
         ValueError: names the argument, what was expected and what came.
     """
-    check_belief(prior, name)
+    check_belief(prior, name, from_filter=name != "prior")
     check_kinds(measurements)
     batch = _batches(measurements, prior, motion.size, size, scans, name)
     z, dt = measurements.z, measurements.dt
@@ -67,8 +69,54 @@ def check(
     return common
 
 
-def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -> Gaussian:
+def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise: Any = None) -> Measurements:
+    """A user's arguments as tensors, from lists, arrays, columns of tables, tensors of integers and masked arrays.
+
+    What is masked is missing.  Tensors of floating-point numbers stay as they are, all else becomes float64.
+
+    Raises:
+        ValueError: no numbers, or rows of different lengths.
+    """
+    if not isinstance(z, Tensor) or z.dtype not in PRECISIONS:
+        z = _numbers("z", z)
+    if not isinstance(dt, _TIMES):
+        dt = _numbers("dt", dt)
+    if u is std is noise is None:
+        return Measurements(z, dt)
+    given = {name: _numbers(name, x) for name, x in (("u", u), ("std", std), ("noise", noise)) if x is not None}
+    return Measurements(z, dt, **given)
+
+
+def belief_of(belief: Any) -> Any:
+    """A Gaussian of a user with tensors, from lists, arrays or tensors of integers; anything else as it is.
+
+    Raises:
+        ValueError: no numbers.
+    """
+    if not isinstance(belief, Gaussian) or all(isinstance(x, Tensor) and x.dtype in PRECISIONS for x in belief):
+        return belief
+    return Gaussian(_numbers("prior.mean", belief.mean), _numbers("prior.scale_tril", belief.scale_tril))
+
+
+def _numbers(name: str, x: Any) -> Tensor:
+    """Numbers as a tensor: a tensor of floating-point or complex numbers as it is, all else in double precision."""
+    if isinstance(x, Tensor):
+        whole = x.dtype in (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
+        return x.double() if whole else x
+    try:
+        return as_numbers(x, name)
+    except ValueError:
+        if isinstance(x, list | tuple) and len({len(row) for row in x if hasattr(row, "__len__")}) > 1:
+            pad = "torch.nn.utils.rnn.pad_sequence([torch.as_tensor(track) for track in tracks], True, torch.nan)"
+            raise ValueError(f"{name}: expected rows of one length, received several lengths: take {pad}") from None
+        received = type(x).__name__ if hasattr(x, "__len__") else repr(x)
+        raise ValueError(f"{name}: expected numbers, received {received}") from None
+
+
+def check_belief(belief: Any, name: str = "prior", *, size: int | None = None, from_filter: bool = False) -> Gaussian:
     """Checks that ``belief`` is a Gaussian in single or double precision, of ``size`` components if that is not None.
+
+    One that does not come ``from_filter`` must not have a covariance in the place of its root.
 
     Raises:
         ValueError: it is not.
@@ -81,7 +129,26 @@ def check_belief(belief: Any, name: str = "prior", *, size: int | None = None) -
     if size is not None and (belief.mean.shape[-1:] != (size,) or belief.scale_tril.shape[-2:] != (size, size)):
         expected, received = f"(..., {size}) and (..., {size}, {size})", [tuple(x.shape) for x in belief]
         raise ValueError(f"{name}: expected {expected}, received {received[0]} and {received[1]}")
+    if not from_filter:
+        _check_root(belief.scale_tril, name)
     return belief
+
+
+def _check_root(root: Tensor, name: str) -> None:
+    """Checks that a root is none that can only be a covariance: symmetric, with entries beside its diagonal.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if root.dim() < 2 or root.shape[-1] != root.shape[-2] or is_traced(root):
+        return
+    above = root.triu(1)
+    bad = ((above != 0) & (above == root.tril(-1).mT)).flatten(-2).any(-1) & (root == root.mT).flatten(-2).all(-1)
+    if bool(bad.any()):
+        hint = f"take torchfra.Gaussian.from_covariance(mean, covariance), or torchfra.linalg.tria({name}.scale_tril)"
+        expected = "a triangular root of the covariance"
+        received = "a symmetric matrix with entries beside its diagonal, as a covariance is"
+        raise ValueError(f"{name}.scale_tril: expected {expected}, received {received}: {hint}")
 
 
 def check_kinds(measurements: Measurements) -> None:
@@ -111,6 +178,9 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
         plain = f"{name}.astype(float).filled(numpy.nan)" if masked else name
         hint = f"take torch.as_tensor({plain}, dtype=torch.float64)"  # without it a list would be rounded to float32
         raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
+    if x.is_nested:
+        pad = f"torch.nested.to_padded_tensor({name}, torch.nan)"
+        raise ValueError(f"{name}: expected a tensor of tracks of one length, received a nested one: take {pad}")
     if x.is_meta:
         raise ValueError(f"{name}: expected a tensor with numbers, received one on the meta device, which has none")
     if precisions and x.dtype not in precisions:
@@ -224,6 +294,9 @@ def _batches(
     """Checks the event of each argument, and returns its batch."""
     z, _, u, std, noise = measurements
     rank = 2 + scans
+    if z.dim() >= rank and z.shape[-rank] == 0:
+        received = f"none, {tuple(z.shape)}: without a measurement the estimate is the prior"
+        raise ValueError(f"z: expected 1 step or more in (..., T, {'J, ' if scans else ''}{m}), received {received}")
     if z.dim() < rank or z.shape[-1] != m or 0 in z.shape[-rank:]:
         raise ValueError(f"z: expected (..., T, {'J, ' if scans else ''}{m}), received {tuple(z.shape)}")
     steps, per_scan = z.shape[-rank], tuple(z.shape[-2:-1]) if scans else ()

@@ -120,18 +120,21 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         x = x.to(like).movedim(-1 - event, 0)
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
-    timed = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # one dt for all
-    z, dt, u, std, noise = tree.map_ranked(time_first, timed)
+    own = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # one dt for all
+    z, dt, u, std, noise = tree.map_ranked(time_first, own)
     z = z.contiguous()
     dt = dt if varying else as_tensor(measurements.common_dt, z)
     missing = z.isnan()
     measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)
-    models = (motion.transition(dt) if motion.linear else None, motion.process_noise(dt), motion.adaptation(dt))
+    transition = motion.transition_by(dt, u) if motion.linear else None
+    models = (transition, motion.process_noise_by(dt, u), motion.adaptation(dt))
     _check_models(motion, shift, *models[:2])
-    # A shift varies with ``u`` even where all steps have one ``dt``.
-    varying_shift = shift is not None and shift.dim() > rank + 1 + motion.stacked
     steps = len(z)
+
+    def timed(x: Tensor | None, event: int) -> bool:
+        """Whether a result of the motion has a dimension of time: with ``u`` even where all steps have one ``dt``."""
+        return x is not None and (varying or x.dim() > rank + event + motion.stacked)
 
     def with_time(event: int, x: Tensor) -> Tensor:
         """A result of the motion with a dimension of time."""
@@ -139,17 +142,20 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
 
     models = tree.map_ranked(with_time, models, rank=2) if varying else models
 
-    def each(x: Any, timed: bool = True) -> list[Any]:
-        return tree.unbind(x, steps) if timed else [x] * steps
+    def each(x: Any, by_step: bool = True) -> list[Any]:
+        return tree.unbind(x, steps) if by_step else [x] * steps
 
+    transition, process_noise, adaptation = models
     columns = (
         each((torch.where(missing, 0.0, z), 1.0 - missing.to(z), measurement_noise, u)),
-        each((dt, *models), varying),
-        each(shift, varying_shift),
+        each((dt, adaptation), varying),
+        each(transition, timed(transition, 2)),
+        each(shift, timed(shift, 1)),
+        each(process_noise, timed(process_noise, 2)),
     )
     frames = [
         Frame(z, measured, unit, dt, u, transition, shift, process_noise, adaptation)
-        for (z, measured, unit, u), (dt, transition, process_noise, adaptation), shift in zip(*columns, strict=True)
+        for (z, measured, unit, u), (dt, adaptation), transition, shift, process_noise in zip(*columns, strict=True)
     ]
     return frames, measurement_noise.log_norm
 

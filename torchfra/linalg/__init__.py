@@ -8,6 +8,7 @@ entry.  The gradient is a formula of its own in all three, as torch has none for
 modes need the orthogonal factor and full rank.
 """
 
+from torchfra.linalg.covariance import covariance_root
 from torchfra.linalg.gram import downdate, gram_information, gram_pinv, gram_sqrt
 from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_sqrt, safe_square
 from torchfra.linalg.tracing import elementary, is_elementary, is_traced
@@ -15,6 +16,7 @@ from torchfra.linalg.triangular import apply, hstack, tria, tria_beside, whiten
 
 __all__ = [
     "apply",
+    "covariance_root",
     "downdate",
     "elementary",
     "gram_information",

@@ -6,7 +6,8 @@ from torchfra.motion.base import KINDS, Adaptation, Motion
 from torchfra.motion.bicycle import Bicycle
 from torchfra.motion.correlated import CurrentStatistical, GaussMarkov, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
 from torchfra.motion.level import Level
-from torchfra.motion.odometry import Odometry
+from torchfra.motion.linear import Linear
+from torchfra.motion.odometry import BodyOdometry, Odometry, body_velocities
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.motion.speed import ConstantSpeed
 from torchfra.motion.spherical import Spherical
@@ -19,6 +20,7 @@ __all__ = [
     "Augmented",
     "Bank",
     "Bicycle",
+    "BodyOdometry",
     "Clock",
     "ConstantAcceleration",
     "ConstantSpeed",
@@ -29,6 +31,7 @@ __all__ = [
     "GaussMarkov",
     "IntegratedOrnsteinUhlenbeck",
     "Level",
+    "Linear",
     "Motion",
     "Odometry",
     "RandomWalk",
@@ -37,6 +40,7 @@ __all__ = [
     "UnknownTurn",
     "WhiteJerk",
     "aircraft",
+    "body_velocities",
     "people",
     "ships",
     "vehicles",

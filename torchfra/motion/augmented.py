@@ -63,9 +63,9 @@ class Augmented(Motion):
         """``forward`` for points ``(p, ..., n)`` of one step: linear motions compute their transition once."""
         return self._each(lambda part, own: part.at_points(own, dt, u), x)
 
-    def transition(self, dt: Tensor) -> Tensor:
+    def transition(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``F (..., n, n)``, a block for each motion, if all are linear."""
-        return block_diagonal([part.transition(dt) for part in self._parts])
+        return block_diagonal([part.transition_by(dt, u) for part in self._parts])
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """Known changes of the state ``(..., n)``; None if no motion has any."""
@@ -80,13 +80,17 @@ class Augmented(Motion):
         own = self._parts[0].adaptation(dt)
         return own and own._replace(response=pad(own.response, (0, 0, 0, self.size - self._sizes[0])))
 
-    def process_noise(self, dt: Tensor) -> Tensor:
+    def process_noise(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``S_Q (..., n, r)``, a block for each motion."""
-        return block_diagonal([part.process_noise(dt) for part in self._parts])
+        return block_diagonal([part.process_noise_by(dt, u) for part in self._parts])
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """``S_Q (..., n, r)`` at a predicted mean ``(..., n)``."""
-        roots = [part.process_noise(dt) for part in self._parts]
+        given = process_noise.split(self._sizes, -2)  # of noise that depends on u, which is not known here
+        roots = [
+            own if "process_noise" in part.by_inputs else part.process_noise(dt)
+            for part, own in zip(self._parts, given, strict=True)
+        ]
         parts = zip(self._parts, roots, mean.split(self._sizes, -1), strict=True)
         return block_diagonal(
             [root if part.linear else part.process_noise_at(root, own, dt) for part, root, own in parts]

@@ -106,9 +106,9 @@ class Bank(Motion):
         u = u if u is None or u.dim() < 2 else u.select(-2, 0)
         return torch.stack([model.at_points(x.select(-2, k), dt, u) for k, model in enumerate(self._motions)], -2)
 
-    def transition(self, dt: Tensor) -> Tensor:
+    def transition(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``F (..., K, n, n)`` for ``dt (...)``, if all motions are linear."""
-        return _stack([model.transition(dt) for model in self._motions], 2)
+        return _stack([model.transition_by(dt, u) for model in self._motions], 2)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """Known changes of the state, ``(..., K, n)``; None if no model has any."""
@@ -117,9 +117,9 @@ class Bank(Motion):
             return None
         return _stack([dt.new_zeros(self.size) if part is None else part for part in parts], 1)
 
-    def process_noise(self, dt: Tensor) -> Tensor:
+    def process_noise(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``S_Q (..., K, n, r)``, padded with zeros to the widest."""
-        return _stack(_as_wide([model.process_noise(dt) for model in self._motions]), 2)
+        return _stack(_as_wide([model.process_noise_by(dt, u) for model in self._motions]), 2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """``S_Q (..., K, n, r)`` at predicted means ``(..., K, n)``, of models that are not linear."""
@@ -187,18 +187,18 @@ class Embedded(Motion):
         self.register_buffer("out", out)
         self.register_buffer("into", into)
 
-    def transition(self, dt: Tensor) -> Tensor:
+    def transition(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``."""
-        return self.into.to(dt) @ self.inside.transition(dt) @ self.out.to(dt)
+        return self.into.to(dt) @ self.inside.transition_by(dt, u) @ self.out.to(dt)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """The known change ``(..., n)`` of the larger state: that of the smaller one times ``into``."""
         shift = self.inside.shift(dt, u)
         return None if shift is None else apply(self.into.to(dt), shift)
 
-    def process_noise(self, dt: Tensor) -> Tensor:
+    def process_noise(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``S_Q (..., n, r)`` for ``dt (...)``."""
-        return self.into.to(dt) @ self.inside.process_noise(dt)
+        return self.into.to(dt) @ self.inside.process_noise_by(dt, u)
 
 
 def aircraft(q: Value = 4.0, dims: int = 2, *, continuous: bool = False) -> Bank:

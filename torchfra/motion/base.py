@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from inspect import signature
 from typing import Any, NamedTuple
 
 import torch
@@ -56,6 +57,8 @@ class Motion(Part):
       filters then carry means and covariances exactly, without sigma points;
     - if it is not, ``forward(x, dt, u)``;
     - ``process_noise(dt)``, unless the default below is right;
+    - ``transition(dt, u)`` or ``process_noise(dt, u)`` instead, where the matrix or the noise depends on the inputs of
+      a step, as that of wheels does on how far they turned;
     - ``angles``, ``process_noise_at``, ``canonical`` and ``describe`` where the defaults are not right.
 
     Shapes: filters call ``forward`` with ``x (..., n)``, ``dt (...)`` and ``u (..., k)`` (or None) that all have the
@@ -109,9 +112,13 @@ class Motion(Part):
     """Whether the inputs measure the motion, as odometry does, so that the target has no unknown manoeuvres."""
     stacked = 0
     """Number of dimensions between batch and state: 1 for a ``Bank``, that of its models, else 0."""
+    by_inputs: frozenset[str] = frozenset()
+    """Which of ``transition`` and ``process_noise`` have an argument ``u``, the inputs of a step."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        methods = {"transition": cls.transition, "process_noise": cls.process_noise}
+        cls.by_inputs = frozenset(name for name, method in methods.items() if "u" in signature(method).parameters)
         has_transition = cls.transition is not Motion.transition
         if isinstance(cls.linear, bool) and cls.linear != has_transition:
             expected = "a transition, received none" if cls.linear else "linear = True beside its transition"
@@ -173,7 +180,7 @@ class Motion(Part):
         """
         if not self.linear:
             raise TypeError(f"{type(self).__name__}: expected a forward, or linear = True and a transition")
-        matrix, shift = self.transition(dt), self.shift(dt, u)
+        matrix, shift = self.transition_by(dt, u), self.shift(dt, u)
         return apply(matrix, x) if shift is None else apply(matrix, x) + shift
 
     def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
@@ -200,6 +207,18 @@ class Motion(Part):
     def transition(self, dt: Tensor) -> Tensor:
         """``F (..., n, n)`` for ``dt (...)``, of linear motions."""
         raise TypeError(f"{type(self).__name__}: expected a linear motion, received one without a transition")
+
+    def transition_by(self, dt: Tensor, u: Tensor | None) -> Tensor:
+        """``transition`` for ``dt (...)``, and for the inputs ``u (..., k)`` where it depends on them."""
+        if "transition" in self.by_inputs:
+            return self.transition(dt, u)  # type: ignore[call-arg]  # it has the argument
+        return self.transition(dt)
+
+    def process_noise_by(self, dt: Tensor, u: Tensor | None) -> Tensor:
+        """``process_noise`` for ``dt (...)``, and for the inputs ``u (..., k)`` where it depends on them."""
+        if "process_noise" in self.by_inputs:
+            return self.process_noise(dt, u)  # type: ignore[call-arg]  # it has the argument
+        return self.process_noise(dt)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """A known change of the state, ``(..., n)``, on top of a linear transition: control, or a moving frame."""

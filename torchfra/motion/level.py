@@ -59,18 +59,18 @@ class Level(Motion):
         """The state ``(..., n)`` after ``dt (...)`` seconds, without process noise."""
         return _chosen(self.inside(_chosen(x, self.back), dt, u), self.order)
 
-    def transition(self, dt: Tensor) -> Tensor:
+    def transition(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``F (..., n, n)``, if the motion in the plane is linear."""
-        return _chosen(_chosen(self.inside.transition(dt), self.order, -2), self.order)
+        return _chosen(_chosen(self.inside.transition_by(dt, u), self.order, -2), self.order)
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """Known changes of the state ``(..., n)``; None if there are none."""
         shift = self.inside.shift(dt, u)
         return None if shift is None else _chosen(shift, self.order)
 
-    def process_noise(self, dt: Tensor) -> Tensor:
+    def process_noise(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``S_Q (..., n, r)``."""
-        return _chosen(self.inside.process_noise(dt), self.order, -2)
+        return _chosen(self.inside.process_noise_by(dt, u), self.order, -2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """``S_Q (..., n, r)`` at a predicted mean ``(..., n)``."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from torchfra import register
-from torchfra.filters.checks import check_models
+from torchfra.filters.checks import check_models, of_a_module
 from torchfra.filters.gpb import GPB, LearnedNoise, Outliers, Regimes
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
@@ -157,7 +157,8 @@ def gpb(
         tensor([False,  True])
     """
     if not isinstance(motion, Motion | Sequence):
-        raise ValueError(f"motion: expected one, several or a Bank, received {type(motion).__name__}")
+        received = f"{type(motion).__name__}{of_a_module('motion', motion)}"
+        raise ValueError(f"motion: expected one, several or a Bank, received {received}")
     models = motion if isinstance(motion, Motion) else Bank(motion)
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -12,6 +13,7 @@ from torchfra.linalg.batches import joined
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.numbers import is_integer
 from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
+from torchfra.sensors.places import finite
 
 
 class Stacked(Sensor):
@@ -121,7 +123,44 @@ class Stacked(Sensor):
         return list(self.parts)  # type: ignore[arg-type]  # a ModuleList does not know what it holds
 
 
-class Biased(Sensor):
+class Around(Sensor):
+    """Abstract: a sensor around another one, ``inside``, whose elements, angles, blocks and noise it has."""
+
+    @property
+    def inside(self) -> Sensor:
+        """The sensor inside."""
+        raise TypeError(f"{type(self).__name__}: expected an inside, received none")
+
+    def _surround(self, sensor: Sensor, reads: int) -> None:
+        """Lays out a measurement as that of the sensor inside, which reads so many components."""
+        self._lay_out(max(sensor.reads, reads), sensor.angles.tolist())
+        self.blocks, self.dims = sensor.blocks, sensor.dims
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """Whether the sensor inside is linear."""
+        return self.inside.linear
+
+    @property
+    def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
+        """Root of the noise covariance of the sensor inside; None for independent elements."""
+        return self.inside.root
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """The components that the sensor inside expects."""
+        return self.inside.expects
+
+    def difference(self, a: Tensor, b: Tensor) -> Tensor:
+        """``a - b`` of measurements ``(..., m)``, angles wrapped."""
+        return self.inside.difference(a, b)
+
+    def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
+        """The noise of measurements ``z (..., m)``: see ``Sensor.measurement_noise``."""
+        return self.inside.measurement_noise(z, std, root)
+
+
+class Biased(Around):
     """A sensor with biases that are components of the state, such as the offset of a clock.
 
     ``Augmented(motion, RandomWalk(q, 1, kind="bias"))`` has such a component behind those of the target.
@@ -144,19 +183,13 @@ class Biased(Sensor):
         if len(each) != sensor.size or not all(i is None or is_integer(i, 0) for i in each):
             expected = f"a component of the state, or one for each of {sensor.size} elements"
             raise ValueError(f"bias: expected {expected}, received {bias}")
-        self._lay_out(max([sensor.reads, *(i + 1 for i in each if i is not None)]), sensor.angles.tolist())
+        self._surround(sensor, max((i + 1 for i in each if i is not None), default=0))
         self.unbiased, self.bias = sensor, tuple(None if i is None else int(i) for i in each)
-        self.blocks, self.dims = sensor.blocks, sensor.dims
 
     @property
-    def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether the sensor without biases is linear."""
-        return self.unbiased.linear
-
-    @property
-    def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
-        """Root of the noise covariance of the sensor; None for independent elements."""
-        return self.unbiased.root
+    def inside(self) -> Sensor:
+        """The sensor without biases."""
+        return self.unbiased
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
@@ -169,17 +202,65 @@ class Biased(Sensor):
         added: Tensor = self.unbiased(x, u) + torch.stack([zero if i is None else x[..., i] for i in self.bias], -1)
         return added
 
-    def difference(self, a: Tensor, b: Tensor) -> Tensor:
-        """``a - b`` of measurements ``(..., m)``, angles wrapped."""
-        return self.unbiased.difference(a, b)
-
-    def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
-        """The noise of measurements ``z (..., m)``: see ``Sensor.measurement_noise``."""
-        return self.unbiased.measurement_noise(z, std, root)
-
     def describe(self) -> str:
         """The sensor, and that it is biased."""
         return f"{self.unbiased.describe()} with a bias"
+
+
+class Mounted(Around):
+    """A sensor beside the point of a vehicle that the state describes, as an antenna on its roof: a lever arm.
+
+    Args:
+        sensor: in the plane; it measures as from the place where it is mounted.
+        at: ``(2,)`` where that is in the vehicle's axes: m ahead and m to the left.
+        heading: index of the component that is the vehicle's heading, rad counter-clockwise from +x.
+
+    Raises:
+        ValueError: no sensor, a place of another shape or not finite, an index below 0.
+
+    Example:
+        >>> antenna = torchfra.sensors.Mounted(torchfra.sensors.Position(0.1), at=[2.0, 0.5])
+        >>> antenna(torch.tensor([10.0, 0.0, torch.pi / 2]))  # the vehicle looks along +y
+        tensor([9.5000, 2.0000])
+    """
+
+    at: Tensor
+
+    def __init__(self, sensor: Sensor, at: Any, heading: int = 2) -> None:
+        if not isinstance(sensor, Sensor):
+            raise ValueError(f"sensor: expected a sensor, received {type(sensor).__name__}")
+        if not is_integer(heading, 2):
+            raise ValueError(f"heading: expected the index of a component behind the position, received {heading!r}")
+        self._surround(sensor, heading + 1)
+        self.mounted, self.heading = sensor, heading
+        self.register_buffer("at", finite(at, 2, name="at"), persistent=False)
+
+    @property
+    def inside(self) -> Sensor:
+        """The sensor as if it were not mounted elsewhere."""
+        return self.mounted
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """False, as it turns with the vehicle."""
+        return False
+
+    @property
+    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
+        """The components that the sensor expects, and a heading."""
+        return [*self.inside.expects, (self.heading, ("angle",))]
+
+    def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
+        """The measurement ``(..., m)`` from where the sensor is mounted."""
+        ahead, left = self.at.to(x)
+        cos, sin = x[..., self.heading].cos(), x[..., self.heading].sin()
+        place = x[..., :2] + torch.stack([ahead * cos - left * sin, ahead * sin + left * cos], -1)
+        measured: Tensor = self.mounted(torch.cat([place, x[..., 2:]], -1), u)
+        return measured
+
+    def describe(self) -> str:
+        """The sensor, and that it is mounted elsewhere."""
+        return f"{self.mounted.describe()} on a lever arm"
 
 
 def noise_root(sensor: Sensor) -> Tensor:

@@ -8,11 +8,11 @@ from torch import Tensor, nn
 from torchfra.hyper import Value
 from torchfra.motion.correlated import GaussMarkov
 from torchfra.numbers import as_numbers
-from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
-from torchfra.sensors.composed import Stacked
+from torchfra.sensors.base import Sensor
+from torchfra.sensors.composed import Around, Stacked
 
 
-class Correlated(Sensor):
+class Correlated(Around):
     """A sensor with time-correlated errors beside its white noise: a few metres over 10 to 100 s, as GPS or radar has.
 
     Each element has an error of its own, a first-order Gauss-Markov process of zero mean.  The filter of a preset for
@@ -39,8 +39,8 @@ class Correlated(Sensor):
         if not isinstance(sensor, Sensor) or errors_of(sensor):
             received = "one that has" if isinstance(sensor, Sensor) else type(sensor).__name__
             raise ValueError(f"sensor: expected a sensor without time-correlated errors, received {received}")
-        self._lay_out(sensor.reads, sensor.angles.tolist())
-        self.sensor, self.blocks, self.dims = sensor, sensor.blocks, sensor.dims
+        self._surround(sensor, 0)
+        self.sensor = sensor
         values = [as_numbers(std, "std"), as_numbers(time, "time")]
         for name, value in zip(("std", "time"), values, strict=True):
             if value.shape not in ((), (self.size,)):
@@ -52,19 +52,9 @@ class Correlated(Sensor):
             self.errors = nn.ModuleList([GaussMarkov(values[0], values[1], self.size)])
 
     @property
-    def linear(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether the sensor is linear."""
-        return self.sensor.linear
-
-    @property
-    def root(self) -> Tensor | None:  # type: ignore[override]  # of that sensor
-        """Root of the white noise's covariance; None for independent elements."""
-        return self.sensor.root
-
-    @property
-    def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """The components that the sensor expects."""
-        return self.sensor.expects
+    def inside(self) -> Sensor:
+        """The sensor without such errors."""
+        return self.sensor
 
     @property
     def locates(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
@@ -76,17 +66,9 @@ class Correlated(Sensor):
         measured: Tensor = self.sensor(x, u)
         return measured
 
-    def difference(self, a: Tensor, b: Tensor) -> Tensor:
-        """``a - b`` of measurements ``(..., m)``, angles wrapped."""
-        return self.sensor.difference(a, b)
-
     def locate(self, z: Tensor) -> Tensor:
         """Where a measurement ``(..., m)`` locates the target, as the sensor does."""
         return self.sensor.locate(z)
-
-    def measurement_noise(self, z: Tensor, std: Tensor | None = None, root: Tensor | None = None) -> MeasurementNoise:
-        """The white noise of the sensor."""
-        return self.sensor.measurement_noise(z, std, root)
 
     def describe(self) -> str:
         """The sensor, and that it has time-correlated errors."""

@@ -1,6 +1,6 @@
 """Sensors of directions: bearings from stations, and range with bearing.
 
-Bearings count clockwise from the +y axis (north), ``atan2(dx, dy)``.
+Bearings count clockwise from the +y axis (north), ``atan2(dx, dy)``; those from a vehicle counter-clockwise from ahead.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchfra.hyper import Value
+from torchfra.angles import wrap
+from torchfra.hyper import Value, one_of
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Expected, Sensor
 from torchfra.sensors.places import finite, from_u, in_space
@@ -73,34 +74,61 @@ class RangeBearing(Sensor):
         dims: 2 for range and bearing, 3 with elevation.
         position: ``(dims,)`` position of the sensor, m; ``u`` is not used then.
         noise: instead of ``std``, a root of the covariance of correlated measurement noise.
+        frame: ``"world"``, or ``"body"`` for a sensor on a vehicle.
+        heading: index of the vehicle's heading in the state, rad counter-clockwise from +x.
 
     Without a ``position`` the sensor is at ``u (..., dims)`` if there is a ``u``, otherwise at the origin.  If ``u`` is
     for another sensor or for the motion, a ``position`` must be given.
 
+    In the frame ``"body"`` the state is that of a vehicle, its heading behind the position, and the sensor on it
+    measures a landmark in the plane: its range, and its bearing counter-clockwise from ahead.  The landmark stands at
+    ``position``, or at the last two entries of ``u``; behind those of the motion.  Its place is known: landmarks whose
+    place has to be found as well (SLAM) are out of scope.  ``Mounted`` is for a sensor that is not where the state is.
+
     Raises:
-        ValueError: ``dims`` neither 2 nor 3, a ``position`` of another shape or not finite, a ``u`` that is too short.
+        ValueError: ``dims`` neither 2 nor 3, or 3 in the frame of a vehicle, another frame, a ``position`` of another
+            shape or not finite, a ``u`` that is too short.
     """
 
     position: Tensor | None
-    locates = measures_each_direction = True
 
     def __init__(
-        self, std: Value | None = None, *, dims: int = 2, position: Any = None, noise: Tensor | None = None
+        self,
+        std: Value | None = None,
+        *,
+        dims: int = 2,
+        position: Any = None,
+        noise: Tensor | None = None,
+        frame: str = "world",
+        heading: int = 2,
     ) -> None:
-        if dims not in (2, 3):
-            raise ValueError(f"dims: expected 2 or 3, received {dims}")
-        super().__init__(dims, [False, True, True][:dims], std, noise)
-        self.dims = dims
+        one_of(frame=(frame, ("world", "body")))
+        if dims not in (2, 3)[: 1 if frame == "body" else 2]:
+            raise ValueError(f"dims: expected {'2' if frame == 'body' else '2 or 3'}, received {dims}")
+        super().__init__(dims if frame == "world" else max(dims, heading + 1), [False, True, True][:dims], std, noise)
+        self.dims, self.frame, self.heading = dims, frame, heading
         at = None if position is None else finite(position, dims, name="position")
         self.register_buffer("position", at, persistent=False)
 
     @property
+    def locates(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """Whether it is in the world's frame: without the heading a vehicle is anywhere around a landmark."""
+        return self.frame == "world"
+
+    @property
+    def measures_each_direction(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
+        """Whether it is in the world's frame."""
+        return self.frame == "world"
+
+    @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
-        """The positions that it reads."""
-        return in_space(self.size)
+        """The positions that it reads, and the heading of a vehicle."""
+        return [*in_space(self.size), *([(self.heading, ("angle",))] if self.frame == "body" else [])]
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """Range, bearing and, in space, elevation ``(..., dims)`` of states."""
+        if self.frame == "body":
+            return self._from_vehicle(x, u)
         offset = x[..., : self.size]
         if self.position is not None:
             offset = offset - self.position.to(x)
@@ -112,6 +140,21 @@ class RangeBearing(Sensor):
             return torch.stack([ground, bearing], -1)
         up = offset[..., 2]
         return torch.stack([torch.hypot(ground, up), bearing, torch.atan2(up, ground)], -1)
+
+    def _from_vehicle(self, x: Tensor, u: Tensor | None) -> Tensor:
+        """Range and bearing ``(..., 2)`` of the landmark from a vehicle."""
+        if self.position is not None:
+            landmark = self.position.to(x)
+        elif u is None or u.shape[-1] < 2:
+            received = None if u is None else f"(..., {u.shape[-1]})"
+            raise ValueError(
+                f"u: expected where the landmark stands in the last of (..., 2) or more, received {received}"
+            )
+        else:
+            landmark = u[..., -2:]
+        away = landmark - x[..., :2]
+        bearing = torch.atan2(away[..., 1], away[..., 0]) - x[..., self.heading]
+        return torch.stack([torch.hypot(away[..., 0], away[..., 1]), wrap(bearing)], -1)
 
     def locate(self, z: Tensor) -> Tensor:
         """The measured position ``(..., dims)``, relative to the origin with a ``position``, else to the sensor."""

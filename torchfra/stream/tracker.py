@@ -17,7 +17,7 @@ from torchfra.filters.failures import diagnose_step
 from torchfra.filters.fixed_lag import smooth_window, step_kept
 from torchfra.filters.forecast import Forecast
 from torchfra.filters.protection import protection_level
-from torchfra.gaussian.arguments import check_belief
+from torchfra.gaussian.arguments import belief_of, check_belief
 from torchfra.sensors.base import Sensor
 from torchfra.stream.arguments import check_counts, seconds
 from torchfra.stream.intake import Intake
@@ -118,6 +118,7 @@ class Tracker:
         dtype: torch.dtype | None = None,
     ) -> None:
         check_counts(lag, steps, old, jump)
+        prior = belief_of(prior)
         like = check_belief(prior).mean
         self._intake = Intake(filter, sensors, origin, like.dtype if dtype is None else dtype, like.device)
         self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
@@ -144,7 +145,7 @@ class Tracker:
             ValueError: a prior of another size or batch.
         """
         batch, now = self._intake.batch, self._now
-        state = self._intake.start(prior)
+        state = self._intake.start(belief_of(prior))
         alarms = tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if self.filter.alarms)
         begun = Known(state, alarms)
         like = [(x.shape, x.dtype) for x in tree.flatten(now)]

@@ -15,7 +15,8 @@ from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
 from torchfra.filters.srckf import SRCKF
-from torchfra.gaussian.inputs import Measurements, Time
+from torchfra.gaussian.arguments import measurements_of
+from torchfra.gaussian.inputs import Time
 from torchfra.hyper import Part
 from torchfra.numbers import as_number, fraction, is_integer
 from torchfra.targets.births import Birth, Newborn, OnePoint
@@ -211,7 +212,7 @@ class Targets(Part):
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
-        filter, measurements = self._of(sensor), Measurements(z, dt, u, std, noise)
+        filter, measurements = self._of(sensor), measurements_of(z, dt, u, std, noise)
         scan = check_scan(filter, state, measurements, self.confirmation.window, self.lag)
         parts = (("a map of clutter", state.clutter, self.clutter_map), ("stitching", state.ended, self.stitching),
                  ("visibility", state.track.visible, self.visibility),
@@ -243,6 +244,7 @@ class Targets(Part):
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
+        z, dt, u, _, _ = measurements_of(z, dt, u)
         scans = check_scans(self.filter, z, dt, u)
         check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []

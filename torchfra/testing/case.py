@@ -212,7 +212,7 @@ def drawn(
     for _ in range(steps):
         x = motion(x, dt, u)
         if process_noise:
-            root = motion.process_noise_at(motion.process_noise(seconds), x, seconds)
+            root = motion.process_noise_at(motion.process_noise_by(seconds, u), x, seconds)
             push = torch.randn(*x.shape[:-1], root.shape[-1], dtype=torch.float64, generator=generator)
             x = motion.canonical(x + apply(root, push))
         z = sensor(x, u)

@@ -174,7 +174,8 @@ def process_noise(part: Part) -> None:
     for seconds, shape in ((part.dt[0], ()), (part.dt[0], (5,)), (part.dt[0], (5, BATCH)), (0 * part.dt[0], ())):
         given = f"for dt {shape}" if seconds else "for a dt of 0"
         try:
-            root = motion.process_noise(seconds.expand(shape))
+            u = None if part.u is None else part.u[0].expand(*shape, -1)
+            root = motion.process_noise_by(seconds.expand(shape), u)
         except Exception as error:
             raise type(error)(f"{given}: {error}") from error
         fits = root.dim() >= 2 and root.shape[-2] == n and root.shape[:-2] in (shape, ())
@@ -187,7 +188,7 @@ def process_noise_at(part: Part) -> None:
     motion, n = part.model, part.x.shape[-1]
     assert isinstance(motion, Motion)
     if not motion.linear:
-        root = motion.process_noise_at(motion.process_noise(part.dt), part.x, part.dt)
+        root = motion.process_noise_at(motion.process_noise_by(part.dt, part.u), part.x, part.dt)
         fits = root.dim() >= 2 and root.shape[-2] == n
         expect(fits, f"for means {tuple(part.x.shape)}", f"roots ({BATCH}, {n}, r)", tuple(root.shape))
         expect(bool(root.isfinite().all()), f"for means {tuple(part.x.shape)}", "finite numbers", _rounded(root))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchfra.testing.case import STEPS, Case, check
-from torchfra.testing.expectations import expect, refusal
+from torchfra.testing.expectations import expect, expect_same, refusal
 from torchfra.types import Gaussian
 
 
@@ -87,21 +87,32 @@ def noise_may_be_anything_where_nothing_is_seen(case: Case) -> None:
 
 
 @check("eager", "compiled")
-def what_is_no_tensor_is_named_with_what_to_hand_in(case: Case) -> None:
-    """NumPy arrays, lists, None and tensors of integers, complex numbers or half precision are refused."""
+def numbers_of_any_kind_are_taken_alike(case: Case) -> None:
+    """Lists and arrays of NumPy give what tensors give, and tensors of integers what those of their values give."""
     z, prior = case.z, case.prior
-    kinds: list[Any] = [z.numpy(), z.tolist(), None]
-    for x in (*kinds, (1j * z).nan_to_num(), z.half(), z.bfloat16(), z.nan_to_num().long()):
+    numpy: Any = [x.numpy() for x in prior]
+    ways: tuple[Callable[[Tensor], Any], ...] = (Tensor.numpy, Tensor.tolist)
+    for way in ways:
+        found = case(z=way(z), prior=Gaussian(*numpy), std=way(case.std), dt=way(torch.ones(STEPS).double()))
+        expect_same(found.mean, case(std=case.std, dt=torch.ones(STEPS).double()).mean, "estimates")
+    whole = z.nan_to_num().round()
+    expect_same(case(z=whole.long()).mean, case(z=whole).mean, "estimates of integers")
+
+
+@check("eager", "compiled")
+def what_is_no_number_is_named(case: Case) -> None:
+    """None, words, and tensors of complex numbers or half precision are refused."""
+    z, prior = case.z, case.prior
+    kinds: list[Any] = [None, "north", [z, None]]
+    for x in (*kinds, (1j * z).nan_to_num(), z.half(), z.bfloat16()):
         _refuse(case, "z", z=x)
         _refuse_step(case, "z", z=x[:, 0] if isinstance(x, Tensor) else x)
     for x in (tuple(prior), None, prior.mean):
         _refuse(case, "prior", prior=x)
         _refuse_call(case, "prior", lambda case, x=x: case.filter.init(x))  # type: ignore[misc]
-    numpy: Any = (x.numpy() for x in prior)
-    _refuse(case, "prior.mean", prior=Gaussian(*numpy))
     _refuse(case, "prior.mean", prior=Gaussian(*(x.half() for x in prior)))
     for name in ("u", "std", "noise"):
-        _refuse(case, name, **{name: case.std.tolist()})
+        _refuse(case, name, **{name: "small"})
 
 
 @check("eager", "compiled")
@@ -132,7 +143,7 @@ def models_keep_the_shapes_that_they_promise(case: Case) -> None:
     u = case.u_at(0)
     if not motion.stacked:
         _expect_shape(motion.at_points(points, dt, u), points.shape, points, type(motion).__name__, "states")
-        noise = motion.process_noise(dt)
+        noise = motion.process_noise_by(dt, u)
         expect(noise.shape[-2:-1] == (motion.size,), f"{type(motion).__name__}.process_noise",
                f"(..., {motion.size}, r)", tuple(noise.shape))  # fmt: skip
     expected = (*points.shape[:-1], sensor.size)
