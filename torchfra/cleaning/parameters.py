@@ -157,7 +157,8 @@ def _farther_than_moves(parts: Sequence[Part], smoothed: Sequence[Smoothed], out
 def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
     """Estimates with the path of the lowest sigma that a track does not rule out, without its outliers.
 
-    So no fix is moved far for a noise that may not exist.  Covariances are unchanged.
+    So no fix is moved far for a noise that may not exist.  If the noise does exist, these estimates are off by the
+    distance from those of the found sigma too, whose mean square covariances contain.
     """
     rows = (~part.lowest.isnan()).nonzero()[:, 0]
     if not len(rows):
@@ -165,8 +166,11 @@ def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
     some = part.at(rows)
     fixes = some.fixes._replace(log_odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
-    position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], smoothed.belief[:2], strict=True))
-    return smoothed._replace(belief=smoothed.belief._replace(position=position, velocity=velocity))
+    old = smoothed.belief
+    position, velocity = (of.index_copy(-1, rows, new) for new, of in zip(path[:2], old[:2], strict=True))
+    more_p, more_v = ((new - of[..., rows]).square().mean((0, 1)) for new, of in zip(path[:2], old[:2], strict=True))
+    pp, vv = (of.index_add(-1, rows, more.expand(len(of), -1)) for of, more in ((old.pp, more_p), (old.vv, more_v)))
+    return smoothed._replace(belief=old._replace(position=position, velocity=velocity, pp=pp, vv=vv))
 
 
 def _outlier(parts: Sequence[Part], smoothed: Sequence[Smoothed]) -> Tensor:

@@ -21,8 +21,6 @@ _COARSE = 8
 """Number of standard deviations that are tried at first, each half of the one before."""
 _FINE = 1.2
 """Ratio of those that are tried later."""
-_PRIOR_EXPONENT = 8.0
-"""Exponent of the prior of sigma, which decides where noise and motion cannot be distinguished: for noise."""
 _MOST_OUTLIERS, _COST = 0.12, 20.0
 """Share of outliers above which sigma is probably too small, and the log-likelihood that each further one costs."""
 _HARDLY = 0.6
@@ -83,7 +81,7 @@ def likeliest_sigma(fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, 
     """
     log_likelihood, outliers, count = _likelihoods(fixes, levels, owner, sigma, model)
     too_many = (outliers - _MOST_OUTLIERS * count).clamp_min(0.0)
-    total = log_likelihood - _COST * too_many + _PRIOR_EXPONENT * sigma.log()
+    total = log_likelihood - _COST * too_many
     best = total.argmax(0).clamp(1, len(sigma) - 2)
     left, middle, right = (total.gather(0, (best + k).unsqueeze(0))[0] for k in (-1, 0, 1))
     bend = (left - 2 * middle + right).clamp_max(-1e-3)  # where likelihoods are level, a parabola has no top
