@@ -77,7 +77,9 @@ def test_the_noise_is_found_and_no_good_fix_is_rejected(cleaned):
 
 def test_of_what_nobody_says_a_kind_of_none_is_said(cleaned):
     assert {one.found.bank for several in cleaned.values() for one, _ in several} == {"any"}
-    assert not any("kind" in note.lower() for several in cleaned.values() for one, _ in several for note in one.found.notes)
+    assert not any(
+        "kind" in note.lower() for several in cleaned.values() for one, _ in several for note in one.found.notes
+    )
 
 
 def test_who_circles_with_few_fixes_around_is_as_far_off_as_said():

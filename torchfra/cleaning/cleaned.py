@@ -53,7 +53,7 @@ class Found:
     filter: str
     smooth: bool
     bank: str
-    """The kind of target, such as ``"aircraft"``, ``"any"`` if nobody says one, ``"own"`` for a ``Bank`` of the caller."""
+    """The kind of target, such as ``"aircraft"``; ``"any"`` if nobody says one, ``"own"`` for a ``Bank``."""
     sigma: float
     """Standard deviation of a fix per axis, m; where each fix has its own, a factor on those."""
     q: float

@@ -1,10 +1,10 @@
 """Generalised pseudo-Bayes for recorded positions: levels of process noise and outliers, in closed form.
 
 It is ``filters.GPB`` for what most recordings are, positions of targets at a nearly constant velocity: ``as_module``
-makes the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to turning as
-hard as can be, and a fix is an inlier or an outlier.  All axes have one covariance, the mean of theirs where hypotheses
-are merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise operations
-a step.  On one axis both filters are the same.
+makes the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to
+turning as hard as can be, and a fix is an inlier or an outlier.  All axes have one covariance, the mean of theirs where
+hypotheses are merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise
+operations a step.  On one axis both filters are the same.
 """
 
 from __future__ import annotations

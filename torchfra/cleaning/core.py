@@ -140,10 +140,7 @@ def _clean_group(
     try:
         done = work(placed, coarse=coarse)
     except FAILURES:  # of one recording; the others are cleaned without it
-        done = [
-            _alone(one, partial(work, coarse=[coarse[i]]), name, settings.smooth)
-            for i, one in enumerate(placed)
-        ]
+        done = [_alone(one, partial(work, coarse=[coarse[i]]), name, settings.smooth) for i, one in enumerate(placed)]
     for i, (_, variance) in moved.items():
         done[i] = time_stamps.as_recorded(done[i], measured[i], variance)
     return done
@@ -202,7 +199,8 @@ def check_settings(
 
 
 def _clean_batch(
-    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], name: str, bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
+    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], name: str, bank: str | Bank | None,
+    settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
     """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
 

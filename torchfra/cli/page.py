@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.colours import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
-from torchfra.cleaning.outputs.summary import COLUMNS, LEGEND, cells, headline, report, sentences_on_all, settings_lines, summary
+from torchfra.cleaning.outputs.summary import (
+    COLUMNS,
+    LEGEND,
+    cells,
+    headline,
+    report,
+    sentences_on_all,
+    settings_lines,
+    summary,
+)
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable

@@ -55,7 +55,8 @@ def _summary(cleaned: Cleaned) -> dict[str, Any]:
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
         "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma,
-        "stated": found.stated, "stated_sigma": _stated(cleaned), "q": found.q, "nis": found.nis, "sigma_unsure": found.sigma_unsure,
+        "stated": found.stated, "stated_sigma": _stated(cleaned), "q": found.q, "nis": found.nis,
+        "sigma_unsure": found.sigma_unsure,
         "estimated": sorted(found.estimated),
         "notes": list(found.notes),
         "segments": [segment._asdict() for segment in cleaned.segments],
@@ -69,8 +70,8 @@ def sentences(cleaned: Cleaned) -> list[str]:
     said = [headline(of), noise(of)]
     if math.isfinite(of["median_std"]):
         median, most = metres(of["median_correction"]), metres(of["largest_correction"])
-        moved = f"; fixes moved by {median} (median) to {most}" if math.isfinite(of["median_correction"]) else ""
-        said.append(f"Path: good to {metres(of['median_std'])} per axis, {LASTING}{moved}")
+        moved = f"; fixes moved {median}, at most {most}" if math.isfinite(of["median_correction"]) else ""
+        said.append(f"Path good to {metres(of['median_std'])} per axis ({LASTING}){moved}")
     if cleaned.segments:
         said.append(manoeuvres(cleaned))
     said += [note for note in of["notes"] if note.startswith(TRUST)]
@@ -115,7 +116,7 @@ def _stated(cleaned: Cleaned) -> float:
     return math.nan if sigma is None else float(np.median(sigma.reshape(len(sigma), -1)[:, :2]))
 
 
-LASTING = "slowly varying errors not included"
+LASTING = "slowly varying errors aside"
 """What standard deviations do not contain: a track alone does not tell such errors, as of satellites, from motion."""
 TRUST = ("Time stamps were off", "Standard deviations are as stated", "Sigma varies", "not smoothed", "Faster than")
 """Beginnings of notes that decide whether to trust a result."""
