@@ -50,9 +50,9 @@ _MOST, _RARE_MOVES = 0.98, 8
 """Share of the moves over long gaps that are no outliers, and the fewest such moves that tell a speed."""
 _CHANGES, _LEAST_CHANGE = 4.3, 6.0
 """Largest change of the velocity of an unknown target in a step, in units of its own speed, and m/s at least."""
-_HARDEST = 2.8
+_HARDEST = 4.0
 """Hardest acceleration of an unknown target at 1 m/s, m/s^2; it grows with the fourth root of the speed, from 3 m/s^2
-of who walks to 10 m/s^2 of who flies."""
+of who rests to 10 m/s^2 of who drives or flies."""
 
 
 def check_kind(name: str) -> None:

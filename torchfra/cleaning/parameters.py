@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.closed_form import DEFAULT
+from torchfra.cleaning.closed_form import DEFAULT, Belief
 from torchfra.cleaning.flags import MATTERS
 from torchfra.cleaning.parts import Part, summed
 from torchfra.cleaning.sigma import as_rough_as_noise, finer_sigma, little_gained, lowest_sigma
@@ -158,7 +158,8 @@ def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
     """Estimates with the path of the lowest sigma that a track does not rule out, without its outliers.
 
     So no fix is moved far for a noise that may not exist.  If the noise does exist, these estimates are off by the
-    distance from those of the found sigma too, whose mean square covariances contain.
+    distance from those of the found sigma too, whose mean square covariances contain; but at a fix that is no outlier
+    they are no less certain than the fix.
     """
     rows = (~part.lowest.isnan()).nonzero()[:, 0]
     if not len(rows):
@@ -168,9 +169,19 @@ def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
     old = smoothed.belief
     position, velocity = (of.index_copy(-1, rows, new) for new, of in zip(path[:2], old[:2], strict=True))
-    more_p, more_v = ((new - of[..., rows]).square().mean((0, 1)) for new, of in zip(path[:2], old[:2], strict=True))
-    pp, vv = (of.index_add(-1, rows, more.expand(len(of), -1)) for of, more in ((old.pp, more_p), (old.vv, more_v)))
-    return smoothed._replace(belief=old._replace(position=position, velocity=velocity, pp=pp, vv=vv))
+    measured = (~fixes.missing).to(path.pp)
+    share = measured / measured.sum(0)
+    more_p, more_v = (
+        (share * (new - of[..., rows]).square().mean(0)).sum(0) for new, of in zip(path[:2], old[:2], strict=True)
+    )
+    there = ~fixes.missing & (outlier[:, rows] <= _SURELY)
+    least = torch.where(there, some.scaled.variance, math.inf)
+    pp, pv, vv = old.pp[:, rows] + more_p, old.pv[:, rows], old.vv[:, rows] + more_v
+    share = (least / pp).clamp_max(1.0)
+    moments = (
+        of.index_copy(-1, rows, new) for of, new in zip(old[2:], (share * pp, share.sqrt() * pv, vv), strict=True)
+    )
+    return smoothed._replace(belief=Belief(position, velocity, *moments))
 
 
 def _outlier(parts: Sequence[Part], smoothed: Sequence[Smoothed]) -> Tensor:

@@ -21,6 +21,8 @@ _COARSE = 8
 """Number of standard deviations that are tried at first, each half of the one before."""
 _FINE = 1.2
 """Ratio of those that are tried later."""
+_PRIOR_EXPONENT = 8.0
+"""Exponent of the prior of sigma: with 0 it is found a fifth too small for flights every 10 s."""
 _MOST_OUTLIERS, _COST = 0.12, 20.0
 """Share of outliers above which sigma is probably too small, and the log-likelihood that each further one costs."""
 _HARDLY = 0.6
@@ -54,8 +56,8 @@ _STRAIGHT = 0.2
 def first_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
     tried = _largest_sigma(part.fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    log_likelihood = _cost(*_likelihoods(part.fixes, part.levels, owner, tried, part.model.independent_offsets))
-    return _likeliest(tried, log_likelihood).minimum(part.most)
+    logs = _posterior(tried, *_likelihoods(part.fixes, part.levels, owner, tried, part.model.independent_offsets))
+    return _likeliest(tried, logs).minimum(part.most)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
@@ -65,13 +67,16 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
     """
     tried = part.sigma * (_FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)).unsqueeze(1)
     both = _likelihoods(part.fixes, part.levels, owner, tried.repeat(2, 1), part.model, independent=len(tried))
-    alone, usual = (_likeliest(tried, of) for of in _cost(*both).chunk(2))
+    alone, usual = (_likeliest(tried, of) for of in _posterior(tried.repeat(2, 1), *both).chunk(2))
     return alone.maximum(usual).minimum(part.most)
 
 
-def _cost(log_likelihood: Tensor, outliers: Tensor, count: Tensor) -> Tensor:
-    """Log-likelihoods ``(G, B)``, less what outliers beyond a usual share of the fixes cost."""
-    return log_likelihood - _COST * (outliers - _MOST_OUTLIERS * count).clamp_min(0.0)
+def _posterior(sigma: Tensor, log_likelihood: Tensor, outliers: Tensor, count: Tensor) -> Tensor:
+    """Logs ``(G, B)`` of the likelihoods of standard deviations, less what many outliers cost.
+
+    The prior of sigma decides where noise and motion cannot be distinguished: for noise.
+    """
+    return log_likelihood - _COST * (outliers - _MOST_OUTLIERS * count).clamp_min(0.0) + _PRIOR_EXPONENT * sigma.log()
 
 
 def _likeliest(sigma: Tensor, log_likelihood: Tensor) -> Tensor:
