@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from numpy.lib.stride_tricks import sliding_window_view
 
+from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.readers.recording import Recording
 from torchfra.readers.sanity import speed_across
@@ -48,11 +51,16 @@ _MANY = 25
 """Fixes from which on this ratio is checked."""
 _MOST, _RARE_MOVES = 0.98, 8
 """Share of the moves over long gaps that are no outliers, and the fewest such moves that tell a speed."""
+_OFF, _STRETCHES = 0.1, 20
+"""How far off a circle fixes are at most, as a share of the way between two, so that these ways tell the speed; and
+stretches of fixes of which that is asked."""
+_CLEAR = 10.0
+"""How many times as far as that second differences are at least, so that they tell the acceleration."""
 _CHANGES, _LEAST_CHANGE = 4.3, 6.0
 """Largest change of the velocity of an unknown target in a step, in units of its own speed, and m/s at least."""
-_HARDEST = 4.0
+_HARDEST = 2.8
 """Hardest acceleration of an unknown target at 1 m/s, m/s^2; it grows with the fourth root of the speed, from 3 m/s^2
-of who rests to 10 m/s^2 of who drives or flies."""
+of who walks to 10 m/s^2 of who flies."""
 
 
 def check_kind(name: str) -> None:
@@ -85,8 +93,9 @@ def kind_of(recording: Recording) -> tuple[str, Kind]:
     word = _OTHER_WORDS.get(recording.source.word, recording.source.word)
     if word in KINDS:
         return word, KINDS[word]
-    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording))
-    hardest = min(max(_HARDEST * speed**0.25, 3.0), 10.0)
+    around, turn = _speed_and_turn(recording)
+    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording), around)
+    hardest = min(max(_HARDEST * speed**0.25, turn, 3.0), 10.0)
     return UNKNOWN, Kind(hardest, 2.0, max(_CHANGES * speed, _LEAST_CHANGE))
 
 
@@ -105,3 +114,23 @@ def _speed_of_rare_moves(recording: Recording) -> float:
     one, two = (np.linalg.norm(position[k:] - position[:-k], axis=1) for k in (1, 2))
     move = np.minimum(one[1:-1], np.minimum(two[:-1], two[1:]))
     return float(np.quantile((move / gap)[rare], _MOST))
+
+
+def _speed_and_turn(recording: Recording) -> tuple[float, float]:
+    """The median speed from fix to fix, m/s, and acceleration, m/s^2, where hardly any of them is noise; 0 elsewhere.
+
+    Who circles in less than half a minute is much faster than over half a minute.
+    """
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, position = recording.time[there], recording.position[there, :2]
+    if len(time) < IN_A_ROW + _STRETCHES:
+        return 0.0, 0.0
+    gap, ways = np.diff(time), np.diff(position, axis=0)
+    gaps = torch.from_numpy(np.concatenate([gap[:1], gap])[:, None])
+    off = off_circles(torch.from_numpy(position[..., None]), gaps)[:, 0].numpy()
+    way, turn = np.linalg.norm(ways, axis=1), np.linalg.norm(np.diff(ways, axis=0), axis=1)
+    usual = sliding_window_view(way, IN_A_ROW - 1).mean(1)
+    if (off < _OFF * usual).sum() < max(_STRETCHES, len(off) / 2):
+        return 0.0, 0.0
+    clear = np.median(turn) > _CLEAR * np.nanmedian(off)
+    return float(np.median(way / gap)), float(np.median(turn / (gap[1:] * gap[:-1]))) if clear else 0.0
