@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -104,7 +104,7 @@ def clean_tracks(
         raise ValueError(f"jobs: expected 1 or more, received {jobs}")
     argos = [sigma is None and recording.source.argos for recording in recordings]
     if any(argos):  # whose stated errors are taken as they are
-        words = {"filter": filter, "bank": bank, "q": q, "smooth": smooth, "dt": dt, "repair": repair,
+        words: dict[str, Any] = {"filter": filter, "bank": bank, "q": q, "smooth": smooth, "dt": dt, "repair": repair,
                  "compile": compile, "fallback": fallback, "jobs": jobs}  # fmt: skip
         parts = [[r for r, of in zip(recordings, argos, strict=True) if of == chosen] for chosen in (True, False)]
         both = [iter(clean_tracks(part, sigma=s, **words)) for part, s in zip(parts, (1.0, None), strict=True)]
