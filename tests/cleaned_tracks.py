@@ -17,7 +17,7 @@ FOUND = Found(
     20.0,
     0.5,
     1.03,
-    frozenset({"sigma", "q", "bank"}),
+    frozenset({"sigma", "q"}),
     ("fixes 20 m off, say the innovations",),
 )
 

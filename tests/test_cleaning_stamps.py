@@ -7,6 +7,7 @@ import pytest
 from cleaning.simulated import ship
 
 from torchfra.cleaning import clean_tracks
+from torchfra.cleaning.kinds import KINDS
 from torchfra.cleaning.time_stamps import moved_along, stamps_are_wrong
 from torchfra.readers.recording import Recording, Source
 
@@ -38,13 +39,13 @@ def late():
 
 def test_late_stamps_are_seen_and_noise_and_outliers_are_not(late):
     rng = np.random.default_rng(1)
-    assert stamps_are_wrong(late, "aircraft")
-    assert not stamps_are_wrong(flight(path(TIME)), "aircraft")
+    assert stamps_are_wrong(late, KINDS["aircraft"])
+    assert not stamps_are_wrong(flight(path(TIME)), KINDS["aircraft"])
     for std in (3.0, 30.0):
         noisy = path(TIME) + std * rng.standard_normal((len(TIME), 2))
-        assert not stamps_are_wrong(flight(noisy), "aircraft")
+        assert not stamps_are_wrong(flight(noisy), KINDS["aircraft"])
         noisy[rng.random(len(TIME)) < 0.03] += 3000.0
-        assert not stamps_are_wrong(flight(noisy), "aircraft")
+        assert not stamps_are_wrong(flight(noisy), KINDS["aircraft"])
 
 
 def error(position):
@@ -52,7 +53,7 @@ def error(position):
 
 
 def test_fixes_move_along_the_path_to_where_they_belong(late):
-    assert error(moved_along(late, "aircraft")[0].position) < 0.75 * error(late.position)
+    assert error(moved_along(late, KINDS["aircraft"])[0].position) < 0.75 * error(late.position)
 
 
 @pytest.mark.slow
@@ -142,7 +143,8 @@ def test_a_bus_that_stops_and_goes_has_right_stamps():
         along = np.cumsum(speed)[::period]
         noise = std * np.random.default_rng(0).standard_normal((len(along), 2))
         fixes = np.stack([along, 0 * along], 1) + noise
-        assert not stamps_are_wrong(Recording("bus", period * np.arange(len(along)) * 1.0, fixes, None, {}), "vehicle")
+        bus = Recording("bus", period * np.arange(len(along)) * 1.0, fixes, None, {})
+        assert not stamps_are_wrong(bus, KINDS["vehicle"])
 
 
 # ---------------------------------------------------------------- times that are cut to whole seconds

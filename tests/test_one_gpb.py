@@ -6,7 +6,8 @@ import torch
 from torch.testing import assert_close
 
 import torchfra
-from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, as_gpb
+from torchfra.cleaning.as_module import as_gpb
+from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel
 from torchfra.cleaning.two_filters import filtered
 from torchfra.filters import GPB
 from torchfra.linalg.triangular import tria

@@ -10,6 +10,7 @@ from cleaned_tracks import straight
 from torchfra import readers
 from torchfra.cleaning import clean_tracks
 from torchfra.cli import main as cli
+from torchfra.cli import page
 from torchfra.cli.plan import MOST_PICTURES, plan
 
 QUICK = ["--filter", "srckf", "--sigma", "25", "--q", "1", "--bank", "aircraft", "--no-compile"]
@@ -113,7 +114,13 @@ def test_a_page_is_written_beside_the_table(flight, tmp_path):
     pytest.importorskip("plotly", reason="needs plotly")
     out = ["--no-plots", "--quiet", "--out", str(tmp_path / "a.csv"), "--html", str(tmp_path / "a.html")]
     assert cli.main(["track", str(flight), *QUICK, *out]) == 0
-    assert names(tmp_path) == ["a.csv", "a.html", "a.meta.json", "flight.csv"]
+    assert names(tmp_path) == [
+        "a.csv",
+        "a.html",
+        "a.meta.json",
+        "flight.csv",
+        page.script_beside(tmp_path / "a.html").name,
+    ]
     assert (tmp_path / "a.html").read_text().count(" open><summary>") == 1
 
 
@@ -132,9 +139,14 @@ def test_estimates_between_the_fixes_have_no_row(flight, smooth):
 
 
 def test_what_the_settings_were_is_said_once_for_all_targets(two_flights, tmp_path, capsys):
-    assert cli.main(["track", str(two_flights), *QUICK, "--no-smooth", "--no-plots", "--out", str(tmp_path / "o")]) == 0
+    assert (
+        cli.main(
+            ["track", str(two_flights), *QUICK, "--no-smooth", "--no-plots", "--verbose", "--out", str(tmp_path / "o")]
+        )
+        == 0
+    )
     lines = capsys.readouterr().out.splitlines()
-    assert sum(line.startswith("srckf, on line, for aircraft (given)") for line in lines) == 1
+    assert sum(line.startswith("srckf, on line, for aircraft") for line in lines) == 1
     assert [line.split()[0] for line in lines if line.startswith(("aaa", "bbb"))] == ["aaa", "bbb"]
 
 

@@ -172,11 +172,13 @@ def test_a_summary_counts_and_measures():
 def test_sentences_say_what_a_person_asks_for_in_a_line_each():
     said = sentences(straight(40))
     assert said[0] == "3c6444 DLH1AB: 40 fixes in 78 s, 1 rejected (up to 2.8 km off)"
-    assert said[1] == "Manoeuvres: 1 left turn; 20 s in all"
-    assert said[2].startswith("Fixes that were kept moved: 15.4 m in the median, ")
+    assert said[1] == "Noise found: 20 m per axis"
+    assert said[2].startswith("Path good to ")
+    assert "; fixes moved 15.4 m, at most " in said[2]
+    assert said[3] == "Manoeuvres: 1 left turn; 20 s in all"
     assert max(map(len, said)) <= 100
     (line,) = settings_lines([straight(40)])
-    assert line == "gpb, smoothed, for aircraft (found); sigma 20 m (found), q 0.5 m^2/s^3 (found)"
+    assert line == "gpb, smoothed, for aircraft; sigma 20 m (found), q 0.5 m^2/s^3 (found)"
 
 
 def test_of_many_targets_there_is_a_row_for_each_and_what_they_share_is_said_once():
@@ -187,13 +189,13 @@ def test_of_many_targets_there_is_a_row_for_each_and_what_they_share_is_said_onc
     assert table.splitlines()[3].split()[:5] == ["target", "2", "40", "78", "s"]
     assert max(map(len, [*table.splitlines(), *said])) <= 100
     assert "30 targets: 1,200 fixes, 435 rejected" in said
-    assert settings_lines(some) == ["gpb, smoothed, for aircraft (found)"]
+    assert settings_lines(some) == ["gpb, smoothed, for aircraft"]
     assert notes(some) == ["fixes 20 m off, say the innovations"]
 
 
 def test_what_is_said_of_some_targets_is_counted():
-    off = replace(straight(10), found=replace(FOUND, notes=("Kind of target: aircraft, as the file says", "Late: 3 s")))
-    later = replace(off, found=replace(FOUND, notes=("Kind of target: ship, as the file says", "Late: 4 s")))
+    off = replace(straight(10), found=replace(FOUND, notes=("Sigma of the height: 2 m", "Late: 3 s")))
+    later = replace(off, found=replace(FOUND, notes=("Sigma of the height: 3 m", "Late: 4 s")))
     assert notes([off, later, straight(10)]) == ["Late: 2 of 3", "fixes 20 m off, say the innovations: 1 of 3"]
 
 

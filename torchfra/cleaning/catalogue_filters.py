@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
+from torchfra.cleaning.core import Fallback
+from torchfra.cleaning.flags import GATE
+from torchfra.cleaning.kinds import UNKNOWN
 from torchfra.filters import GPB, Filter
 from torchfra.filters.records import SmoothInfo
-from torchfra.motion.bank import Bank, aircraft
+from torchfra.motion.bank import Bank, aircraft, people, ships, vehicles
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.sensors.position import Position
 from torchfra.types import CompileError, Estimate, Gaussian
 
-GATE = {2: 13.816, 3: 16.266}
-"""Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
 LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
-Fallback = Callable[[str, str], None]
-"""Called with the name of a filter that has no kernel, and the reason."""
+BANKS = {
+    "person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft,
+    "marine": people, "animal": people, "bird": vehicles, UNKNOWN: vehicles,
+}  # fmt: skip
+"""Motions of each kind, for filters with several."""
 
 
 def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank | None = None) -> Filter:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from torchfra.cleaning import DEFAULT, Cleaned, clean_tracks
 from torchfra.cleaning.outputs.summary import report
 from torchfra.cleaning.outputs.table import columns
-from torchfra.motion.bank import Bank
 from torchfra.numbers import unmasked
 from torchfra.readers import MAX_BYTES, Recording, read
 from torchfra.readers.reading import read_sheet
 from torchfra.readers.repairs import nowhere
 from torchfra.readers.sheets import Sheet
+
+if TYPE_CHECKING:
+    from torchfra.motion.bank import Bank
 
 PREFIX = "clean_"
 """In front of the names of columns that are added to a table."""
@@ -57,7 +59,8 @@ def clean(
             ``torchfra.readers.read``.
         filter: its name, one of ``catalogue.track_filters()``.
         bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
-            ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None chooses by the data.
+            ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None takes what the
+            file says, or bounds the motion by nothing but its own speed.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether estimates are smoothed, and not only filtered.
@@ -99,7 +102,7 @@ def clean(
         results = clean_tracks(recordings, **settings)
         joined = _joined(data, results)
         joined = joined if points is None else _with_points(joined, points)
-        joined.attrs["torchfra"] = "\n".join([*recordings[0].source.notes, *report(results)])
+        joined.attrs["torchfra"] = "\n".join([*recordings[0].source.notes, *report(results, verbose=True)])
         return joined
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
         return clean_tracks(data, **settings)

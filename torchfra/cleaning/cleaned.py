@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchfra.cleaning.closed_form import Levels, OutlierModel, as_gpb
-from torchfra.filters.alarms import LIKELY
-from torchfra.filters.gpb import GPB
+from torchfra.cleaning.closed_form import Levels, OutlierModel
+from torchfra.cleaning.flags import LIKELY
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
+
+if TYPE_CHECKING:
+    from torchfra.filters.gpb import GPB
 
 FLAGS = ("", "outlier", "manoeuvre", "unclear")
 """What a step can be: usual, an outlier, a manoeuvre, or unclear: perhaps an outlier."""
@@ -51,7 +53,7 @@ class Found:
     filter: str
     smooth: bool
     bank: str
-    """The kind of target, such as ``"aircraft"`` (``cleaning.kinds``), or ``"own"`` for a ``Bank`` of the caller."""
+    """The kind of target, such as ``"aircraft"``; ``"any"`` if nobody says one, ``"own"`` for a ``Bank``."""
     sigma: float
     """Standard deviation of a fix per axis, m; where each fix has its own, a factor on those."""
     q: float
@@ -59,9 +61,9 @@ class Found:
     nis: float
     """Mean normalised innovation squared per element of the fixes that are no outliers: 1 if both are right."""
     estimated: frozenset[str] = frozenset()
-    """Which of ``sigma``, ``q`` and ``bank`` were estimated and not given."""
+    """Which of ``sigma`` and ``q`` were estimated and not given."""
     notes: tuple[str, ...] = ()
-    """Lines for a reader: why this bank, sigma of the height, wrong time stamps, time-correlated errors."""
+    """Lines for a reader: sigma of the height, wrong time stamps, a sigma that varies."""
     stated: bool = False
     """Whether the file states the standard deviation of each fix, on which sigma is a factor."""
     sigma_unsure: str = ""
@@ -108,6 +110,8 @@ class Cleaned:
         Each takes the positions of its axes, of a batch of one track, and continues from any belief of these and their
         velocities.
         """
+        from torchfra.cleaning.as_module import as_gpb  # the other filters take long to import
+
         return tuple(as_gpb(part.levels, part.sigma, part.model, part.dims) for part in self.parameters)
 
     def __repr__(self) -> str:

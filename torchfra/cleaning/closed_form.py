@@ -1,10 +1,10 @@
 """Generalised pseudo-Bayes for recorded positions: levels of process noise and outliers, in closed form.
 
-It is ``filters.GPB`` for what most recordings are, positions of targets at a nearly constant velocity: ``as_gpb`` makes
-the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to turning as
-hard as can be, and a fix is an inlier or an outlier.  All axes have one covariance, the mean of theirs where hypotheses
-are merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise operations
-a step.  On one axis both filters are the same.
+It is ``filters.GPB`` for what most recordings are, positions of targets at a nearly constant velocity: ``as_module``
+makes the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to
+turning as hard as can be, and a fix is an inlier or an outlier.  All axes have one covariance, the mean of theirs where
+hypotheses are merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise
+operations a step.  On one axis both filters are the same.
 """
 
 from __future__ import annotations
@@ -16,11 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.filters import GPB, Outliers, Regimes
-from torchfra.motion.bank import Bank
-from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.numbers import as_tensor
-from torchfra.sensors.position import Position
 
 _LOG_TWO_PI = math.log(2 * math.pi)
 _LEAST = 1e-300
@@ -342,52 +338,6 @@ def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> 
     total = lasted + restarted
     every = Belief(*(x.unsqueeze(-2) for x in common))
     return _merged_pair(restarted / total, belief, every), total.log() + largest
-
-
-def as_gpb(levels: Levels, sigma: Tensor, model: OutlierModel, dims: int) -> GPB:
-    """This filter as a module: a bank of one motion with several densities of process noise.
-
-    A step without a fix is a prediction here (``GPB.predict``) and no step.
-
-    Args:
-        levels: of the process noise, two or more.
-        sigma: ``(B,)`` standard deviations of fixes, m.
-        model: how likely outliers are.
-        dims: the number of axes.
-    """
-    outliers = Outliers(
-        [range(dims)],
-        outlier_transition=model.transition(sigma).permute(2, 1, 0),
-        outlier_sizes=(max(model.least_size, float((model.least_offset / sigma).square().max())),),
-        outlier_shares=(1.0,),
-        outliers_update=False,
-        same_offset=float(model.same_offset) or None,
-    )
-    regimes = Regimes(
-        len(levels.q), noise_levels=(1.0,), jump_factors=(), durations=levels.duration.T,
-        restart=levels.log_restart.exp().T,
-    )  # fmt: skip
-    bank = Bank([
-        ConstantVelocity(q, dims, continuous=True) if not walk.any() else _Walking(q, walk, dims)
-        for q, walk in zip(levels.q, levels.walk, strict=True)
-    ])  # fmt: skip
-    sensor = Position(sigma.unsqueeze(-1).expand(-1, dims), dims=dims)
-    share = model.share(sigma)
-    return GPB(bank, sensor, regimes=regimes, outliers=outliers, prior_outlier=share, prior_inflation=1.0)
-
-
-class _Walking(ConstantVelocity):
-    """Constant velocity with white acceleration noise, and a random walk of the position."""
-
-    def __init__(self, q: Tensor, walk: Tensor, dims: int) -> None:
-        super().__init__(q, dims, continuous=True)
-        self.register_buffer("walk", walk)
-
-    def process_noise(self, dt: Tensor) -> Tensor:
-        """``S_Q (..., n, 3 dims)``."""
-        root = super().process_noise(dt)
-        step = (self.get_buffer("walk") * dt).sqrt()
-        return torch.cat([root, step[..., None, None] * torch.eye(self.size, self.dims).to(root)], -1)
 
 
 def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from torchfra.cleaning import time_stamps
 from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_heights, steps_of
-from torchfra.cleaning.catalogue_filters import GATE, Fallback, estimated, make, manoeuvre_of, outlier_of, regimes_of
 from torchfra.cleaning.cleaned import Cleaned, Found
-from torchfra.cleaning.correlation import correlated_errors, widened
-from torchfra.cleaning.flags import MATTERS, flags
-from torchfra.cleaning.kinds import BANKS, check_kind, check_speeds, kind_of
+from torchfra.cleaning.flags import GATE, MATTERS, flags
+from torchfra.cleaning.kinds import KINDS, Kind, check_kind, check_speeds, kind_of
 from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.varying_sigma import with_varying_sigma
-from torchfra.filters import Filter
 from torchfra.geodesy import to_geodetic
-from torchfra.motion.bank import Bank
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 from torchfra.running.jobs import finished, one_thread
 from torchfra.tables import duration, metres
+
+if TYPE_CHECKING:  # the default filter needs none of the others, whose import takes as long as cleaning a track
+    from torchfra.filters import Filter
+    from torchfra.motion.bank import Bank
+
+Fallback = Callable[[str, str], None]
+"""Called with the name of a filter that has no kernel, and the reason."""
 
 DEFAULT = "gpb"
 """The filter that is used by default."""
@@ -38,6 +43,11 @@ _OPEN = 0.5
 """Sigma is unsure if one below this share of it is not ruled out."""
 _REPEATED = 0.5
 """Factor on the stated standard deviations below which a track does not show them: its receiver has smoothed it."""
+_SWIMS = 3.0
+"""Speed, m/s, that seals and turtles do not keep up, as filters of Argos take it.
+
+Source: McConnell, Chambers & Fedak (1992), Antarctic Science 4, 393.
+"""
 _WORTHWHILE = 20_000
 """Fewest fixes of a process, whose start takes as long as cleaning some thousands."""
 FAILURES = (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
@@ -68,8 +78,8 @@ def clean_tracks(
         recordings: from ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
         bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
-            ``"animal"`` or ``"bird"``, or a ``Bank`` of your own; None chooses for each target by what the file says or
-            by its speed.
+            ``"animal"`` or ``"bird"``, or a ``Bank`` of your own; None takes what the file says; where
+            it says nothing, motion is bounded by the speed of the target alone.
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether estimates are smoothed; False gives those of a filter on line.
@@ -92,6 +102,13 @@ def clean_tracks(
     check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
     if jobs < 1:
         raise ValueError(f"jobs: expected 1 or more, received {jobs}")
+    argos = [sigma is None and recording.source.argos for recording in recordings]
+    if any(argos):  # whose stated errors are taken as they are
+        words: dict[str, Any] = {"filter": filter, "bank": bank, "q": q, "smooth": smooth, "dt": dt, "repair": repair,
+                 "compile": compile, "fallback": fallback, "jobs": jobs}  # fmt: skip
+        parts = [[r for r, of in zip(recordings, argos, strict=True) if of == chosen] for chosen in (True, False)]
+        both = [iter(clean_tracks(part, sigma=s, **words)) for part, s in zip(parts, (1.0, None), strict=True)]
+        return [next(both[not of]) for of in argos]
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     default = _is_default(filter, bank)
@@ -121,12 +138,9 @@ def _clean_group(
         _clean_batch, name=name, bank=bank, settings=settings, dt=dt, compile=compile, fallback=fallback
     )  # fmt: skip
     try:
-        done = work(placed, coarse=coarse, moved=[i in moved for i in range(len(placed))])
+        done = work(placed, coarse=coarse)
     except FAILURES:  # of one recording; the others are cleaned without it
-        done = [
-            _alone(one, partial(work, coarse=[coarse[i]], moved=[i in moved]), name, settings.smooth)
-            for i, one in enumerate(placed)
-        ]
+        done = [_alone(one, partial(work, coarse=[coarse[i]]), name, settings.smooth) for i, one in enumerate(placed)]
     for i, (_, variance) in moved.items():
         done[i] = time_stamps.as_recorded(done[i], measured[i], variance)
     return done
@@ -138,15 +152,15 @@ def _moved(recordings: Sequence[Recording], bank: str | Bank | None) -> dict[int
     for i, recording in enumerate(recordings):
         if np.isinf(recording.position).any():
             continue  # it fails later, with its reason
-        kind, _ = _kind(recording, bank)
+        _, kind = _kind(recording, bank)
         if time_stamps.stamps_are_wrong(recording, kind):
             moved[i] = time_stamps.moved_along(recording, kind)
     return moved
 
 
-def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, str]:
-    """The name of the kind of a target, and why."""
-    return (bank, "as given") if isinstance(bank, str) else kind_of(recording)
+def _kind(recording: Recording, bank: str | Bank | None) -> tuple[str, Kind]:
+    """The kind of a target, as given or as the file says, and its name."""
+    return (bank, KINDS[bank]) if isinstance(bank, str) else kind_of(recording)
 
 
 def _as_measured(recording: Recording) -> Recording:
@@ -175,43 +189,41 @@ def check_settings(
         raise ValueError(f"dt: expected seconds above 0, received {dt}")
     if isinstance(bank, str):
         check_kind(bank)
-    elif not (bank is None or isinstance(bank, Bank)):
+    elif not (bank is None or _is_bank(bank)):
         raise ValueError(f"bank: expected a kind of target, a Bank or None, received {bank!r}")
-    one = torch.ones(1, dtype=torch.float64)
-    make(filter, 2, one, one, one)
+    if filter != DEFAULT:
+        from torchfra.cleaning.catalogue_filters import make
+
+        one = torch.ones(1, dtype=torch.float64)
+        make(filter, 2, one, one, one)
 
 
 def _clean_batch(
-    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], moved: Sequence[bool], name: str,
-    bank: str | Bank | None, settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
+    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], name: str, bank: str | Bank | None,
+    settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
     """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
 
-    For each, ``coarse`` is the least sigma that may be estimated, and the resolution of its heights, m; ``moved`` is
-    whether fixes were moved for their time stamps: then the size of their errors is known.
+    For each, ``coarse`` is the least sigma that may be estimated, and the resolution of its heights, m.
     """
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
     tracks = [steps_of(recording, dt) for recording in recordings]
-    kinds = [_kind(recording, bank) for recording in recordings]
-    own = bank if isinstance(bank, Bank) else None
+    names, kinds = zip(*(_kind(recording, bank) for recording in recordings), strict=True)
+    own = None if bank is None or isinstance(bank, str) else bank
     default = _is_default(name, bank)
     # Other filters take sigma and q from this one, but no estimates.
     closed_form = settings if default else settings._replace(smooth=False)
     with one_thread():
-        found = answers(tracks, [kind for kind, _ in kinds], closed_form, coarse)
+        found = answers(tracks, kinds, closed_form, coarse)
         # Aircraft that report themselves are located by satellites, whose errors do not grow with the range.
         asked = [recording.source.word != "aircraft" for recording in recordings]
-        tracks, found = with_varying_sigma(tracks, [kind for kind, _ in kinds], closed_form, coarse, found, asked)
-    every = [_found(name, settings, own, *of) for of in zip(kinds, tracks, found, strict=True)]
+        tracks, found = with_varying_sigma(tracks, kinds, closed_form, coarse, found, asked)
+    every = [_found(name, settings, bank, *of) for of in zip(names, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
     else:
         results = _by_filter(recordings, tracks, every, own, compile, fallback)
-    kept = [i for i, was_moved in enumerate(moved) if not was_moved]
-    errors = correlated_errors([tracks[i] for i in kept], [kinds[i][0] for i in kept], [found[i] for i in kept])
-    for i, error in zip(kept, errors, strict=True):
-        results[i] = widened(results[i], error)
     return [_as_stated(*of) for of in zip(results, tracks, strict=True)]
 
 
@@ -265,6 +277,8 @@ def _result(
     if recording.sigma is None and np.ptp(own := found.sigma * steps.std[steps.measured, 0]) > 0:
         note = f"Sigma varies along the track: {metres(own.min())} to {metres(own.max())}"
         found = replace(found, notes=(*found.notes, note))
+    if recording.source.argos and (note := _fast(steps, mean)):
+        found = replace(found, notes=(*found.notes, note))
     if "sigma" in found.estimated:
         found = replace(found, sigma_unsure=found.sigma_unsure or _why_unsure(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
@@ -272,6 +286,14 @@ def _result(
     if result.failed.all():
         result = replace(result, found=replace(found, failure=f"NaN or infinity in all of {len(steps.time)} steps"))
     return result
+
+
+def _fast(steps: Steps, mean: Array) -> str:
+    """What is said of a path of Argos where it is faster than what swims; "" where it nowhere is."""
+    at = steps.measured
+    speed = np.linalg.norm(np.diff(mean[at, :2], axis=0), axis=1) / np.diff(steps.time[at])
+    fast = int((speed > _SWIMS).sum())
+    return f"Faster than {_SWIMS:g} m/s: {fast:,} of {len(speed):,} ways of the path, if it swims" if fast else ""
 
 
 def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
@@ -292,20 +314,24 @@ def _unsure(steps: Steps) -> str:
 
 def _is_default(name: str, bank: str | Bank | None) -> bool:
     """Whether a filter is the closed form, which divides long tracks into rows."""
-    return name == DEFAULT and not isinstance(bank, Bank)
+    return name == DEFAULT and (bank is None or isinstance(bank, str))
+
+
+def _is_bank(bank: object) -> bool:
+    """Whether it is a ``Bank``; without an import, as there is none before its module is imported."""
+    module = sys.modules.get("torchfra.motion.bank")
+    return module is not None and isinstance(bank, module.Bank)
 
 
 def _found(
-    name: str, settings: Settings, own: Bank | None, kind: tuple[str, str], steps: Steps, answer: Answer
+    name: str, settings: Settings, given: str | Bank | None, kind: str, steps: Steps, answer: Answer
 ) -> Found:  # fmt: skip
-    """The settings of a track, and a note for each choice."""
-    bank, why = ("own", "as given") if own is not None else kind
-    given = {"sigma": settings.sigma, "q": settings.q, "bank": None if why != "as given" else bank}
-    notes = () if own is not None or why == "as given" else (f"Kind of target: {bank}, {why}",)
+    """The settings of a track, and notes on it."""
+    bank, notes = kind if given is None or isinstance(given, str) else "own", tuple[str, ...]()
     if not math.isnan(answer.height):
         notes = (*notes, f"Sigma of the height: {metres(answer.height)}")
     unsure = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
-    estimated = frozenset(key for key, value in given.items() if value is None)
+    estimated = frozenset(key for key in ("sigma", "q") if getattr(settings, key) is None)
     why = _unsure(steps) if unsure else ""
     return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, estimated, notes, sigma_unsure=why)
 
@@ -315,6 +341,8 @@ def _by_filter(
     fallback: Fallback | None,
 ) -> list[Cleaned]:  # fmt: skip
     """Tracks cleaned by a filter of the catalogue, one batch for each kind of targets."""
+    from torchfra.cleaning.catalogue_filters import BANKS, estimated, make, manoeuvre_of, outlier_of, regimes_of
+
     results: dict[int, Cleaned] = {}
     for bank in sorted({found.bank for found in every}):
         chosen = [i for i, found in enumerate(every) if found.bank == bank]

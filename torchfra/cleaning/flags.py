@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchfra.filters.alarms import LIKELY
 from torchfra.readers.columns import Array
 
 MATTERS = 3.0
 """Distance from the path, in standard deviations of a fix, that an outlier exceeds: the path may go through a fix that
 contradicts those before it."""
+GATE = {2: 13.816, 3: 16.266}
+"""Normalised innovation squared that one good fix in 1000 exceeds, by dimensions of space (chi-square)."""
+LIKELY = 0.5
+"""Probability above which a fix is rather an outlier than not."""
 _DOUBTFUL, _MANOEUVRE = 0.2, 0.5
 """Least probabilities of an unclear fix, and of a manoeuvre."""
 

@@ -1,4 +1,4 @@
-"""Kinds of targets, and bounds on their manoeuvres."""
+"""Kinds of targets, which a file or a caller says, and bounds on their manoeuvres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.process_noise import LONGEST
-from torchfra.motion.bank import aircraft, people, ships, vehicles
 from torchfra.readers.recording import Recording
 from torchfra.readers.sanity import speed_across
 
@@ -28,44 +27,40 @@ class Kind(NamedTuple):
     """Speed up to which a target may be of this kind, m/s; no process noise changes its velocity by more in a step."""
     steady: float = math.inf
     """Seconds between fixes from which on it may keep a slow course, although it could stop between them."""
-    correlated: float = 0.3
-    """Prior probability that errors of its fixes are correlated over 10 to 40 s, as those of reflections are."""
 
 
 KINDS = {
     "person": Kind(3.0, 1.0, 6.0),
     "ship": Kind(0.5, 0.5, 30.0),
     "vehicle": Kind(6.0, 2.0, 60.0),
-    "aircraft": Kind(10.0, 2.0, 1000.0, correlated=0.1),
+    "aircraft": Kind(10.0, 2.0, 1000.0),
     "marine": Kind(1.0, 1.0, 4.0, steady=1000.0),
     "animal": Kind(5.0, 2.0, 10.0, steady=1000.0),
     "bird": Kind(10.0, 3.0, 30.0),
 }
 """Kinds by name.  Animals that swim or dive are marine; an animal may be of any species."""
+UNKNOWN = "any"
+"""Name of the kind of a target of which nobody says what it is."""
 _OTHER_WORDS = {"marine animal": "marine", "glider": "aircraft", "drone": "aircraft"}
 """Kinds by other words of files for targets."""
-_BY_SPEED = ("person", "vehicle", "aircraft")
-"""Kinds that are chosen by speed where a file names none, the slowest first."""
-BANKS = {
-    "person": people, "ship": ships, "vehicle": vehicles, "aircraft": aircraft,
-    "marine": people, "animal": people, "bird": vehicles,
-}  # fmt: skip
-"""Motions of each kind, for filters with several."""
 USUAL = 0.2
 """Share of its hardest acceleration, along the track, that a target is below at four in five fixes."""
 _FASTER = 5.0
 """Largest ratio of the speed of a target to that of its kind, if a user states the kind."""
 _MANY = 25
 """Fixes from which on this ratio is checked."""
-_MOST = 0.98
-"""Share of the moves between rare fixes that are no outliers of the same offset."""
+_MOST, _RARE_MOVES = 0.98, 8
+"""Share of the moves over long gaps that are no outliers, and the fewest such moves that tell a speed."""
 _OFF, _STRETCHES = 0.1, 20
 """How far off a circle fixes are at most, as a share of the way between two, so that these ways tell the speed; and
 stretches of fixes of which that is asked."""
 _CLEAR = 10.0
 """How many times as far as that second differences are at least, so that they tell the acceleration."""
-_RARE_MOVES = 8
-"""Fewest long gaps whose moves determine the kind of a target."""
+_CHANGES, _LEAST_CHANGE = 4.3, 6.0
+"""Largest change of the velocity of an unknown target in a step, in units of its own speed, and m/s at least."""
+_HARDEST = 2.8
+"""Hardest acceleration of an unknown target at 1 m/s, m/s^2; it grows with the fourth root of the speed, from 3 m/s^2
+of who walks to 10 m/s^2 of who flies."""
 
 
 def check_kind(name: str) -> None:
@@ -93,16 +88,15 @@ def check_speeds(recordings: Sequence[Recording], name: str) -> None:
             )
 
 
-def kind_of(recording: Recording) -> tuple[str, str]:
-    """The name of the kind of a target, and why: as the file says, or by its speed."""
+def kind_of(recording: Recording) -> tuple[str, Kind]:
+    """The kind that the file says; else ``UNKNOWN``, whose changes of velocity are bounded by its own speed alone."""
     word = _OTHER_WORDS.get(recording.source.word, recording.source.word)
     if word in KINDS:
-        return word, "as the file says"
+        return word, KINDS[word]
     around, turn = _speed_and_turn(recording)
     speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording), around)
-    may = (name for name in _BY_SPEED if speed <= KINDS[name].fastest and turn <= KINDS[name].acceleration)
-    name = next(may, "aircraft")
-    return name, f"by its speed of {speed:,.1f} m/s"
+    hardest = min(max(_HARDEST * speed**0.25, turn, 3.0), 10.0)
+    return UNKNOWN, Kind(hardest, 2.0, max(_CHANGES * speed, _LEAST_CHANGE))
 
 
 def _speed_of_rare_moves(recording: Recording) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.closed_form import DEFAULT
+from torchfra.cleaning.closed_form import DEFAULT, Belief
 from torchfra.cleaning.flags import MATTERS
 from torchfra.cleaning.parts import Part, summed
 from torchfra.cleaning.sigma import as_rough_as_noise, finer_sigma, little_gained, lowest_sigma
@@ -157,7 +157,9 @@ def _farther_than_moves(parts: Sequence[Part], smoothed: Sequence[Smoothed], out
 def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
     """Estimates with the path of the lowest sigma that a track does not rule out, without its outliers.
 
-    So no fix is moved far for a noise that may not exist.  Covariances are unchanged.
+    So no fix is moved far for a noise that may not exist.  If the noise does exist, these estimates are off by the
+    distance from those of the found sigma too, whose mean square covariances contain; but at a fix that is no outlier
+    they are no less certain than the fix.
     """
     rows = (~part.lowest.isnan()).nonzero()[:, 0]
     if not len(rows):
@@ -165,8 +167,21 @@ def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
     some = part.at(rows)
     fixes = some.fixes._replace(log_odds=torch.where(outlier[:, rows] > _SURELY, _DECIDED, -_DECIDED))
     path = two_filters(some._replace(fixes=fixes, sigma=some.lowest).scaled, some.levels, some.model).belief
-    position, velocity = (old.index_copy(-1, rows, new) for new, old in zip(path[:2], smoothed.belief[:2], strict=True))
-    return smoothed._replace(belief=smoothed.belief._replace(position=position, velocity=velocity))
+    old = smoothed.belief
+    position, velocity = (of.index_copy(-1, rows, new) for new, of in zip(path[:2], old[:2], strict=True))
+    measured = (~fixes.missing).to(path.pp)
+    share = measured / measured.sum(0)
+    more_p, more_v = (
+        (share * (new - of[..., rows]).square().mean(0)).sum(0) for new, of in zip(path[:2], old[:2], strict=True)
+    )
+    there = ~fixes.missing & (outlier[:, rows] <= _SURELY)
+    least = torch.where(there, some.scaled.variance, math.inf)
+    pp, pv, vv = old.pp[:, rows] + more_p, old.pv[:, rows], old.vv[:, rows] + more_v
+    share = (least / pp).clamp_max(1.0)
+    moments = (
+        of.index_copy(-1, rows, new) for of, new in zip(old[2:], (share * pp, share.sqrt() * pv, vv), strict=True)
+    )
+    return smoothed._replace(belief=Belief(position, velocity, *moments))
 
 
 def _outlier(parts: Sequence[Part], smoothed: Sequence[Smoothed]) -> Tensor:

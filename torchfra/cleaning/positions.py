@@ -15,7 +15,7 @@ from torch import Tensor
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import FilterParameters
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
-from torchfra.cleaning.kinds import KINDS, USUAL
+from torchfra.cleaning.kinds import USUAL, Kind
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
 from torchfra.cleaning.process_noise import levels_up_to, may_stop
@@ -82,13 +82,13 @@ class Answer(NamedTuple):
 
 @torch.inference_mode()  # a tenth less of the time of each small operation
 def answers(
-    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
+    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]]
 ) -> list[Answer]:
     """Tracks of the same dimensions, cleaned.
 
     Args:
         tracks: steps of each.
-        kinds: name of the kind of each.
+        kinds: kind of each.
         settings: of cleaning.
         coarse: the least sigma that may be estimated of each, and the resolution of its heights, m.
     """
@@ -100,22 +100,22 @@ def answers(
     known, outlier = estimated(parts, smooth=settings.smooth)
     if not settings.smooth:
         parts = [part.on_line for part in parts]
-    calm = [_CALM * KINDS[kinds[row.track]].acceleration for row in rows]
+    calm = [_CALM * kinds[row.track].acceleration for row in rows]
     return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
 
 
 def _parts(
-    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]]
+    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]]
 ) -> tuple[list[Row], list[Part]]:
     """Rows of tracks, and the initial parameters of their axes."""
     rows = _rows(tracks)
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
-    fastest = torch.tensor([KINDS[kinds[row.track]].fastest for row in rows], dtype=torch.float64)
-    steady = torch.tensor([KINDS[kinds[row.track]].steady for row in rows], dtype=torch.float64)
+    fastest = torch.tensor([kinds[row.track].fastest for row in rows], dtype=torch.float64)
+    steady = torch.tensor([kinds[row.track].steady for row in rows], dtype=torch.float64)
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
-        most = torch.tensor([getattr(KINDS[kinds[row.track]], hardest) for row in rows], dtype=torch.float64)
+        most = torch.tensor([getattr(kinds[row.track], hardest) for row in rows], dtype=torch.float64)
         levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
         model = _outliers(most, fastest, period, steady)
         unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)

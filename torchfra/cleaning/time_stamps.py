@@ -8,7 +8,7 @@ import numpy as np
 
 from torchfra.cleaning.batches import steps_of
 from torchfra.cleaning.cleaned import Cleaned
-from torchfra.cleaning.kinds import KINDS, USUAL
+from torchfra.cleaning.kinds import USUAL, Kind
 from torchfra.cleaning.positions import Settings, answers
 from torchfra.cleaning.second_differences import second_differences, spread
 from torchfra.readers.columns import Array
@@ -29,7 +29,7 @@ _ASIDE = 5.0
 """Standard deviations across the path from which on the position of a fix is wrong too."""
 
 
-def stamps_are_wrong(recording: Recording, kind: str) -> bool:
+def stamps_are_wrong(recording: Recording, kind: Kind) -> bool:
     """Whether fixes jump to and fro along a path that is smooth across.
 
     Noise of the positions and turns would show across the track as well.  A change of speed lasts for several fixes,
@@ -37,7 +37,7 @@ def stamps_are_wrong(recording: Recording, kind: str) -> bool:
 
     Args:
         recording: of a target.
-        kind: name of its kind.
+        kind: of the target.
     """
     there = np.isfinite(recording.position[:, :2]).all(1)
     time, path = recording.time[there], recording.position[there, :2]
@@ -47,7 +47,7 @@ def stamps_are_wrong(recording: Recording, kind: str) -> bool:
     along, across, _ = _along_and_across(time, path)
     size = np.linalg.norm(differences(time, 2), axis=1)
     one, other = (float(np.quantile(np.abs(x * size), 0.8)) for x in (along, across))
-    if not (one > USUAL * KINDS[kind].acceleration and one > _RATIO[not reported] * other):
+    if not (one > USUAL * kind.acceleration and one > _RATIO[not reported] * other):
         return False
     if reported:
         return True
@@ -59,7 +59,7 @@ def _as_reported(recording: Recording) -> bool:
     return recording.source.word == "aircraft"
 
 
-def moved_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
+def moved_along(recording: Recording, kind: Kind) -> tuple[Recording, Array]:
     """The recording with each fix moved along the path to where the target was, and variances ``(k,)`` of these, m^2.
 
     Positions that aircraft report come late, repeat, or are interpolated: ``readers.flyable``.  As a track alone cannot
@@ -78,7 +78,7 @@ def moved_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
     return replace(recording, position=position), np.full(len(position), usual**2)
 
 
-def _smoothed_along(recording: Recording, kind: str) -> tuple[Recording, Array]:
+def _smoothed_along(recording: Recording, kind: Kind) -> tuple[Recording, Array]:
     """Smooths distances along the track by a filter whose noise contains the shifts of fixes by wrong stamps.
 
     Errors along the track are then as large as those across it: a filter of positions has one variance for both.

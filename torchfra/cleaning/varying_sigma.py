@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchfra.cleaning.batches import Steps
+from torchfra.cleaning.kinds import Kind
 from torchfra.cleaning.positions import Answer, Settings, answers
 from torchfra.readers.columns import Array
 
@@ -24,14 +25,14 @@ _MEDIAN = 2 * math.log(2)
 
 
 def with_varying_sigma(
-    tracks: Sequence[Steps], kinds: Sequence[str], settings: Settings, coarse: Sequence[tuple[float, float]],
+    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]],
     found: Sequence[Answer], asked: Sequence[bool],
 ) -> tuple[list[Steps], list[Answer]]:  # fmt: skip
     """Steps and answers of tracks, cleaned again where their sigma clearly varies: then ``std`` is relative to sigma.
 
     Args:
         tracks: steps of each; where the file states accuracies, these are taken.
-        kinds: name of the kind of each.
+        kinds: kind of each.
         settings: of cleaning; a given sigma is taken.
         coarse: see ``answers``.
         found: the answers with one sigma for all of a track.

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from torchfra.cleaning.catalogue_filters import Fallback
-from torchfra.evaluation.compiling import brief
+from torchfra.cleaning.core import Fallback
 from torchfra.types import CompileError
 
 
@@ -52,7 +51,7 @@ def choose(wanted: bool | None, worthwhile: bool, tell: Callable[[str], None]) -
     except CompileError as error:
         if wanted:
             raise
-        tell(f"filters run interpreted ({brief(error)})")
+        tell(f"filters run interpreted ({' '.join(str(error).removeprefix('compile: ').split())})")
         return False
     tell(f"compiled kernels (LLVM {version}); --no-compile runs without")
     return True

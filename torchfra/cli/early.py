@@ -17,7 +17,7 @@ _LARGE = 1_000_000
 OPTIONS: dict[type, str] = {
     str: "out format html json bank filter time x y z lat lon alt id sigma-column units delimiter decimal time-format",
     float: "sigma q dt", int: "jobs max-bytes",
-    bool: "plots no-plots compile no-compile share-script no-smooth no-repair quiet",
+    bool: "plots no-plots compile no-compile share-script no-share-script no-smooth no-repair quiet verbose",
 }  # fmt: skip
 """Those of ``torchfra track`` by their types."""
 

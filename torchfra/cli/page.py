@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.colours import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
-from torchfra.cleaning.outputs.summary import COLUMNS, LEGEND, cells, headline, settings_lines, summary
+from torchfra.cleaning.outputs.summary import (
+    COLUMNS,
+    LEGEND,
+    cells,
+    headline,
+    report,
+    sentences_on_all,
+    settings_lines,
+    summary,
+)
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
@@ -25,6 +34,8 @@ _PAGE = """<!DOCTYPE html>
 body {{ font-family: sans-serif; margin: 1em auto; max-width: 1400px; padding: 0 1em; }}
 summary {{ cursor: pointer; padding: .4em 0; }}
 .chart {{ width: 100%; height: 760px; }}
+@media (max-width: 700px) {{ .chart {{ height: 1100px; }} h1 {{ font-size: 1.3em; }} body {{ padding: 0 .3em; }} }}
+h1, p, summary {{ overflow-wrap: anywhere; }}
 .wide {{ overflow-x: auto; }}
 table {{ border-collapse: collapse; }}
 th, td {{ padding: .2em .7em; text-align: right; white-space: nowrap; }}
@@ -36,10 +47,23 @@ th {{ cursor: pointer; border-bottom: 1px solid; }}
 {settings}
 {sections}
 <script>
+function narrow(layout) {{ // the map above the panels, of which each has the whole width
+  layout.title = "";
+  if (!layout.xaxis2) return;
+  layout.xaxis.domain = layout.xaxis2.domain = [0, 1];
+  layout.yaxis.domain = [0.6, 1];
+  layout.legend.y = -0.05;
+  Object.keys(layout).filter(name => /^yaxis[0-9]/.test(name)).forEach(name => {{
+    layout[name].domain = layout[name].domain.map(y => y / 2);
+  }});
+  layout.shapes.forEach(shape => {{ shape.y1 = 0.5; }});
+  layout.annotations.filter(words => words.xref === "x2").forEach(words => {{ words.y = 0.5; }});
+}}
 function draw(section) {{
   const place = section.querySelector(".chart");
   if (!section.open || place.dataset.drawn) return;
   const chart = JSON.parse(section.querySelector("script").textContent);
+  if (window.innerWidth <= 700) narrow(chart.layout);
   Plotly.newPlot(place, chart.data, chart.layout, {{responsive: true, displaylogo: false}});
   place.dataset.drawn = "yes";
 }}
@@ -85,13 +109,13 @@ def script_beside(path: Path) -> Path:
     return path.with_name(f"plotly-{get_plotlyjs_version()}.min.js")
 
 
-def write(results: Sequence[Cleaned], path: Path, *, share: bool = False) -> None:
+def write(results: Sequence[Cleaned], path: Path, *, share: bool = True) -> None:
     """Writes a page with a map of all targets, and the picture of each; charts are drawn when opened.
 
     Args:
         results: of the targets.
         path: of the page.
-        share: whether the script, of some 5 MB, is a file beside the page, for all pages of the folder.
+        share: whether the script, of some 5 MB, is a file beside the page, for all pages of the folder, or inside it.
 
     Raises:
         ImportError: plotly is missing.
@@ -118,10 +142,13 @@ def page(results: Sequence[Cleaned], beside: Path | None = None) -> str:
     ]
     if len(results) > 1:
         sections = [_section("all", "all targets", overview(results), opened=True), _table(results, every), *sections]
+    read = dict.fromkeys(note for cleaned in results for note in cleaned.recording.source.notes)
+    said = report(results)[1:] if len(results) == 1 else sentences_on_all(results)
+    lines = [f"Read: {'; '.join(read)}", *said, *settings_lines(results)] if read else [*said, *settings_lines(results)]
     return _PAGE.format(
         title=_text(results[0].recording.source.name or results[0].recording.name),
         script=script,
-        settings="\n".join(f"<p>{_text(text)}</p>" for text in settings_lines(results)),
+        settings="\n".join(f"<p>{_text(text)}</p>" for text in lines),
         sections="\n".join(sections),
     )
 

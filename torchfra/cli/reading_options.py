@@ -50,7 +50,7 @@ def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES
 
 def add_cleaning_options(add: Callable[..., object]) -> None:
     """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
-    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: by the data)")
+    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: as the file says, or any)")
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
         "(default: estimated)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: estimated)")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from torchfra import readers
-from torchfra.catalogue import track_filters
 from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, outputs
 from torchfra.cli import page
 from torchfra.cli import plan as plans
@@ -64,18 +63,17 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add("--plots", action=argparse.BooleanOptionalAction,
         help=f"a picture of each target (default: for {plans.MOST_PICTURES} targets or fewer)")  # fmt: skip
     add("--html", type=Path, metavar="FILE", help="write a page with interactive pictures; needs plotly")
-    add(
-        "--share-script",
-        action="store_true",
-        help="keep the page's script, of some 5 MB, in a file beside it, which all pages of a folder share",
-    )
+    add("--share-script", action=argparse.BooleanOptionalAction,
+        help="keep the page's script, of some 5 MB, in a file beside it, which all pages of a folder share, or inside "
+        "the page (default: beside it)")  # fmt: skip
     cleaning = command.add_argument_group("cleaning").add_argument
     add_cleaning_options(cleaning)
     cleaning("--filter", default=DEFAULT, metavar="NAME",
-             help=f"one of {', '.join(track_filters())} (default: {DEFAULT})")  # fmt: skip
+             help=f"a filter that torchfra compare --help lists (default: {DEFAULT})")  # fmt: skip
     add_reading_options(command.add_argument_group("reading").add_argument)
     add_jobs_option(command, None, "the most processes that share the work, where there are 20,000 fixes or more for "
                     "each (default: as many as processors)")  # fmt: skip
+    add("--verbose", action="store_true", help="say more: settings, notes and how well the model fits")
     add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
     add_output_options(command)
@@ -91,9 +89,9 @@ def run(options: argparse.Namespace) -> None:
     plans.ending_of(options.out, options.format)
     if options.html is not None:
         page.check_script()
-    if options.share_script:
-        if options.html is None:
-            raise ValueError("share-script: expected --html beside it, received none")
+    if options.html is None and options.share_script is not None:
+        raise ValueError("share-script: expected --html beside it, received none")
+    if options.html is not None and options.share_script is not False:
         extra["share-script"] = page.script_beside(options.html)
     check_files(extra, [options.file])
     check_settings(options.filter, dt=options.dt, sigma=options.sigma, q=options.q, bank=options.bank)
@@ -106,14 +104,15 @@ def run(options: argparse.Namespace) -> None:
         # With matplotlib it takes half a second, in which others work.
         threading.Thread(target=import_module, args=("torchfra.plotting",)).start()
     tell, _ = reporters(options.compile, options.quiet)
-    for note in dict.fromkeys(note for recording in recordings for note in recording.source.notes):
-        tell(printable(note))
+    read = list(dict.fromkeys(printable(note) for recording in recordings for note in recording.source.notes))
+    for line in read if options.verbose else ["; ".join(read)]:
+        tell(f"Read: {line}")
     failures = Failures()
     results = _cleaned(recordings, options, failures)
     if not results:
         failures.end()
     if not options.quiet:
-        for line in outputs.report(list(results.values())):
+        for line in outputs.report(list(results.values()), verbose=options.verbose):
             tell(line)
     _write(results, files, options, failures)
     _draw(results, files, options, failures)
@@ -189,4 +188,4 @@ def _draw(
                 plotting.save(plotting.overview(list(results.values())), files.overview)
     if options.html is not None:
         with failures.of("html"):
-            page.write(list(results.values()), options.html, share=options.share_script)
+            page.write(list(results.values()), options.html, share=options.share_script is not False)

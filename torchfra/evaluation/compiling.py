@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from torchfra.cleaning.catalogue_filters import Fallback
+from torchfra.cleaning.core import Fallback
 from torchfra.filters import Filter
 from torchfra.motion.bank import Bank
 from torchfra.running.progress import progress_bar

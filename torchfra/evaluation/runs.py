@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra.catalogue import reference_filter, scenario_filters
-from torchfra.cleaning.catalogue_filters import Fallback
+from torchfra.cleaning.core import Fallback
 from torchfra.evaluation.compiling import compiled
 from torchfra.evaluation.fixes import fixes
 from torchfra.evaluation.results import Result

@@ -18,7 +18,7 @@ _COLUMNS, _CELLS, _LONGEST = 20, 3, 24
 _OTHER = re.compile(
     r"\b(?:sv|sat|satellite|beacon|anchor|tag|home|ref|vel|velocity|speed|acc|accel|gyro|mag|std|sigma|err|error|cov|"
     r"orientation|rotation|quaternion|angular|linear|score|likelihood|confidence|size|width|height|direction|heading|"
-    r"range|rssi|snr|counter|index|idx|seq|v[xyz]|a[xyz]|q[xyzw])\b"
+    r"range|rssi|snr|counter|index|idx|seq|[agmvw][xyz]|q[xyzw])\b"
 )
 """In the words of a name, what is no position of the target."""
 _TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp", "clock"}

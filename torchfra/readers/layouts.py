@@ -144,7 +144,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
                   if (kind := wanted[one]) is not None]  # fmt: skip
         named = roles.get("id") or ((columns["id"],) if "id" in columns else ())
         ids = likely_ids(head, values[0], np.stack(values[1:], 1), unread, named)
-    source = Source(name, public, clock.form, length, word, lines, ids)
+    source = Source(name, public, clock.form, length, word, lines, noise.argos, ids)
     return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, unread)
 
 

@@ -39,6 +39,8 @@ class Noise(NamedTuple):
     said: tuple[str, ...] = ()
     """Lines for a person."""
     per_axis: Callable[[list[Array]], list[Array]] = list
+    argos: bool = False
+    """Whether they are of Argos."""
 
 
 def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
@@ -102,9 +104,9 @@ def noise_of(
     ellipse = [column for part in _ELLIPSE for column in found(names, part)[:1]]
     if "sigma" not in asked and len(ellipse) == len(_ELLIPSE):
         columns = dict.fromkeys(ellipse, Kind()) | classes
-        return Noise(columns, (f"sigma: {', '.join(columns)} of Argos",), axes_of_ellipses)
+        return Noise(columns, (f"sigma: {', '.join(columns)} of Argos",), axes_of_ellipses, argos=True)
     if "sigma" not in asked and classes:
-        return Noise(classes, tuple(f"sigma: {column}, errors of the classes of Argos" for column in classes))
+        return Noise(classes, tuple(f"sigma: {one}, errors of the classes of Argos" for one in classes), argos=True)
     for column in asked.get("sigma", found(names, "sigma")):
         cells, name = head.cells(column), plain(column)
         if "sigma" not in asked and len(cells) < HEAD and not any(word_of(cell).strip("0.,") for cell in cells):

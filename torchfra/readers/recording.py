@@ -28,6 +28,8 @@ class Source:
     """What its targets are: ``"aircraft"``, ``"ship"``, ``"animal"``, ``"drone"``, ``"glider"``, or ``"target"``."""
     notes: tuple[str, ...] = ()
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
+    argos: bool = False
+    """Whether standard deviations are those of classes or ellipses of Argos, which are the noise as they are."""
     id_options: tuple[str, ...] = ()
     """Columns that tell targets apart which may be mixed, for the option ``id``: the likeliest first."""
 

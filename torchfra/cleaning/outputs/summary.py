@@ -12,12 +12,13 @@ import numpy as np
 
 from torchfra.cleaning import Cleaned, Found
 from torchfra.cleaning.cleaned import FLAGS
+from torchfra.cleaning.kinds import UNKNOWN
 from torchfra.cleaning.outputs.course import course
 from torchfra.cleaning.segments import spans
 from torchfra.readers.repairs import in_words, plural
 from torchfra.tables import duration, metres, printable, text_table
 
-_OF_EACH = ("Kind of target", "Sigma of the height")
+_OF_EACH = ("Sigma of the height",)
 """Beginnings of notes that every target has."""
 LONGEST_NAME = 100
 """Characters of a target's name in a line."""
@@ -54,7 +55,8 @@ def _summary(cleaned: Cleaned) -> dict[str, Any]:
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
         "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma,
-        "stated": found.stated, "q": found.q, "nis": found.nis, "sigma_unsure": found.sigma_unsure,
+        "stated": found.stated, "stated_sigma": _stated(cleaned), "q": found.q, "nis": found.nis,
+        "sigma_unsure": found.sigma_unsure,
         "estimated": sorted(found.estimated),
         "notes": list(found.notes),
         "segments": [segment._asdict() for segment in cleaned.segments],
@@ -63,19 +65,16 @@ def _summary(cleaned: Cleaned) -> dict[str, Any]:
 
 
 def sentences(cleaned: Cleaned) -> list[str]:
-    """The summary of a track in sentences of a line each."""
+    """The summary of a track in sentences of a line each: how good it is, and what decides whether to trust it."""
     of = summary(cleaned)
-    said = [headline(of)]
+    said = [headline(of), noise(of)]
+    if math.isfinite(of["median_std"]):
+        median, most = metres(of["median_correction"]), metres(of["largest_correction"])
+        moved = f"; fixes moved {median}, at most {most}" if math.isfinite(of["median_correction"]) else ""
+        said.append(f"Path good to {metres(of['median_std'])} per axis ({LASTING}){moved}")
     if cleaned.segments:
         said.append(manoeuvres(cleaned))
-    if math.isfinite(of["median_correction"]):
-        median, most = metres(of["median_correction"]), metres(of["largest_correction"])
-        said.append(f"Fixes that were kept moved: {median} in the median, {most} at most")
-    if math.isfinite(of["median_std"]):
-        lasting = "" if cleaned.recording.origin is None else f", {LASTING}"
-        said.append(f"Standard deviation of the path: {metres(of['median_std'])} per axis (median){lasting}")
-    if math.isfinite(of["nis"]):
-        said.append(f"Normalised innovation squared per axis (NIS): {of['nis']:.2f}; it is 1 if sigma and q are right")
+    said += [note for note in of["notes"] if note.startswith(TRUST)]
     if of["sigma_unsure"]:
         said.append(of["sigma_unsure"])
     if _is_unlikely(of):
@@ -102,8 +101,25 @@ def headline(of: Mapping[str, Any]) -> str:
     return text + ("; FAILED: NaN or infinity" if of["failed"] else "")
 
 
-LASTING = "slowly varying errors not included"
-"""What the standard deviation of a track in degrees does not contain, as receivers of satellites have such errors."""
+def noise(of: Mapping[str, Any]) -> str:
+    """What fixes are off by, from a ``summary``: as found, as given, and as the file states."""
+    found = metres(of["sigma"] * of["stated_sigma"] if of["stated"] else of["sigma"])
+    if "sigma" not in of["estimated"]:
+        return f"Noise of a fix: {found} per axis, as {'the file states' if of['stated'] else 'given'}"
+    stated = f"; the file states {metres(of['stated_sigma'])}" if of["stated"] else ""
+    return f"Noise found: {found} per axis{', unsure' if of['sigma_unsure'] else ''}{stated}"
+
+
+def _stated(cleaned: Cleaned) -> float:
+    """The median standard deviation across the ground that the file states, m; NaN if it states none."""
+    sigma = cleaned.recording.sigma
+    return math.nan if sigma is None else float(np.median(sigma.reshape(len(sigma), -1)[:, :2]))
+
+
+LASTING = "slowly varying errors aside"
+"""What standard deviations do not contain: a track alone does not tell such errors, as of satellites, from motion."""
+TRUST = ("Time stamps were off", "Standard deviations are as stated", "Sigma varies", "not smoothed", "Faster than")
+"""Beginnings of notes that decide whether to trust a result."""
 
 
 UNLIKELY = (
@@ -176,11 +192,17 @@ def cells(of: Mapping[str, Any]) -> list[tuple[float, str]]:
 
 def overview(results: Sequence[Cleaned]) -> list[str]:
     """The summary of several tracks: a table with a row for each, and sentences on all."""
+    rows = [[printable(of["name"], 24), *(text for _, text in cells(of))] for of in map(summary, results)]
+    table = text_table([results[0].recording.source.word, *COLUMNS], rows)
+    return [table, *LEGEND, *sentences_on_all(results)]
+
+
+def sentences_on_all(results: Sequence[Cleaned]) -> list[str]:
+    """What is said of several tracks together, and which of them are not to be trusted."""
     every, word = [summary(cleaned) for cleaned in results], results[0].recording.source.word
-    rows = [[printable(of["name"], 24), *(text for _, text in cells(of))] for of in every]
     fixes, rejected = sum(of["fixes"] for of in every), sum(of["flags"]["outlier"] for of in every)
-    said = [text_table([word, *COLUMNS], rows), *LEGEND]
-    said.append(f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected")
+    said = [f"{len(every):,} {plural(word)}: {fixes:,} fixes, {rejected:,} rejected"]
+    said += [note for note in notes(results) if note.startswith(TRUST)]
     if unsure := [of["name"] for of in every if of["sigma_unsure"]]:
         said.append(f"Sigma is unsure of {listed(unsure)}: --sigma gives it if it is known")
     if mixed := [cleaned.recording.name for cleaned in results if _is_mixed(cleaned)]:
@@ -194,10 +216,15 @@ def overview(results: Sequence[Cleaned]) -> list[str]:
     return said
 
 
-def report(results: Sequence[Cleaned]) -> list[str]:
-    """The settings, the notes and the summary of one track or of several."""
-    return [*settings_lines(results), *notes(results),
-            *(sentences(results[0]) if len(results) == 1 else overview(results))]  # fmt: skip
+def report(results: Sequence[Cleaned], *, verbose: bool = False) -> list[str]:
+    """The summary of one track or of several; with ``verbose``, also their settings, NIS and all notes."""
+    said = sentences(results[0]) if len(results) == 1 else overview(results)
+    if not verbose:
+        return said
+    of = summary(results[0])
+    fit = f"Normalised innovation squared per axis (NIS): {of['nis']:.2f}; it is 1 if sigma and q are right"
+    more = [fit] if len(results) == 1 and math.isfinite(of["nis"]) else []
+    return [*said, *settings_lines(results), *(note for note in notes(results) if note not in said), *more]
 
 
 def listed(names: Sequence[str]) -> str:
@@ -228,7 +255,8 @@ def settings_lines(results: Sequence[Cleaned]) -> list[str]:
 
 
 def _method(found: Found) -> str:
-    return f"{found.filter}, {'smoothed' if found.smooth else 'on line'}, for {found.bank} ({_how(found, 'bank')})"
+    kind = "" if found.bank == UNKNOWN else f", for {found.bank}"
+    return f"{found.filter}, {'smoothed' if found.smooth else 'on line'}{kind}"
 
 
 def sigma_in_words(sigma: float, stated: bool) -> str:
