@@ -12,7 +12,6 @@ from torchfra.scenarios import OpenCell, draw_cell, open_cell
 from torchfra.scenarios.open_cells import KINDS, LONGEST, MOTIONS, SENSORS, SHORTEST, SPACINGS
 
 SEED, CELLS, RUNS = 2027, 40, 3
-LARGEST_SPIKE = 1e100
 
 
 def standardised(cell, tracks, scenario):
@@ -182,14 +181,14 @@ def spiked(cell, seed, size):
     scenario = replace(cell, kind="none").scenario(steps=30)
     tracks = scenario.simulate(2, seed)
     z = tracks.z.clone()
-    z[:, 20] += size * scenario.sensor.std() * torch.tensor([1.0, -1.0, 1.0, -1.0])[: z.shape[-1]]
+    z[:, 20] += size * scenario.sensor.std() * torch.tensor([1.0, -1.0, 1.0, -1.0], dtype=z.dtype)[: z.shape[-1]]
     z = torch.where(scenario.sensor.angles, scenario.sensor.difference(z, torch.zeros_like(z)), z)
     return scenario, tracks, z
 
 
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None, derandomize=True)
-@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(0, 12))
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(0, 100))
 def test_an_estimate_is_finite_whatever_a_measurement_is(number, seed, exponent):
     scenario, tracks, z = spiked(draw_cell(number, seed=SEED), seed, 10.0**exponent)
     estimate = presets.gpb(scenario.motion, scenario.sensor)(z, tracks.prior, u=tracks.u, dt=scenario.dt)
@@ -199,7 +198,7 @@ def test_an_estimate_is_finite_whatever_a_measurement_is(number, seed, exponent)
 
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None, derandomize=True)
-@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(1.5, 12))
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(1.5, 100))
 def test_a_spike_of_any_size_moves_the_next_estimate_by_less_than_three_standard_deviations(number, seed, exponent):
     cell = replace(draw_cell(number, seed=SEED), stated_q=1.0, stated_std=1.0, turn=False)
     scenario, tracks, z = spiked(cell, seed, 10.0**exponent)

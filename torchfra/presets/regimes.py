@@ -60,7 +60,7 @@ IN_SPACE: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
 
-OUTLIER_TRANSITION = ((0.97, 0.03), (0.6, 0.4))
+OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
 @register.filter("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
