@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import presets
+from torchfra.presets.regimes import MANOEUVRES
 from torchfra.scenarios import OpenCell, draw_cell, open_cell
 from torchfra.scenarios.open_cells import KINDS, LONGEST, MOTIONS, SENSORS, SHORTEST, SPACINGS
 
@@ -218,7 +219,7 @@ def test_units_that_are_a_power_of_two_change_nothing(number, seed, metres, seco
     scenario = replace(cell, dt=1.0, spacing="even").scenario(steps=30)
     other = replace(cell, dt=time, spacing="even", std=length * cell.std).scenario(steps=30)
     means = []
-    for s in (scenario, other):
-        tracks = s.simulate(2, seed)
-        means.append(presets.gpb(s.motion, s.sensor)(tracks.z, tracks.prior, dt=s.dt).mean)
+    for s, factor in ((scenario, 1.0), (other, time)):
+        tracks, lasts = s.simulate(2, seed), [factor * seconds for seconds in MANOEUVRES["some"]["durations"]]
+        means.append(presets.gpb(s.motion, s.sensor, durations=lasts)(tracks.z, tracks.prior, dt=s.dt).mean)
     torch.testing.assert_close(length * means[0][..., :2], means[1][..., :2], rtol=1e-9, atol=1e-9 * length * cell.std)

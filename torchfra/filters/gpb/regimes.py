@@ -14,20 +14,26 @@ from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, v
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Propagated
-from torchfra.hyper import Hyper, Part, Values, once, one_given
+from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.numbers import as_numbers, as_tensor
 from torchfra.types import Gaussian
 
-LARGEST_FACTOR = 1e5
-"""Largest factor of a jump or a manoeuvre on a covariance, whatever the normalised innovation squared."""
-MANOEUVRE_NIS = 30.0
-"""Normalised innovation squared per element beyond which the weight of a manoeuvre falls with its size."""
-BURST = 4
-"""Equal outliers in a row that are no jump.  A jump and such a burst are the same until it ends.  An outlier of ``r``
-standard deviations has ``1 / r^2`` of the density of a good measurement in the plane.  So a jump whose weight falls as
-``r^-(2 BURST - 1)`` is less likely than a burst of that length, and more likely than a longer one, of any size."""
+LARGEST_FACTOR = 1e10
+"""Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
+JUMP_SIZE, MANOEUVRE_NIS = 30.0, 30.0
+"""Mean squares of a residual in units of the measurement noise, and of a normalised innovation, beyond which the weight
+of a jump, or a manoeuvre, falls with its size."""
+
+
+class Surprise(NamedTuple):
+    """How far a measurement is from its prediction by the agile level, which manoeuvres and jumps scale with."""
+
+    nis: Tensor
+    """``(1, 1, 2, ...)`` normalised innovation squared per element."""
+    rarity: Tensor
+    """``(1, 1, 2, ...)`` log of the factor on the weight of a jump: see ``Regimes.rarity``."""
 
 
 class Switching(NamedTuple):
@@ -80,6 +86,8 @@ class Regimes(Part):
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations its
             weight falls with its size, as a single large innovation is rather an outlier.
+        burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
+            are taken for a jump.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
             of any.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
@@ -97,7 +105,7 @@ class Regimes(Part):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
-        separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
+        burst: Value = 4.0, separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -145,6 +153,7 @@ class Regimes(Part):
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
+        self.burst = Hyper(burst, constraints.greater_than_eq(0.5), name="burst")
         self.self_transition = self.durations = None
         if sojourn == "durations":
             self.durations = sojourn_times(stay, 1, sojourn)
@@ -259,18 +268,35 @@ class Regimes(Part):
         same = torch.eye(count, dtype=stay.dtype, device=stay.device)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
-    def penalised(self, log_weight: Tensor, nis: Tensor) -> Tensor:
+    def rarity(self, residual: Tensor, measured: Tensor) -> Tensor:
+        """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
+
+        A jump and a burst of equal outliers are the same until the burst ends.  An outlier of ``r`` standard deviations
+        in ``m`` elements has about ``1 / r^m`` of the density of a measurement as stated.  The factor is that to the
+        power of ``burst - 1/2``: whatever its size, a jump is less likely than outliers at the last measurement of the
+        longest burst, and more likely at the next one.
+
+        Args:
+            residual: ``(1, 1, 2, ..., m)`` of the prediction by the agile level, in units of the measurement noise.
+            measured: ``(..., m)`` 1 where measured, 0 where missing.
+        """
+        count = measured.sum(-1)
+        size = (residual.square().sum(-1) / count.clamp_min(1.0)).clamp_min(JUMP_SIZE)
+        log_density: Tensor = -0.5 * count * size.log()
+        return (self.burst(residual[..., 0]) - 0.5) * log_density
+
+    def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
         Their covariances scale with the innovation, so they would explain one of any size equally well.  The weight of
-        a jump falls as ``nis^-(BURST - 1/2)``, and beyond its limit that of a manoeuvre as ``1 / nis^2``.
+        a jump is multiplied by its ``rarity``, and that of a manoeuvre falls as ``1 / nis^2`` beyond its limit.
 
         Args:
             log_weight: of the regimes by the Markov chain alone.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
+            surprise: of the measurement.
         """
-        manoeuvre, jump = ((nis / limit).clamp_min(1.0).log() for limit in (MANOEUVRE_NIS, 1.0))
-        return log_weight - self._of_kinds(0.0, 2 * manoeuvre, (BURST - 0.5) * jump)
+        manoeuvre = -2 * (surprise.nis / MANOEUVRE_NIS).clamp_min(1.0).log()
+        return log_weight + self._of_kinds(0.0, manoeuvre, surprise.rarity)
 
     # ------------------------------------------------------------ predictions
 
