@@ -184,7 +184,10 @@ def jumped(
             after[q, r] = carried_mean, J + factors[q, r][1] * Q
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
-            widen[position] = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
+            widen[position] = width = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
+            rates = range(position.stop, min(2 * position.stop, len(mean)))  # at least as fast as before
+            for i in rates:
+                widen[i] = min(width, max(1.0, np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
     return after, np.array(rarity), factors

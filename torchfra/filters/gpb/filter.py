@@ -282,7 +282,7 @@ class GPB(Filter[GPBState]):
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
         surprise = Surprise(nis, self.regimes.rarity(compared.residual, frame.measured))
-        mean, root = self.regimes.predictions(propagated, nis, self.motion.position)
+        mean, root = self.regimes.predictions(propagated, nis, self.motion)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
@@ -354,7 +354,7 @@ class GPB(Filter[GPBState]):
             return None
         regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        predicted = regimes.predicted_parts(propagated, nis, self.motion.position)
+        predicted = regimes.predicted_parts(propagated, nis, self.motion)
         mean, root = (regimes.per_regime(x) for x in mixed)
         # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
         rest, slope = predicted.spread[..., :-n], predicted.spread[..., -n:]

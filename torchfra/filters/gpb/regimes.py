@@ -15,8 +15,9 @@ from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
-from torchfra.linalg.safe import safe_divide, safe_log
+from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers, as_tensor
 from torchfra.types import Gaussian
 
@@ -309,7 +310,7 @@ class Regimes(Part):
         noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
         return Gaussian(propagated.mean[:, :1], tria(hstack(propagated.spread[:, :1], noise)))
 
-    def predictions(self, propagated: Propagated, nis: Tensor, position: slice) -> Gaussian:
+    def predictions(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -319,15 +320,15 @@ class Regimes(Part):
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
-            position: components of a state that are its position.
+            motion: says which components of a state are its position and its velocity.
         """
         root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)))
-        widths = self._widths(propagated.mean, nis, position)
+        widths = self._widths(propagated, nis, motion)
         return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
-    def predicted_parts(self, propagated: Propagated, nis: Tensor, position: slice) -> Propagated:
+    def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made, of the same arguments."""
-        widths = self._widths(propagated.mean, nis, position)
+        widths = self._widths(propagated, nis, motion)
         spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
         return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
 
@@ -358,13 +359,28 @@ class Regimes(Part):
         )
         return torch.where(stated.reshape(len(stated), *(1,) * (every.dim() - 2), -1, 1), 1.0, factors)
 
-    def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
-        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: those of the position in a jump."""
-        jumps = values_first(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
+    def _widths(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and velocity in a jump.
+
+        A receiver that was reset moves as before, a target that was carried elsewhere as fast in any direction: a
+        standard deviation of the velocity is at least the speed, if it is not multiplied by more than the position's.
+        """
+        mean, rank = propagated.mean, nis.dim() - 2
+        jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
         widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
-        rows = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
-        rows[position] = 1.0
-        return (1 + (widths.unsqueeze(-1) - 1) * rows).unsqueeze(-1)
+        components = range(mean.shape[-1])
+        place, rates = (self._chosen(components[part], mean) for part in (motion.position, motion.velocity))
+        _, root = self.agile_prediction(propagated)
+        speed = safe_sqrt((rates * mean[:, :1]).square().sum(-1, keepdim=True))
+        faster = safe_divide(speed, safe_sqrt(root.square().sum(-1))).clamp_min(1.0)
+        widths = widths.unsqueeze(-1)
+        rows = 1 + (widths - 1) * place + (torch.minimum(widths, faster) - 1) * rates
+        return rows.unsqueeze(-1)
+
+    @staticmethod
+    def _chosen(components: Sequence[int], like: Tensor) -> Tensor:
+        """``(n,)`` 1 at these components, else 0."""
+        return as_tensor([float(i in components) for i in range(like.shape[-1])], like)
 
     # ------------------------------------------------------------ regimes and their beliefs
 

@@ -68,9 +68,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     # Shift and process noise are those of the forward pass.
     frame = adapted(for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean)
     rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
-    mean, root = regimes.predictions(
-        propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion.position
-    )
+    mean, root = regimes.predictions(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
     predicted = Gaussian(mean, rows * root)
     to_step = Hypotheses(predicted, log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles).belief, later.belief, difference)
@@ -78,9 +76,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
 
     # The belief of every motion before, propagated by every regime, is updated by it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.beliefs, *x.shape[2:]) for x in before.belief))
-    by_regime = regimes.predicted_parts(
-        propagate_motions(f.bank, f.motion_rule, every, frame), surprise.nis, f.motion.position
-    )
+    by_regime = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, every, frame), surprise.nis, f.motion)
     by_regime = by_regime._replace(spread=rows * by_regime.spread, process_noise=rows * by_regime.process_noise)
     each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
     joint = prior + regimes.per_regime(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
