@@ -5,6 +5,7 @@ import torch
 
 from torchfra import Gaussian, presets
 from torchfra.motion import ConstantVelocity
+from torchfra.scenarios import OpenCell
 from torchfra.sensors import Position
 
 RUNS, STEPS, STD, MIDDLE = 20, 40, 2.0, 25
@@ -100,3 +101,24 @@ def test_an_outlier_after_a_confident_prior_costs_no_more_than_one_later(size, s
         return (errors(truth, hit, prior)[at] / errors(truth, z, prior)[at]).item()
 
     assert cost(step) < 1.05 * cost(MIDDLE)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e4])
+def test_a_target_that_was_carried_elsewhere_may_move_as_fast_in_another_direction(size):
+    truth, z, prior = tracks()
+    speed, turned = 30 * STD * ways(), 30 * STD * ways().flip(-1)
+    seconds = torch.arange(1.0, STEPS + 1, dtype=torch.float64).reshape(-1, 1)
+    since = (seconds - MIDDLE).clamp_min(0.0)
+    moved = (seconds - since) * speed.unsqueeze(1) + since * turned.unsqueeze(1)
+    moved = moved + size * STD * ways().unsqueeze(1) * (since > 0)
+    start = torch.cat([torch.zeros_like(speed), speed], -1)
+    found = errors(truth + torch.cat([moved, moved], -1), z + moved, Gaussian(prior.mean + start, prior.scale_tril))
+    assert (found[MIDDLE + 7 :] < 3).all()
+
+
+def test_a_confused_start_does_not_take_a_heading_away():
+    scenario = OpenCell("half", motion="gyroscope", size=2000.0, index=0.3, one_sided=True).scenario(steps=30)
+    tracks = scenario.simulate(20, 1)
+    estimate = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    off = (estimate.mean - tracks.truth)[..., :2].norm(dim=-1)
+    assert (off[:, -10:].mean(-1) < 20 * scenario.sensor.std()).all()
