@@ -29,13 +29,13 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.3594),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.6946, 0.05),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 0.3594),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.6945, 0.0001, 0.05),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
     },
 }  # fmt: skip
 """Values for each ``manoeuvres``: the lower levels of ``"some"`` were optimised, except the calm level's
@@ -48,13 +48,13 @@ IN_SPACE: dict[str, dict[str, Any]] = {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.3594),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8253, 0.06),
+        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 0.3594),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8252, 0.0001, 0.06),
+        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8732, 0.0001, 0.012),
     },
 }  # fmt: skip
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
