@@ -38,9 +38,9 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
     },
 }  # fmt: skip
-"""Values for each ``manoeuvres``: the lower levels of ``"some"`` were optimised, except the calm level's
-duration, the largest with consistent covariances of turning targets; the others were chosen by
-hand."""
+"""Values for each ``manoeuvres``.  Of ``"some"``, levels up to 2.05 and their restarts were optimised; the calm level's
+duration is the largest with consistent covariances of turning targets.  The others were chosen by hand: where the
+models hold, among spikes and heavy tails, and in the scenarios of bearings."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
