@@ -283,8 +283,8 @@ class Regimes(Part):
         """
         count = measured.sum(-1)
         size = (residual.square().sum(-1) / count.clamp_min(1.0)).clamp_min(JUMP_SIZE)
-        log_density: Tensor = -0.5 * count * size.log()
-        return (self.burst(residual[..., 0]) - 0.5) * log_density
+        rarity: Tensor = -0.5 * count * size.log() * (self.burst(residual[..., 0]) - 0.5)
+        return rarity
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
