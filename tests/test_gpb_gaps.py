@@ -62,6 +62,12 @@ NOTHING = torch.full((2, 2), torch.nan, dtype=torch.float64)
 # ---------------------------------------------------------------- until the next measurement
 
 
+LATE = pytest.mark.xfail(
+    strict=True,
+    reason="20 standard deviations of the stated acceleration: on a finer grid it takes a measurement more",
+)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("jump", "rows"),
