@@ -38,6 +38,7 @@ VALUES = {
     "self_transition": (0.9, 0.8, 0.7, 0.1),
     "jump_factors": (200.0,),
     "restart": (0.5, 0.3, 0.15, 0.05),
+    "burst": 4.0,
 }
 FEWER = {
     "noise_levels": (0.1, 10.0), "jump_factors": (), "self_transition": (0.95, 0.8, 0.5), "restart": (0.5, 0.4, 0.1),

@@ -51,14 +51,21 @@ def test_a_climb_is_what_the_oracle_says():
     f = presets.gpb(motion, case.sensor, **VALUES)
     f.regimes = Regimes(
         1, noise_levels=levels, jump_factors=jumps, self_transition=stay, restart=restart, separate_levels=1,
-        vertical=vertical,
+        vertical=vertical, burst=VALUES["burst"],
     )  # fmt: skip
     root = np.full(6, np.sqrt(levels[0]))
     root[list(vertical)] = 1.0
     odds = np.array([0.2, 0.2, 0.1, 0.2, 0.2])  # of levels, the climb, the jump: calm is shared, others are impossible
     chain = oracles.gpb.restart_transition([0.9, 0.5, 0.6, 0.9, 0.2], list(odds / odds.sum()))
     r = oracles.gpb.Regimes(
-        [1, 0, 0, 2], [*levels, np.outer(root, root)], jumps, chain, np.eye(5), oracles.gpb.stationary(chain), 2
+        [1, 0, 0, 2],
+        [*levels, np.outer(root, root)],
+        jumps,
+        chain,
+        np.eye(5),
+        oracles.gpb.stationary(chain),
+        2,
+        burst=VALUES["burst"],
     )
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 3, r))
 

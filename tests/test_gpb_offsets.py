@@ -42,7 +42,7 @@ def test_one_motion_with_levels_manoeuvres_and_jumps(inform, offset):
     options, r = regimes(*VALUES, manoeuvres=(3.0,))
     f = presets.gpb(motion, case.sensor, outliers_update=inform, same_offset=offset, **options)
     expected = expected_with(case, [motion], r, inform=inform, same_offset=offset)
-    same(f(tensor(case.z), PRIOR), expected, tolerance=1e-8)  # a jump multiplies a variance, and with it its rounding
+    same(f(tensor(case.z), PRIOR), expected)
 
 
 def test_a_bank_and_elements_that_are_outliers_each_by_itself():

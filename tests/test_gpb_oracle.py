@@ -27,6 +27,7 @@ VALUES = {
     "outlier_shares": (0.6, 0.3, 0.1),
     "prior_outlier": 0.3,
     "prior_inflation": 50.0,
+    "burst": 0.6,
 }
 """None of them a default, so that the tests hold whatever those are."""
 
@@ -130,7 +131,7 @@ def regimes(stay, restart, levels, jumps=(200.0,), motions=1, manoeuvres=(), sep
     which = [*range(motions, motions + separate), *[0] * (count - separate), *range(1, motions)]
     first = oracle.stationary(chain)
     return options | VALUES, oracle.Regimes(
-        which, factors, list(jumps), chain, unmeasured, first, count - 1, manoeuvres
+        which, factors, list(jumps), chain, unmeasured, first, count - 1, manoeuvres, burst=VALUES["burst"]
     )
 
 

@@ -17,7 +17,7 @@ BOUND = 13.816
 """99.9 % of chi-square with 2 degrees of freedom."""
 RECOVERED = 5
 """Measured steps after which all must be well again."""
-LATER = {"position": 1, "ranges": 1, "radar": 3, "bearings": 20}
+LATER = {"position": 1, "ranges": 0, "radar": 3, "bearings": 20}
 """Steps more after a jump, which is a burst of outliers until it lasts; two bearings tell little of a position."""
 
 

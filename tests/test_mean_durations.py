@@ -13,7 +13,6 @@ from oracles import gpb as oracle
 from torchfra import presets
 from torchfra.filters.markov import generator, transition_over
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn
-from torchfra.presets.regimes import MANOEUVRES
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
@@ -231,7 +230,7 @@ def test_durations_learn_and_compile(make):
     (lambda: presets.imm(BANK[:1], SENSOR, durations=1.0), "durations: expected None for a single model"),
     (lambda: presets.imm(BANK, SENSOR, durations=1.0, transition=torch.full((3, 3), 1 / 3)), "a diagonal of 0"),
     (lambda: presets.gpb(BANK, SENSOR, durations=(1.0, 2.0)), r"durations: expected \(..., 7\)"),
-    (lambda: presets.gpb(BANK, SENSOR, self_transition=MANOEUVRES["some"]["self_transition"], **LEVELS),
+    (lambda: presets.gpb(BANK, SENSOR, self_transition=(0.5,) * 7, **LEVELS),
      "self_transition, durations: expected one of them"),
     (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(10.0, 0.0)), "outlier_durations: expected"),
     (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(1.0, 1.0), outlier_transition=((0.9, 0.1), (0.5, 0.5))),

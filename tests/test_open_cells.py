@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import presets
+from torchfra.metrics import error
+from torchfra.presets.regimes import MANOEUVRES
 from torchfra.scenarios import OpenCell, draw_cell, open_cell
 from torchfra.scenarios.open_cells import KINDS, LONGEST, MOTIONS, SENSORS, SHORTEST, SPACINGS
 
-SEED, CELLS, RUNS = 2027, 40, 3
-LARGEST_SPIKE = 1e100
+SEED, CELLS = 2027, 40
 
 
 def standardised(cell, tracks, scenario):
@@ -177,19 +178,37 @@ def test_the_paper_s_filter_has_no_patience():
 # ---------------------------------------------------------------- what gpb promises
 
 
+@pytest.mark.slow
+def test_gpb_is_near_the_best_of_three_others_in_most_of_forty_random_cells_and_lost_in_none():
+    ratios = []
+    for cell in range(CELLS):
+        scenario = open_cell(cell, seed=SEED, steps=30)
+        tracks, errors = scenario.simulate(8, 1), {}
+        for name in ("srckf", "rsrckf", "mr_ckf", "gpb"):
+            motion = scenario.bank if name == "gpb" and scenario.bank else scenario.motion
+            found = getattr(presets, name)(motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+            off = error(found.mean, tracks.truth, scenario.truth_position)[:, 5:]
+            errors[name] = off.square().nanmean().sqrt().nan_to_num(torch.inf).item()
+        ratios.append(errors.pop("gpb") / min(errors.values()))
+    ratios.sort()
+    assert ratios[CELLS // 2] < 1.01
+    assert ratios[CELLS * 7 // 8 - 1] < 1.25
+    assert ratios[-1] < 10
+
+
 def spiked(cell, seed, size):
     """Two runs of a cell without anything wrong, and the same with a spike in the middle."""
     scenario = replace(cell, kind="none").scenario(steps=30)
     tracks = scenario.simulate(2, seed)
     z = tracks.z.clone()
-    z[:, 20] += size * scenario.sensor.std() * torch.tensor([1.0, -1.0, 1.0, -1.0])[: z.shape[-1]]
+    z[:, 20] += size * scenario.sensor.std() * torch.tensor([1.0, -1.0, 1.0, -1.0], dtype=z.dtype)[: z.shape[-1]]
     z = torch.where(scenario.sensor.angles, scenario.sensor.difference(z, torch.zeros_like(z)), z)
     return scenario, tracks, z
 
 
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None, derandomize=True)
-@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(0, 12))
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(0, 100))
 def test_an_estimate_is_finite_whatever_a_measurement_is(number, seed, exponent):
     scenario, tracks, z = spiked(draw_cell(number, seed=SEED), seed, 10.0**exponent)
     estimate = presets.gpb(scenario.motion, scenario.sensor)(z, tracks.prior, u=tracks.u, dt=scenario.dt)
@@ -199,7 +218,7 @@ def test_an_estimate_is_finite_whatever_a_measurement_is(number, seed, exponent)
 
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None, derandomize=True)
-@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(1.5, 12))
+@given(st.integers(0, 10_000), st.integers(0, 1000), st.floats(1.5, 100))
 def test_a_spike_of_any_size_moves_the_next_estimate_by_less_than_three_standard_deviations(number, seed, exponent):
     cell = replace(draw_cell(number, seed=SEED), stated_q=1.0, stated_std=1.0, turn=False)
     scenario, tracks, z = spiked(cell, seed, 10.0**exponent)
@@ -219,7 +238,7 @@ def test_units_that_are_a_power_of_two_change_nothing(number, seed, metres, seco
     scenario = replace(cell, dt=1.0, spacing="even").scenario(steps=30)
     other = replace(cell, dt=time, spacing="even", std=length * cell.std).scenario(steps=30)
     means = []
-    for s in (scenario, other):
-        tracks = s.simulate(2, seed)
-        means.append(presets.gpb(s.motion, s.sensor)(tracks.z, tracks.prior, dt=s.dt).mean)
+    for s, factor in ((scenario, 1.0), (other, time)):
+        tracks, lasts = s.simulate(2, seed), [factor * seconds for seconds in MANOEUVRES["some"]["durations"]]
+        means.append(presets.gpb(s.motion, s.sensor, durations=lasts)(tracks.z, tracks.prior, dt=s.dt).mean)
     torch.testing.assert_close(length * means[0][..., :2], means[1][..., :2], rtol=1e-9, atol=1e-9 * length * cell.std)

@@ -155,7 +155,7 @@ def test_values_may_differ_by_track():
 
 
 def test_gradients_are_exact():
-    f = presets.gpb(ConstantAcceleration(0.1), Position(STD), learn=("noise_levels", "self_transition"))
+    f = presets.gpb(ConstantAcceleration(0.1), Position(STD), learn=("noise_levels", "durations"))
     z = measured("position", 3)[:1, :4]
 
     def smooth(z, mean):

@@ -24,7 +24,7 @@ Beliefs = dict[tuple[int, int], Belief]  # by outlier mode (0 without, 1 with ou
 
 MODES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, LARGEST, BURST = 0.02, 0.01, 1e5, 4
+BLIND, NEAR, LARGEST, PRIOR_MARGIN, PATIENCE = 0.02, 0.01, 1e10, 4.0, math.log(1000.0)
 
 
 class Regimes(NamedTuple):
@@ -39,6 +39,7 @@ class Regimes(NamedTuple):
     home: int
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
     seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead of transition and unmeasured: see `switched`
+    burst: float = 4.0  # equal outliers in a row that are no jump
 
     @property
     def all_motions(self) -> list[int]:
@@ -150,11 +151,19 @@ def predicted(mixed: Beliefs, motions: list[Propagate], regimes: Regimes, k: int
     return predictions
 
 
+def widening(prediction: Belief, z: Array, model: Model, k: int) -> float:
+    """How much wider an outlying prior has to be to explain the first measurement, on its covariance."""
+    R = measurement_noise(model, k, present(z))
+    m = read(prediction, z, model, k)
+    excess = PRIOR_MARGIN * (fit(m.e, R)[0] - len(m.e)) / np.trace(np.linalg.solve(R, m.Pzz - R))
+    return float(min(max(excess, 1.0), LARGEST))
+
+
 def jumped(
     predictions: Beliefs, mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array,
     model: Model, k: int,
 ) -> tuple[Beliefs, Array, Beliefs]:  # fmt: skip
-    """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) how much rarity.
+    """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) logs of how rare they are.
 
     Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise before that.
     """
@@ -164,7 +173,9 @@ def jumped(
         m = read((mean, P), z, model, k)
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
-        rarity.append([max(nis / 30.0, 1.0) ** 2] * count + [max(nis, 1.0) ** (BURST - 0.5)] * len(regimes.jumps))
+        square = fit(m.e, measurement_noise(model, k, present(z)))[0] / max(len(m.e), 1)
+        jump = (regimes.burst - 0.5) * -len(m.e) / 2 * math.log(max(square, 30.0))
+        rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [jump] * len(regimes.jumps))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
@@ -173,7 +184,10 @@ def jumped(
             after[q, r] = carried_mean, J + factors[q, r][1] * Q
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
-            widen[position] = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
+            widen[position] = width = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
+            rates = range(position.stop, min(2 * position.stop, len(mean)))  # at least as fast as before
+            for i in rates:
+                widen[i] = min(width, max(1.0, np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
     return after, np.array(rarity), factors
@@ -377,6 +391,8 @@ class State(NamedTuple):
     last: Array  # (m,) the measurement
     elapsed: float = 0.0  # s since the last measurement
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
+    doubt: bool = False  # whether nothing has been measured yet
+    deferred: float = 0.0  # log of what the first measurement takes from an outlying prior and the second gives back
 
 
 def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlier: float, factor: float) -> State:
@@ -386,7 +402,7 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
     log_regimes = np.log(np.array([share * regimes.first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
-    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise)
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise, True)
 
 
 class Hypothesis(NamedTuple):
@@ -478,8 +494,16 @@ def step(
     predictions |= after_jumps
     moved = paths(mixed, predictions, motions, regimes, factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in MODES])
-    chance[:, len(regimes.levels) :] -= np.log(rarity)
+    chance[:, len(regimes.levels) :] += rarity
+    wider = 1.0
+    if c.doubt and not nothing:
+        wider = widening(predictions[1, 0], z, model, k)
+        predictions |= {key: (mean, wider * P) for key, (mean, P) in predictions.items() if key[0]}
     every = hypotheses(predictions, moved, chance, c, q.over(seconds), z, model, q, k)
+    deferred = min(math.log(wider), PATIENCE)
+    rare = [0.25 * math.log(wider) + deferred, 1.25 * math.log(wider)]  # a prior that is off, and an outlier besides
+    back = 0.0 if nothing else c.deferred
+    every = [h._replace(log_weight=h.log_weight - (rare[h.now] if h.before else -back)) for h in every]
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
     after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
@@ -506,8 +530,12 @@ def step(
         output["noise"] = np.exp(known[:, 0])
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
-        return State(after, log_regimes, c.outlier, z, seconds, known), output, lagged
-    return State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known), output, lagged
+        return State(after, log_regimes, c.outlier, z, seconds, known, c.doubt, c.deferred), output, lagged
+    return (
+        State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known, False, deferred),
+        output,
+        lagged,
+    )
 
 
 def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: OutlierModes) -> Result:

@@ -23,44 +23,43 @@ __all__ = ["gpb"]
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
         "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (),
-        "self_transition": (0.999073, 0.9612), "restart": (0.076, 0.924),
+        "durations": (1078, 25.27), "restart": (0.076, 0.924),
     },
     "some": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "self_transition": (0.998, 0.999073, 0.867, 0.95, 0.7, 0.9612, 0.0619),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.744599, 1e-06),
+        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.3594),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "self_transition": (0.998, 0.999073, 0.867, 0.95, 0.7, 0.9612, 0.1, 0.0619),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.744499, 0.0001, 1e-06),
+        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 0.3594),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
     },
 }  # fmt: skip
 """Values for each ``manoeuvres``.  Of ``"some"``, levels up to 2.05 and their restarts were optimised; the calm level's
-self-transition probability is the largest with consistent covariances of turning targets.  The others were chosen by
-hand: where the models hold, among spikes and heavy tails, and in the scenarios of bearings.  A jump is followed from
-the fifth measurement at the new place on, whatever its size: ``filters.gpb.regimes.BURST``."""
+duration is the largest with consistent covariances of turning targets.  The others were chosen by hand: where the
+models hold, among spikes and heavy tails, and in the scenarios of bearings."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
     "some": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "self_transition": (0.998, 0.999073, 0.95, 0.7, 0.9612, 0.0619),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.885299, 1e-06),
+        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.3594),
+        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "self_transition": (0.998, 0.999073, 0.95, 0.7, 0.9612, 0.1, 0.0619),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.885199, 0.0001, 1e-06),
+        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 0.3594),
+        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8732, 0.0001, 0.012),
     },
 }  # fmt: skip
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
 
-OUTLIER_TRANSITION = ((0.97, 0.03), (0.6, 0.4))
+OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
 @register.filter("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
@@ -75,6 +74,7 @@ def gpb(
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
     restart: Values | None = None,
+    burst: Value = 4.0,
     durations: Values | None = None,
     climbs: bool | None = None,
     outlier_transition: Values | None = None,
@@ -83,7 +83,7 @@ def gpb(
     outlier_shares: Values = (0.35, 0.35, 0.15, 0.15),
     outlier_offsets: Values | None = None,
     prior_outlier: Value = 0.001,
-    prior_inflation: Value = 2e4,
+    prior_inflation: Value = 100.0,
     adaptive_largest_size: bool = True,
     outliers_update: bool = True,
     same_offset: Value | None = None,
@@ -113,12 +113,14 @@ def gpb(
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
             squared per element.
-        self_transition: self-transition probabilities of the regimes: of each level, any other motion, each
-            manoeuvre, each jump; for three or more motions also one for each other motion.  They are those of a step,
-            whatever its ``dt``.
+        self_transition: instead of ``durations``, self-transition probabilities of the regimes, of a step whatever its
+            ``dt``, in the same order.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
-        durations: instead of ``self_transition``, mean sojourn times of the regimes, s, in the same order.
+        burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
+            longer is taken to have jumped.
+        durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
+            three or more motions also one for each other motion.
         climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
             level, with its probabilities, and defaults ``presets.regimes.IN_SPACE``.  None is True for a motion in
             space (``Motion.vertical``) if no argument from ``noise_levels`` to ``durations`` is given.
@@ -130,7 +132,9 @@ def gpb(
         outlier_offsets: mean of the noise of outliers of each size, in units of the nominal noise, as of ranges without
             a line of sight, which are too large; None for 0.
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
-        prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
+        prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``;
+            it grows with what the first measurement shows, so that the prior may be off by any distance.  1 is for a
+            prior that is never in doubt.
         adaptive_largest_size: whether the largest size adapts to the squared residual of a measurement.
         outliers_update: whether outliers update the belief, as measurements with larger noise.
         same_offset: probability that an outlier after another has the same offset, as the fixes of a second target
@@ -177,11 +181,11 @@ def gpb(
         raise ValueError(f"climbs: expected a motion with a height and its rate, received {models.describe()}")
     climbs = bool(models.vertical) and not given if climbs is None else climbs
     values = (IN_SPACE if climbs else MANOEUVRES)[manoeuvres] | given
-    if durations is not None:
-        values["self_transition"] = self_transition
+    if self_transition is not None and durations is None:
+        del values["durations"]
     if separate_levels is None and as_numbers(values["noise_levels"], "noise_levels").shape[-1:].numel() <= 1:
         values["separate_levels"] = 0  # the only level
-    regimes = Regimes(count, **values, vertical=models.vertical if climbs else ())
+    regimes = Regimes(count, **values, burst=burst, vertical=models.vertical if climbs else ())
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
     outliers = Outliers(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import Regimes, Switching
+from torchfra.filters.gpb.regimes import LARGEST_FACTOR, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import by_points_or_slope, elements_of
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
@@ -47,6 +48,11 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Alarm, Gaussian, Whitened
+
+PRIOR_MARGIN = 4.0
+"""Factor on the covariance of an outlying prior beyond what the residual of the first measurement asks for."""
+PATIENCE = math.log(1000.0)
+"""Log of the factor by which an outlying prior is less likely until the second measurement shows it."""
 
 
 class Mixing(NamedTuple):
@@ -100,7 +106,8 @@ class GPB(Filter[GPBState]):
         outliers: the Markov chain of outliers, of the sensor's blocks.
         noise: how the scale of each block's measurement noise is learned; None to take it as the sensor states it.
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
-        prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``.
+        prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``;
+            it is larger where the first measurement shows it, and 1 is for a prior that is never in doubt.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``info``.
         rule: from a dimension to the rule that carries a Gaussian through a function.
 
@@ -164,8 +171,11 @@ class GPB(Filter[GPBState]):
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
         relaxation = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
         last = None if self.outliers.same_offset is None else self._unmeasured(mean)
+        doubt = torch.ones_like(mean[..., 0])
         noise = None if self.noise is None else self.noise.begin(outlier)
-        return GPBState(belief, belief, *to_state(every, (OUTLIER, MOTION)), outlier, outlier, relaxation, last, noise)
+        kept = to_state(every, (OUTLIER, MOTION))
+        none = torch.zeros_like(doubt)
+        return GPBState(belief, belief, *kept, outlier, outlier, doubt, none, relaxation, last, noise)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step; the numbers are those of the class's docstring."""
@@ -174,10 +184,12 @@ class GPB(Filter[GPBState]):
         noise, frame = self.noise_of(state, frame)
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
-        predicted, nis = self.predict_regimes(mixed, switching.log_weight, frame)  # (3)
+        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
-        modes = self.outliers.predict(state.outlier, relaxation, measured)
-        change = self.compare_change(state, relaxation, mixed, nis, frame)
+        log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
+        given_back = torch.where(measured, state.deferred, 0.0)
+        modes = log_mode + self.outlying_rarity(widening, given_back), blocks_outlying
+        change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
         updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
@@ -197,7 +209,9 @@ class GPB(Filter[GPBState]):
         )
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
-        now = GPBState(belief, lagged, *kept, state.duration, relaxation, last, noise)
+        doubt = torch.where(measured, 0.0, state.doubt)
+        deferred = torch.where(measured, _deferred(widening), state.deferred)
+        now = GPBState(belief, lagged, *kept, state.duration, doubt, deferred, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
@@ -207,7 +221,15 @@ class GPB(Filter[GPBState]):
         variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
         info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
-        past = GPBPast(*kept, batch_first(nis, BEFORE), measured.to(nis).expand(nis.shape[3:]), relaxation, ratio)
+        past = GPBPast(
+            *kept,
+            Surprise(*(batch_first(x, BEFORE) for x in surprise)),
+            widening,
+            given_back,
+            measured.to(widening).expand_as(widening),
+            relaxation,
+            ratio,
+        )
         expected = self.compare(self.expected(predicted), frame)
         root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood
@@ -239,24 +261,76 @@ class GPB(Filter[GPBState]):
         two = tree.stack([before, common], 0)
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
-    def predict_regimes(self, mixed: Gaussian, log_weight: Tensor, frame: Frame) -> tuple[Hypotheses, Tensor]:
-        """Predictions of all regimes, and the normalised innovation squared per element by the agile level.
+    def predict_regimes(
+        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor
+    ) -> tuple[Hypotheses, Surprise, Tensor]:
+        """Predictions of all regimes, and what they take from the measurement.
 
         Args:
             mixed: ``(1, S, 2, ...)`` beliefs, of each motion and of separate levels.
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             frame: of the step.
+            doubt: ``(...)`` as in ``GPBState``.
 
         Returns:
-            Hypotheses ``(1, R, 2, ...)``, and the normalised innovation squared ``(1, 1, 2, ...)``.
+            Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction by the agile level; and the
+            factor ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
         """
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        agile = self.regimes.agile_prediction(propagated)
-        _, normalised = innovation(self.compare(self.read(agile), frame))
+        compared = self.compare(self.read(self.regimes.agile_prediction(propagated)), frame)
+        _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        predicted = self.regimes.predictions(propagated, nis, self.motion.position)
-        return Hypotheses(predicted, self.regimes.penalised(log_weight, nis)), nis
+        surprise = Surprise(nis, self.regimes.rarity(compared.residual, frame.measured))
+        mean, root = self.regimes.predictions(propagated, nis, self.motion)
+        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
+        predicted = Gaussian(mean, self.outlying_rows(widening) * root)
+        return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
+
+    def widening(self, predicted: Gaussian, frame: Frame, doubt: Tensor) -> Tensor:
+        """Factor ``(...)`` on the covariance of an outlying prior at the first measurement, beside ``prior_inflation``.
+
+        It is 1 unless the residual is larger than the inflated prior explains.  Beyond that the covariance scales with
+        the residual, so that priors that are off by any distance are equally likely, as outliers of the largest size
+        are.  What is not measured, such as the velocity, may be off by more standard deviations than what is: a factor
+        of ``PRIOR_MARGIN`` is for that.
+
+        Args:
+            predicted: ``(..., n)`` from the inflated prior, by the lowest level.
+            frame: of the step.
+            doubt: ``(...)`` as in ``GPBState``.
+        """
+        residual, spread, _, _ = self.compare(self.read(predicted), frame)
+        excess = residual.square().sum(-1) - frame.measured.sum(-1)
+        factor = PRIOR_MARGIN * safe_divide(excess, spread.square().sum((-2, -1)))
+        doubtful = (doubt > 0.5) & (self.prior_inflation(residual[..., 0]) > 1)
+        return torch.where(doubtful, factor.clamp(1.0, LARGEST_FACTOR), 1.0)
+
+    def outlying_rarity(self, widening: Tensor, given_back: Tensor) -> Tensor:
+        """Logs ``(2, 1, 2, ...)`` of factors on the probabilities of modes at the first two measurements, else 1.
+
+        A prior that is off and an outlier are the same at the first measurement.  So that one is taken for an outlier
+        whatever its size: the weight of a prior that is off falls as one over the root of its distance, and by
+        ``PATIENCE`` more, which the second measurement gives back.  That both are wrong is rarer still: merged with an
+        outlier after a good prior, it would take away what that one knows.
+
+        Args:
+            widening: ``(...)`` from ``widening``.
+            given_back: ``(...)`` log of what the first measurement has taken, at the second; else 0.
+        """
+        rarity = -0.25 * widening.log()
+        off = torch.stack([rarity - _deferred(widening), 5 * rarity])
+        return torch.stack([given_back.expand_as(off), off], 1).unsqueeze(1)
+
+    def outlying_rows(self, widening: Tensor) -> Tensor:
+        """Factors ``(1, 1, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
+
+        Parameters, biases and angles keep theirs: a heading that is off by more than a turn means nothing.
+        """
+        kept = ("angle", "rate", "bias", "parameter")
+        inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
+        rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
+        return torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1)
 
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
@@ -280,7 +354,7 @@ class GPB(Filter[GPBState]):
             return None
         regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        predicted = regimes.predicted_parts(propagated, nis, self.motion.position)
+        predicted = regimes.predicted_parts(propagated, nis, self.motion)
         mean, root = (regimes.per_regime(x) for x in mixed)
         # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
         rest, slope = predicted.spread[..., :-n], predicted.spread[..., -n:]
@@ -330,7 +404,8 @@ class GPB(Filter[GPBState]):
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
         switching = self.regimes.switch(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
-        predicted, _ = self.predict_regimes(self.mix(before.belief, switching)[0], switching.log_weight, frame)
+        mixed, _ = self.mix(before.belief, switching)
+        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
@@ -426,3 +501,8 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
+
+
+def _deferred(widening: Tensor) -> Tensor:
+    """Log ``(...)`` of how much less likely an outlying prior is until the second measurement; 0 where it is not."""
+    return widening.log().clamp_max(PATIENCE)

@@ -15,20 +15,27 @@ from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, v
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Propagated
-from torchfra.hyper import Hyper, Part, Values, once, one_given
-from torchfra.linalg.safe import safe_divide, safe_log
+from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
+from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.triangular import hstack, tria
+from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers, as_tensor
 from torchfra.types import Gaussian
 
-LARGEST_FACTOR = 1e5
-"""Largest factor of a jump or a manoeuvre on a covariance, whatever the normalised innovation squared."""
-MANOEUVRE_NIS = 30.0
-"""Normalised innovation squared per element beyond which the weight of a manoeuvre falls with its size."""
-BURST = 4
-"""Equal outliers in a row that are no jump.  A jump and such a burst are the same until it ends.  An outlier of ``r``
-standard deviations has ``1 / r^2`` of the density of a good measurement in the plane.  So a jump whose weight falls as
-``r^-(2 BURST - 1)`` is less likely than a burst of that length, and more likely than a longer one, of any size."""
+LARGEST_FACTOR = 1e10
+"""Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
+JUMP_SIZE, MANOEUVRE_NIS = 30.0, 30.0
+"""Mean squares of a residual in units of the measurement noise, and of a normalised innovation, beyond which the weight
+of a jump, or a manoeuvre, falls with its size."""
+
+
+class Surprise(NamedTuple):
+    """How far a measurement is from its prediction by the agile level, which manoeuvres and jumps scale with."""
+
+    nis: Tensor
+    """``(1, 1, 2, ...)`` normalised innovation squared per element."""
+    rarity: Tensor
+    """``(1, 1, 2, ...)`` log of the factor on the weight of a jump: see ``Regimes.rarity``."""
 
 
 class Switching(NamedTuple):
@@ -81,6 +88,8 @@ class Regimes(Part):
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations its
             weight falls with its size, as a single large innovation is rather an outlier.
+        burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
+            are taken for a jump.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
             of any.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
@@ -98,7 +107,7 @@ class Regimes(Part):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
-        separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
+        burst: Value = 4.0, separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -146,6 +155,7 @@ class Regimes(Part):
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
+        self.burst = Hyper(burst, constraints.greater_than_eq(0.5), name="burst")
         self.self_transition = self.durations = None
         if sojourn == "durations":
             self.durations = sojourn_times(stay, 1, sojourn)
@@ -260,18 +270,35 @@ class Regimes(Part):
         same = torch.eye(count, dtype=stay.dtype, device=stay.device)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
-    def penalised(self, log_weight: Tensor, nis: Tensor) -> Tensor:
+    def rarity(self, residual: Tensor, measured: Tensor) -> Tensor:
+        """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
+
+        A jump and a burst of equal outliers are the same until the burst ends.  An outlier of ``r`` standard deviations
+        in ``m`` elements has about ``1 / r^m`` of the density of a measurement as stated.  The factor is that to the
+        power of ``burst - 1/2``: whatever its size, a jump is less likely than outliers at the last measurement of the
+        longest burst, and more likely at the next one.
+
+        Args:
+            residual: ``(1, 1, 2, ..., m)`` of the prediction by the agile level, in units of the measurement noise.
+            measured: ``(..., m)`` 1 where measured, 0 where missing.
+        """
+        count = measured.sum(-1)
+        size = (residual.square().sum(-1) / count.clamp_min(1.0)).clamp_min(JUMP_SIZE)
+        rarity: Tensor = -0.5 * count * size.log() * (self.burst(residual[..., 0]) - 0.5)
+        return rarity
+
+    def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
         Their covariances scale with the innovation, so they would explain one of any size equally well.  The weight of
-        a jump falls as ``nis^-(BURST - 1/2)``, and beyond its limit that of a manoeuvre as ``1 / nis^2``.
+        a jump is multiplied by its ``rarity``, and that of a manoeuvre falls as ``1 / nis^2`` beyond its limit.
 
         Args:
             log_weight: of the regimes by the Markov chain alone.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
+            surprise: of the measurement.
         """
-        manoeuvre, jump = ((nis / limit).clamp_min(1.0).log() for limit in (MANOEUVRE_NIS, 1.0))
-        return log_weight - self._of_kinds(0.0, 2 * manoeuvre, (BURST - 0.5) * jump)
+        manoeuvre = -2 * (surprise.nis / MANOEUVRE_NIS).clamp_min(1.0).log()
+        return log_weight + self._of_kinds(0.0, manoeuvre, surprise.rarity)
 
     # ------------------------------------------------------------ predictions
 
@@ -284,7 +311,7 @@ class Regimes(Part):
         noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
         return Gaussian(propagated.mean[:, :1], tria(hstack(propagated.spread[:, :1], noise)))
 
-    def predictions(self, propagated: Propagated, nis: Tensor, position: slice) -> Gaussian:
+    def predictions(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -294,18 +321,17 @@ class Regimes(Part):
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
-            position: components of a state that are its position.
+            motion: says which components of a state are its position and its velocity.
         """
-        root = self.per_regime(
-            tria(propagated.spread)
-        )  # columns of any scale; beside a triangle the noise leaves them so
+        # Columns may be of any scale; beside a triangle the noise leaves them so.
+        root = self.per_regime(tria(propagated.spread))
         root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
-        widths = self._widths(propagated.mean, nis, position)
+        widths = self._widths(propagated, nis, motion)
         return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
-    def predicted_parts(self, propagated: Propagated, nis: Tensor, position: slice) -> Propagated:
+    def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made, of the same arguments."""
-        widths = self._widths(propagated.mean, nis, position)
+        widths = self._widths(propagated, nis, motion)
         spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
         return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
 
@@ -336,13 +362,28 @@ class Regimes(Part):
         )
         return torch.where(stated.reshape(len(stated), *(1,) * (every.dim() - 2), -1, 1), 1.0, factors)
 
-    def _widths(self, mean: Tensor, nis: Tensor, position: slice) -> Tensor:
-        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: those of the position in a jump."""
-        jumps = values_first(self.jump_factors(mean), nis.dim() - 2).unsqueeze(0)
+    def _widths(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and velocity in a jump.
+
+        A receiver that was reset moves as before, a target that was carried elsewhere as fast in any direction: a
+        standard deviation of the velocity is at least the speed, if it is not multiplied by more than the position's.
+        """
+        mean, rank = propagated.mean, nis.dim() - 2
+        jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
         widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
-        rows = torch.zeros(mean.shape[-1], dtype=mean.dtype, device=mean.device)
-        rows[position] = 1.0
-        return (1 + (widths.unsqueeze(-1) - 1) * rows).unsqueeze(-1)
+        components = range(mean.shape[-1])
+        place, rates = (self._chosen(components[part], mean) for part in (motion.position, motion.velocity))
+        _, root = self.agile_prediction(propagated)
+        speed = safe_sqrt((rates * mean[:, :1]).square().sum(-1, keepdim=True))
+        faster = safe_divide(speed, safe_sqrt(root.square().sum(-1))).clamp_min(1.0)
+        widths = widths.unsqueeze(-1)
+        rows = 1 + (widths - 1) * place + (torch.minimum(widths, faster) - 1) * rates
+        return rows.unsqueeze(-1)
+
+    @staticmethod
+    def _chosen(components: Sequence[int], like: Tensor) -> Tensor:
+        """``(n,)`` 1 at these components, else 0."""
+        return as_tensor([float(i in components) for i in range(like.shape[-1])], like)
 
     # ------------------------------------------------------------ regimes and their beliefs
 

@@ -20,6 +20,7 @@ from torchfra.filters.gpb.hypotheses import (
     propagate_motions,
     to_state,
 )
+from torchfra.filters.gpb.regimes import Surprise
 from torchfra.filters.gpb.states import GPBPast
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.model_smoothing import unwhitened
@@ -56,25 +57,28 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
         after: the smoothed ``GPBPast`` after the step.
     """
     regimes, difference, frame, measured = f.regimes, f.motion.difference, step.frame, step.next.measured > 0
-    nis = step.next.nis.movedim(-1, 0)[None, None, :, None]
+    surprise = Surprise(*(x.movedim(-1, 0)[None, None, :, None] for x in step.next.surprise))
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    prior, prior_of_source = (_prior(f, x, step.next, nis, frame.dt) for x in (step.past, step.source))
+    prior, prior_of_source = (_prior(f, x, step.next, surprise, frame.dt) for x in (step.past, step.source))
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
     mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, frame.dt, measured))
     # Shift and process noise are those of the forward pass.
     frame = adapted(for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean)
-    parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), nis, f.motion.position)
-    predicted, _ = parts.belief(triangular=False)
+    rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
+    parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
+    (mean, root), _ = parts.belief(triangular=False)
+    predicted = Gaussian(mean, rows * root)
     to_step = Hypotheses(predicted, log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles, triangular=False).belief, later.belief, difference)
     measurement = tree.map_tensors(regimes.per_regime, measurement)  # (2, R, 1, 1, ...)
 
     # The belief of every motion before, propagated by every regime, is updated by it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.beliefs, *x.shape[2:]) for x in before.belief))
-    by_regime = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, every, frame), nis, f.motion.position)
+    by_regime = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, every, frame), surprise.nis, f.motion)
+    by_regime = by_regime._replace(spread=rows * by_regime.spread, process_noise=rows * by_regime.process_noise)
     each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
     joint = prior + regimes.per_regime(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
@@ -88,7 +92,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     return result
 
 
-def _prior(f: Any, past: GPBPast, after: GPBPast, nis: Tensor, dt: Tensor) -> Tensor:
+def _prior(f: Any, past: GPBPast, after: GPBPast, surprise: Surprise, dt: Tensor) -> Tensor:
     """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before.
 
     No belief holds the offset that outliers may have in both steps, so its likelihood ratio is a factor here.
@@ -101,5 +105,6 @@ def _prior(f: Any, past: GPBPast, after: GPBPast, nis: Tensor, dt: Tensor) -> Te
         same_offset = after.log_same_offset.movedim(-1, 0)
         none = torch.zeros_like(same_offset)
         log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, same_offset], 1)])
-    pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), nis)
+    log_mode = log_mode + f.outlying_rarity(after.widening, after.given_back)
+    pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), surprise)
     return pairs

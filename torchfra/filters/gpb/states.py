@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra.filters.gpb.noise import NoiseScale
+from torchfra.filters.gpb.regimes import Surprise
 from torchfra.tree import Late
 from torchfra.types import Alarm, Gaussian
 
@@ -39,6 +40,12 @@ class GPBState(NamedTuple):
     """``(..., B)`` probability that each block was an outlier, given that some block was."""
     duration: Tensor
     """``(..., B)`` seconds, as in ``Alarm``."""
+    doubt: Tensor
+    """``(...)`` 1 until the first measurement, which may show that the prior is off, then 0; with targets whose first
+    measurement is uncertain the probability that there was none."""
+    deferred: Tensor
+    """``(...)`` log of the factor by which the first measurement has made an outlying prior less likely, until the
+    second one; else 0: see ``GPB.outlying_rarity``."""
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
@@ -86,9 +93,12 @@ class GPBPast(NamedTuple):
     """See ``GPBState``."""
     outlier: Tensor
     """See ``GPBState``."""
-    nis: Tensor
-    """``(..., 2)`` normalised innovation squared per element, by the agile level of ``Regimes``, without and with an
-    outlier in the measurement before."""
+    surprise: Surprise
+    """``(..., 2)`` how far the measurement was from its prediction, without and with an outlier in the one before."""
+    widening: Tensor
+    """``(...)`` factor on the covariance of an outlying prior: see ``GPB.widening``."""
+    given_back: Tensor
+    """``(...)`` what ``GPB.outlying_rarity`` gives back in this step."""
     measured: Tensor
     """``(...)`` 1 where the step has a measurement, else 0."""
     relaxation: Tensor | None = None
@@ -107,4 +117,5 @@ class GPBPast(NamedTuple):
     def of_next(self) -> GPBPast:
         """As in ``records.Past``: of the next step all that is no belief and no weight."""
         none: Any = None  # ``retreat`` reads no others
-        return GPBPast(none, none, none, self.nis, self.measured, None, self.log_same_offset)
+        kept = self.surprise, self.widening, self.given_back, self.measured
+        return GPBPast(none, none, none, *kept, None, self.log_same_offset)
