@@ -137,6 +137,21 @@ def test_fra_is_no_worse_than_its_robust_part_where_outliers_come_in_bursts(inde
     assert errors[0] < 1.05 * errors[1]
 
 
+def test_patience_with_bursts_does_not_delay_manoeuvres():
+    """Velocities that change by 10 or 30 standard deviations of a position per step."""
+    scenario = OpenCell(index=0.03, std=2.0).scenario()
+    tracks = scenario.simulate(20, SEED)
+    moved = (torch.arange(scenario.steps, dtype=torch.float64) - 50).clamp_min(0)[:, None]
+    for size in (20.0, 60.0):
+        change = size * scenario.dt * moved * torch.tensor([1.0, -1.0])
+        errors = []
+        for preset in (presets.fra, presets.rsrckf):
+            with torch.no_grad():
+                mean = preset(scenario.motion, scenario.sensor)(tracks.z + change, tracks.prior, dt=scenario.dt).mean
+            errors.append((mean[..., :2] - tracks.truth[..., :2] - change).square().sum(-1).mean().sqrt())
+        assert errors[0] < 0.5 * errors[1]
+
+
 @pytest.mark.parametrize(("patience", "last"), [(1, 1), (2, 2), (4, 4)])
 def test_fra_follows_a_jump_with_the_measurement_after_as_many_as_it_has_patience_with(patience, last):
     scenario = OpenCell(index=0.03).scenario(steps=40)

@@ -19,42 +19,44 @@ def prior_odds(preference: float, plain: float | None) -> dict[str, float]:
     return {"robust": preference, "adaptive": 0.0} | ({} if plain is None else {"plain": plain})
 
 
-def scores(
-    ahead: dict[str, Prior], odds: dict[str, float], decision: str, jumps: Jumps, nis: float
-) -> dict[str, float]:
-    """How well each branch predicts the next measurement: feedback decision of section 2.2; `nis` is of this step."""
+def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str, row: Row, p: Prior) -> dict[str, float]:
+    """How well each branch predicts the next measurement: feedback decision of section 2.2; `p` is of this step."""
     found = {}
     for name in odds:
         score = ahead[name].log_likelihood if decision == "likelihood" else -0.5 * ahead[name].nis
         found[name] = score if math.isfinite(score) else -math.inf
-    return {name: score + odds[name] for name, score in jumps.weigh(found, ahead, nis).items()}
+    if row.waits(p, ahead["robust"]):
+        found |= {name: -math.inf for name in found if name != "robust"}
+    return {name: score + odds[name] for name, score in found.items()}
 
 
-class Jumps:
-    """Log odds of a jump over an outlier, which decide about steps that were 2.5 gates off or more."""
+class Row:
+    """Outliers in a row, with which the filter has patience: innovations 2.5 gates off that do not grow by a third."""
 
     def __init__(self, patience: float, gate: float) -> None:
-        self.bound = patience - 0.5 if patience else 0.0
-        self.gate, self.odds, self.on, self.was_far = gate, self.bound, bool(patience), False
+        self.patience, self.gate, self.repeated = patience, gate, patience
+
+    def is_far(self, p: Prior) -> bool:
+        return bool(p.seen) and p.nis > 2.5 * self.gate
 
     def see(self, p: Prior) -> None:
-        """A normal step speaks for the belief; a row of far ones begins anew, unless the odds are for a jump."""
-        is_far = bool(p.seen) and p.nis > 2.5 * self.gate
-        begins, self.was_far = is_far and not self.was_far, is_far
-        if self.on and p.seen and 0 < p.nis <= self.gate:
-            self.odds = max(self.odds - 1.0, -self.bound)
-        if begins and self.odds < 0:
-            self.odds = -self.bound
+        """A measurement that is not far off ends the row."""
+        if p.seen and not self.is_far(p):
+            self.repeated = 0.0
 
-    def weigh(self, scored: dict[str, float], ahead: dict[str, Prior], nis: float) -> dict[str, float]:
-        """Scores of the branches of a step of this nis, by the odds if it was far off."""
-        best, measured = scored["adaptive"], any(p.seen for p in ahead.values())
-        if not (self.on and nis > 2.5 * self.gate and measured and math.isfinite(best + scored["robust"])):
-            return scored
-        elsewhere = ahead["adaptive"].nis > 2.5 * self.gate
-        gain = min(best - scored["robust"], -3.0 if elsewhere else 1.0)
-        self.odds = min(max(self.odds + gain, -self.bound), self.bound)
-        return {name: s if name == "robust" else scored["robust"] + self.odds + s - best for name, s in scored.items()}
+    def waits(self, p: Prior, after: Prior) -> bool:
+        """Whether the robust branch is kept whatever predicts better."""
+        if not (self.patience and after.seen):
+            return False
+        before = np.zeros(max(*p.seen, *after.seen, 0) + 1)
+        before[p.seen] = p.v
+        unit = np.linalg.inv(after.SR)
+        whiten = np.linalg.inv(np.linalg.cholesky(unit @ after.at.Pzz @ unit.T))
+        n, m = whiten @ before[after.seen], whiten @ after.v
+        repeats = self.is_far(p) and (m - n) @ n <= n @ n / 3
+        another = (m - n) @ (m - n) > n @ n  # row begins with the next measurement
+        self.repeated = 0.0 if another else self.repeated + bool(repeats)
+        return bool(repeats and self.repeated < self.patience)
 
 
 def winner(scored: dict[str, float]) -> str:
@@ -93,14 +95,14 @@ def fra(
     odds = prior_odds(preference, plain)
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
-    jumps = Jumps(patience, gate)
+    row = Row(patience, gate)
     p = compare(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
     for k in range(len(z)):
         psi = huber(p.v, np.broadcast_to(threshold, z.shape[1])[p.seen])
         V_now, V = memories(V, p, psi, memory, options.forgetting)
         kept = shown = unweighted(p)
         abnormal, name, following = bool(p.seen) and not p.nis <= gate, "", None
-        jumps.see(p)
+        row.see(p)
         if abnormal:
             fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
             branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": kept}
@@ -108,7 +110,7 @@ def fra(
             name = winner(odds) if final == "likeliest" else final
             if k + 1 < len(z):
                 ahead = {b: compare(*branches[b][:2], z[k + 1], model, k + 1, rule) for b in odds}
-                name = winner(scores(ahead, odds, decision, jumps, p.nis))
+                name = winner(scores(ahead, odds, decision, row, p))
                 following = ahead[name]
             kept = branches[name]
         flags = {"abnormal": abnormal, "name": name, "provisional": shown[0]}
@@ -152,7 +154,7 @@ def soft_fra(
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
     mean, P = np.array(mean0, dtype=float), np.array(P0, dtype=float)
-    jumps = Jumps(patience, gate)
+    row = Row(patience, gate)
     for k in range(len(z)):
         p = compare(mean, P, z[k], model, k, rule)
         psi = huber(p.v, threshold)
@@ -160,7 +162,7 @@ def soft_fra(
         fading = faded(p, V_now, np.ones(len(p.seen)), z[k], model, k, rule, options)
         branches = {"robust": weighted(p, psi), "adaptive": fading, "plain": unweighted(p)}
         abnormal = sigmoid((p.nis - gate) / temperature)
-        jumps.see(p)
+        row.see(p)
 
         def mixed(
             shares: dict[str, float], branches: Any = branches, abnormal: float = abnormal
@@ -172,7 +174,7 @@ def soft_fra(
         shares = {"robust": 1.0}
         if k + 1 < len(z):
             ahead = {name: compare(*branches[name][:2], z[k + 1], model, k + 1, rule) for name in odds}
-            shares = softmax(scores(ahead, odds, decision, jumps, p.nis), temperature)
+            shares = softmax(scores(ahead, odds, decision, row, p), temperature)
         mean, P = mixed(shares)
         steps.append({"mean": mean, "P": P, "provisional": shown})
     return collect(steps)

@@ -28,6 +28,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
 from torchfra.hyper import Hyper, Value, brings_batch, one_of
 from torchfra.linalg.tracing import is_traced
+from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
 from torchfra.robust.weights import Huber, Weights
@@ -41,10 +42,10 @@ UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 _ROUNDING = 1e-9
 """Relative difference of two scores that are equal up to rounding, in double precision."""
 _FAR = 2.5
-"""Gates above which an innovation squared is farther than manoeuvres lead from one step to the next."""
-_AGAIN, _ELSEWHERE, _NORMAL = 1.0, -3.0, -1.0
-"""Log odds of a jump over an outlier by a measurement that the adaptive branch alone predicts, at most, as the next
-outlier may have the same offset; by one that lies far from the predictions of all branches; by a normal one."""
+"""Gates above which an innovation squared is far off: noise does not reach it, so a row of them tells its cause."""
+_GROWTH = 1 / 3
+"""Share of an innovation by which the next one is longer, if the target manoeuvres: at constant velocity the second is
+longer by all of the first, and the fourth still by a third of the third."""
 
 
 class FRAState(NamedTuple):
@@ -63,8 +64,10 @@ class FRAState(NamedTuple):
     excess: Tensor
     """``(...)`` normalised innovation squared less the gate."""
     memory: Memory
-    evidence: Tensor
-    """``(...)`` log odds of a jump over an outlier, before the next measurement that is far off."""
+    residual: Tensor
+    """``(..., m)`` innovation of this step, in units of the noise."""
+    repeated: Tensor
+    """``(...)`` measurements in a row that were no farther off than an outlier before them."""
 
     @property
     def abnormal(self) -> Tensor:
@@ -99,12 +102,13 @@ class FRAInfo(NamedTuple):
         return (self.abnormal & ~self.adaptive & ~self.plain).to(self.fading).unsqueeze(-1)
 
 
-@tree.event_ranks(excess=0, evidence=0)
+@tree.event_ranks(excess=0, residual=1, repeated=0)
 class Undecided(NamedTuple):
     """What is known of a step before the next measurement: see ``FRAState``."""
 
     excess: Tensor
-    evidence: Tensor
+    residual: Tensor
+    repeated: Tensor
 
 
 class Choice(NamedTuple):
@@ -135,11 +139,10 @@ class FRA(Soft, Filter[FRAState]):
     as ``state.belief`` and the final one of the step before as ``state.lagged``.  If the next step has no measurement,
     the estimate stays provisional, and the filter carries its branches on until a measurement comes.
 
-    With ``patience`` one measurement decides alone only where the innovation is not farther off than manoeuvres lead,
-    2.5 gates.  Beyond, two outliers of one offset look like a jump, whose branch, with its larger covariance, predicts
-    the second one.  So there log odds of a jump are kept from step to step: each measurement that the adaptive branch
-    alone predicts adds 1 at most, each normal one takes 1, and one that the robust branch predicts takes all.  They
-    begin in favour of a jump, as a prior may be wrong, and end between ``patience - 1/2`` and its negative.
+    Two outliers in a row look like a manoeuvre, whose branch, with its larger covariance, predicts the second one.  But
+    a target that manoeuvres gets farther off from step to step, as its velocity has changed.  So with ``patience`` an
+    innovation far off, above 2.5 gates, whose next one is no longer is no manoeuvre: the robust branch is kept, until
+    the row is longer than outliers last.  The first row of a track is followed at once: a prior may be wrong.
 
     Hard choices have no gradient with respect to the gate and the scores.  With a ``temperature`` they are soft, for
     training: a step is abnormal with the weight ``sigmoid((nis - gate) / temperature)``, the softmax of the scores over
@@ -155,8 +158,8 @@ class FRA(Soft, Filter[FRAState]):
         gate: normalised innovation squared above which a step is abnormal.
         preference: log odds of the robust branch over the adaptive one before the next measurement; 0 favours neither.
         plain: log odds of a plain branch over the adaptive one; None for no such branch (the paper's).
-        patience: largest number of outliers in a row of one offset that are not to be followed; with the next one a
-            target that has jumped is.  0 for decisions by the next measurement alone (the paper's).
+        patience: largest number of outliers in a row that are not to be followed; with the next one a target that has
+            jumped is.  0 for decisions by the next measurement alone (the paper's).
         decision: how the branches' predictions are compared: ``"normalised"`` by the normalised innovation (the
             paper's; it favours the branch with the larger covariance), ``"likelihood"`` by the predictive likelihood.
         temperature: 0 for hard decisions, above for soft ones; an attribute that may be changed at any time.
@@ -213,13 +216,9 @@ class FRA(Soft, Filter[FRAState]):
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: after a normal step, with an empty memory."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
-        memory, evidence = self.fading.begin(belief.mean, self.sensor.size), torch.full_like(normal, self.most_odds)
-        return FRAState(belief, belief, belief, belief, belief, normal, memory, evidence)
-
-    @property
-    def most_odds(self) -> float:
-        """Largest log odds of a jump over an outlier."""
-        return self.patience - 0.5 if self.patience else 0.0
+        memory, repeated = self.fading.begin(belief.mean, self.sensor.size), torch.full_like(normal, self.patience)
+        residual = belief.mean.new_zeros(*normal.shape, self.sensor.size)
+        return FRAState(belief, belief, belief, belief, belief, normal, memory, residual, repeated)
 
     def without_memory(self, state: FRAState) -> FRAState:
         """A state with an empty memory of innovations."""
@@ -235,7 +234,7 @@ class FRA(Soft, Filter[FRAState]):
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the step before is decided, then this one is normal or forks."""
-        lagged, kept, evidence = self.decide_before(state, frame)
+        lagged, kept, repeated = self.decide_before(state, frame)
         prediction, whitened = self.compare_predicted(lagged if mix is None else mix(lagged), frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
@@ -246,33 +245,15 @@ class FRA(Soft, Filter[FRAState]):
         )  # eq. (36)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
-        evidence = self.with_step(evidence, state.excess, excess, nis)
+        near = (excess <= (_FAR - 1) * self.gate(nis)) & (nis > 0)
+        repeated = torch.where(near, 0.0, repeated)  # it ends a row
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
-        state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, evidence)
+        state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, whitened.residual, repeated)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
         info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
         # Only interacting models, which give a ``mix``, weigh their models by this evidence.
         density = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
         return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=density)
-
-    def with_step(self, evidence: Tensor, before: Tensor, excess: Tensor, nis: Tensor) -> Tensor:
-        """The evidence with a step itself: a normal one, or one that is far off after another that was not.
-
-        Of evidence against a jump, what an earlier row of far steps took from it does not count for the next row.
-
-        Args:
-            evidence: before this step.
-            before: ``excess`` of the step before.
-            excess: of this step.
-            nis: normalised innovation squared of this step, 0 without a measurement.
-        """
-        if not self.patience:
-            return evidence
-        gate = self.gate(nis)
-        begins = is_far(excess, gate) & ~is_far(before, gate) & (evidence < 0)
-        normal = (excess <= 0) & (nis > 0)
-        change = torch.where(begins, -torch.inf, torch.where(normal, _NORMAL, 0.0)).to(evidence)
-        return (evidence + change).clamp_min(-self.most_odds)
 
     def compare_predicted(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, compared with the measurement."""
@@ -280,59 +261,58 @@ class FRA(Soft, Filter[FRAState]):
         return prediction, self.compare(prediction.belief, frame)
 
     def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice, Tensor]:
-        """The final estimate of the step before, by this measurement, which branch was kept, and the evidence."""
-        given = (*state.branches, Undecided(state.excess, state.evidence), frame)
+        """The final estimate of the step before, by this measurement, which branch was kept, and ``repeated`` now."""
+        given = (*state.branches, Undecided(state.excess, state.residual, state.repeated), frame)
         if self.soft:
-            scores, evidence = self.score(*given)
+            scores, repeated = self.score(*given)
             kept = Choice(*(state.abnormal & x for x in best(scores)))
-            return self.weighted(scores, state.excess, state.branches), kept, evidence
+            return self.weighted(scores, state.excess, state.branches), kept, repeated
         no = torch.zeros_like(state.abnormal)
-        kept, evidence = self.where_abnormal(state.abnormal, self.decide, given, (Choice(no, no), state.evidence))
-        return chosen(kept, state.branches), kept, evidence
+        kept, repeated = self.where_abnormal(state.abnormal, self.decide, given, (Choice(no, no), state.repeated))
+        return chosen(kept, state.branches), kept, repeated
 
     def decide(
         self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
     ) -> tuple[Choice, Tensor]:
-        """The branch of the largest score, a tie goes to the robust one; and the evidence with this measurement."""
-        scores, evidence = self.score(robust, adaptive, plain, before, frame)
-        return best(scores), evidence
+        """The branch of the largest score, a tie goes to the robust one; and ``repeated`` with this measurement."""
+        scores, repeated = self.score(robust, adaptive, plain, before, frame)
+        return best(scores), repeated
 
     def score(
         self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
     ) -> tuple[Tensor, Tensor]:
-        """Scores ``(branches, ...)`` of the branches by this measurement, and the evidence with it.
+        """Scores ``(branches, ...)`` of the branches by this measurement, and ``repeated`` with it.
 
-        A score is minus infinity if the branch has failed.
+        A score is minus infinity if the branch has failed, or is not to be followed yet.
         """
         branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
         _, whitened = self.compare_predicted(tree.stack(branches, 0), frame)
         root, normalised = innovation(whitened)
-        nis = normalised.square().sum(-1)
-        score = -0.5 * nis
+        score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        score, evidence = torch.where(score.isfinite(), score, -torch.inf), before.evidence
+        score, repeated = torch.where(score.isfinite(), score, -torch.inf), before.repeated
         if self.patience:
-            score, evidence = self.by_evidence(score, nis, before)
-        return score + self.odds(score[0]), evidence
+            waits, repeated = self.judge_row(root[0], normalised[0], before, frame.measured)
+            score = torch.cat([score[:1], torch.where(waits, -torch.inf, score[1:])])
+        return score + self.odds(score[0]), repeated
 
-    def by_evidence(self, score: Tensor, nis: Tensor, before: Undecided) -> tuple[Tensor, Tensor]:
-        """Scores of steps that were far off by the log odds of a jump; and these, with this measurement.
+    def judge_row(self, root: Tensor, normalised: Tensor, before: Undecided, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """``(...)`` bool, whether a row of outliers is not to be followed yet, and ``repeated`` then.
 
         Args:
-            score: ``(branches, ...)`` by this measurement alone.
-            nis: ``(branches, ...)`` its normalised innovation squared in each branch.
+            root: ``(..., m, m)`` of this innovation's covariance in the robust branch.
+            normalised: ``(..., m)`` that innovation divided by it.
             before: of the step that is decided.
+            measured: ``(..., m)`` 1 for the elements of this measurement that are not missing, else 0.
         """
-        robust, others = score[0], score[1:]
-        adaptive, gate = score[1], self.gate(before.excess)
-        known = robust.isfinite() & adaptive.isfinite() & (nis.amax(0) > 0)
-        far = known & is_far(before.excess, gate)
-        most = torch.where(nis[1] > _FAR * gate, _ELSEWHERE, _AGAIN)
-        gain = torch.minimum(adaptive - robust, most)
-        evidence = torch.where(far, (before.evidence + gain).clamp(-self.most_odds, self.most_odds), before.evidence)
-        by_odds = torch.where(others.isfinite(), robust + evidence + (others - adaptive), -torch.inf)
-        return torch.cat([score[:1], torch.where(far, by_odds, others)]), evidence
+        first, nis = whiten(root, measured * before.residual), normalised.square().sum(-1)
+        change, size = normalised - first, first.square().sum(-1)
+        grows = (change * first).sum(-1) > _GROWTH * size
+        another = change.square().sum(-1) > size  # row begins with this measurement
+        repeats = ~grows & (nis > 0) & (before.excess > (_FAR - 1) * self.gate(nis))
+        repeated = torch.where(another, 0.0, before.repeated + repeats.to(nis))
+        return repeats & (repeated < self.patience), repeated
 
     def odds(self, like: Tensor) -> Tensor:
         """``(branches, ...)`` log odds over the adaptive branch before the next measurement, for tracks ``(...)``."""
@@ -414,12 +394,6 @@ class FRA(Soft, Filter[FRAState]):
         if own or traced or any(part is not None and brings_batch(part) for part in parts):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
-
-
-def is_far(excess: Tensor, gate: Tensor) -> Tensor:
-    """Whether a step was farther off than manoeuvres lead."""
-    far: Tensor = excess > (_FAR - 1) * gate
-    return far
 
 
 def best(scores: Tensor) -> Choice:
