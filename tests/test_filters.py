@@ -65,7 +65,6 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         ({"z": torch.zeros(4, STEPS, 3)}, r"z: expected \(\.\.\., T, 2\), received \(4, 8, 3\)"),
         ({"z": torch.zeros(2)}, "z: expected"),
         ({"z": torch.zeros(4, 0, 2)}, "z: expected"),
-        ({"z": torch.zeros(4, STEPS, 2, dtype=torch.int64)}, "floating point"),
         ({"prior": Gaussian(torch.zeros(6), torch.eye(6))}, r"prior.mean: expected \(\.\.\., 4\), received \(6,\)"),
         ({"prior": Gaussian(torch.zeros(4), torch.eye(5))}, "prior.scale_tril"),
         ({"prior": Gaussian(torch.zeros(3, 4), torch.eye(4))}, "broadcast"),

@@ -329,4 +329,5 @@ def test_every_motion_and_every_sensor_of_the_package_is_drawn():
             for part in f.modules()}  # fmt: skip
     models = {x for of in (motion, sensors) for x in vars(of).values() if isinstance(x, type) and issubclass(x, Module)}
     bare = {"Motion", "Sensor", "Correlated"}  # those of which the others are made, and what a preset makes a state of
+    bare |= {"Linear", "BodyOdometry", "Mounted"}  # whose matrices, readings and poses come in u: files of their own
     assert {x.__name__ for x in models} - seen == bare

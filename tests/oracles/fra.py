@@ -26,7 +26,8 @@ def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str, row: 
         score = ahead[name].log_likelihood if decision == "likelihood" else -0.5 * ahead[name].nis
         found[name] = score if math.isfinite(score) else -math.inf
     if row.waits(p, ahead["robust"]):
-        found |= {name: -math.inf for name in found if name != "robust"}
+        found["adaptive"] = -math.inf
+        found |= {"plain": min(found["plain"], found["robust"]) for name in found if name == "plain"}
     return {name: score + odds[name] for name, score in found.items()}
 
 
@@ -46,14 +47,14 @@ class Row:
 
     def waits(self, p: Prior, after: Prior) -> bool:
         """Whether the robust branch is kept whatever predicts better."""
-        if not (self.patience and after.seen):
+        if not (self.patience and after.seen and self.is_far(p)):
             return False
         before = np.zeros(max(*p.seen, *after.seen, 0) + 1)
         before[p.seen] = p.v
         unit = np.linalg.inv(after.SR)
         whiten = np.linalg.inv(np.linalg.cholesky(unit @ after.at.Pzz @ unit.T))
         n, m = whiten @ before[after.seen], whiten @ after.v
-        repeats = self.is_far(p) and (m - n) @ n <= n @ n / 3
+        repeats = (m - n) @ n <= n @ n / 3
         another = (m - n) @ (m - n) > n @ n  # row begins with the next measurement
         self.repeated = 0.0 if another else self.repeated + bool(repeats)
         return bool(repeats and self.repeated < self.patience)

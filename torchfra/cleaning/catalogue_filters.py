@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
 from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
-from torchfra.cleaning.core import Fallback
 from torchfra.cleaning.flags import GATE
 from torchfra.cleaning.kinds import UNKNOWN
 from torchfra.filters import GPB, Filter
@@ -49,7 +48,7 @@ def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank
 
 def estimated(
     f: Filter, name: str, tracks: Sequence[Steps], sigma: Tensor, *, smooth: bool, compile: bool = False,
-    fallback: Fallback | None = None,
+    fallback: Callable[[str, str], None] | None = None,
 ) -> Estimate:  # fmt: skip
     """Estimates of a filter for tracks as one batch.
 

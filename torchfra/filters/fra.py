@@ -222,11 +222,12 @@ class FRA(Soft, Filter[FRAState]):
 
     def without_memory(self, state: FRAState) -> FRAState:
         """A state with an empty memory of innovations."""
-        return state._replace(memory=self.fading.begin(state.belief.mean, self.sensor.size))
+        mean, size = state.belief.mean, self.sensor.size
+        return state._replace(memory=self.fading.begin(mean, size), residual=mean.new_zeros(*mean.shape[:-1], size))
 
     def with_memory_of(self, state: FRAState, before: FRAState) -> FRAState:
         """A state with the memory of innovations of the state ``before``."""
-        return state._replace(memory=before.memory)
+        return state._replace(memory=before.memory, residual=torch.zeros_like(before.residual))
 
     def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
@@ -294,7 +295,9 @@ class FRA(Soft, Filter[FRAState]):
         score, repeated = torch.where(score.isfinite(), score, -torch.inf), before.repeated
         if self.patience:
             waits, repeated = self.judge_row(root[0], normalised[0], before, frame.measured)
-            score = torch.cat([score[:1], torch.where(waits, -torch.inf, score[1:])])
+            adaptive = torch.where(waits, -torch.inf, score[1])
+            plain = torch.where(waits, torch.minimum(score[2:], score[:1]), score[2:])  # by its odds alone
+            score = torch.cat([score[:1], adaptive.unsqueeze(0), plain])
         return score + self.odds(score[0]), repeated
 
     def judge_row(self, root: Tensor, normalised: Tensor, before: Undecided, measured: Tensor) -> tuple[Tensor, Tensor]:
@@ -309,8 +312,10 @@ class FRA(Soft, Filter[FRAState]):
         first, nis = whiten(root, measured * before.residual), normalised.square().sum(-1)
         change, size = normalised - first, first.square().sum(-1)
         grows = (change * first).sum(-1) > _GROWTH * size
-        another = change.square().sum(-1) > size  # row begins with this measurement
-        repeats = ~grows & (nis > 0) & (before.excess > (_FAR - 1) * self.gate(nis))
+        # Without a size the step before was one of another sensor.
+        far = (nis > 0) & (size > 0) & (before.excess > (_FAR - 1) * self.gate(nis))
+        repeats = far & ~grows
+        another = far & (change.square().sum(-1) > size)  # row begins with this measurement
         repeated = torch.where(another, 0.0, before.repeated + repeats.to(nis))
         return repeats & (repeated < self.patience), repeated
 

@@ -140,7 +140,8 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         """A result of the motion with a dimension of time."""
         return x.expand(steps, *x.shape) if x.dim() < 1 + rank + motion.stacked + event else x
 
-    models = tree.map_ranked(with_time, models, rank=2) if varying else models
+    if varying:
+        models, shift = tree.map_ranked(with_time, models, rank=2), None if shift is None else with_time(1, shift)
 
     def each(x: Any, by_step: bool = True) -> list[Any]:
         return tree.unbind(x, steps) if by_step else [x] * steps
