@@ -174,8 +174,7 @@ class GPB(Filter[GPBState]):
         doubt = torch.ones_like(mean[..., 0])
         noise = None if self.noise is None else self.noise.begin(outlier)
         kept = to_state(every, (OUTLIER, MOTION))
-        none = torch.zeros_like(doubt)
-        return GPBState(belief, belief, *kept, outlier, outlier, doubt, none, relaxation, last, noise)
+        return GPBState(belief, belief, *kept, outlier, outlier, doubt, torch.ones_like(doubt), relaxation, last, noise)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step; the numbers are those of the class's docstring."""
@@ -187,7 +186,7 @@ class GPB(Filter[GPBState]):
         predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
         log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
-        given_back = torch.where(measured, state.deferred, 0.0)
+        given_back = torch.where(measured, _deferred(state.widening), 0.0)
         modes = log_mode + self.outlying_rarity(widening, given_back), blocks_outlying
         change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
         updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
@@ -209,9 +208,10 @@ class GPB(Filter[GPBState]):
         )
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
-        doubt = torch.where(measured, 0.0, state.doubt)
-        deferred = torch.where(measured, _deferred(widening), state.deferred)
-        now = GPBState(belief, lagged, *kept, state.duration, doubt, deferred, relaxation, last, noise)
+        doubt, last_widening = (
+            torch.where(measured, x, y) for x, y in ((0.0, state.doubt), (widening, state.widening))
+        )
+        now = GPBState(belief, lagged, *kept, state.duration, doubt, last_widening, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
@@ -301,8 +301,9 @@ class GPB(Filter[GPBState]):
             doubt: ``(...)`` as in ``GPBState``.
         """
         residual, spread, _, _ = self.compare(self.read(predicted), frame)
-        excess = residual.square().sum(-1) - frame.measured.sum(-1)
-        factor = PRIOR_MARGIN * safe_divide(excess, spread.square().sum((-2, -1)))
+        excess, size = residual.square().sum(-1) - frame.measured.sum(-1), spread.square().sum((-2, -1))
+        # Bounded before it is divided: beyond the range of numbers the gradient of a quotient is NaN.
+        factor = PRIOR_MARGIN * safe_divide(torch.minimum(excess, LARGEST_FACTOR * size), size)
         doubtful = (doubt > 0.5) & (self.prior_inflation(residual[..., 0]) > 1)
         return torch.where(doubtful, factor.clamp(1.0, LARGEST_FACTOR), 1.0)
 

@@ -43,9 +43,8 @@ class GPBState(NamedTuple):
     doubt: Tensor
     """``(...)`` 1 until the first measurement, which may show that the prior is off, then 0; with targets whose first
     measurement is uncertain the probability that there was none."""
-    deferred: Tensor
-    """``(...)`` log of the factor by which the first measurement has made an outlying prior less likely, until the
-    second one; else 0: see ``GPB.outlying_rarity``."""
+    widening: Tensor
+    """``(...)`` factor of ``GPB.widening`` at the last measurement; 1 before the first."""
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
