@@ -44,7 +44,7 @@ class Kind(NamedTuple):
 
 
 def runs(like: Tensor, seconds: tuple[float, float], generator: torch.Generator) -> Tensor:
-    """``(...)`` bool, whether a fault is on, by mean durations of none and of one, in steps."""
+    """``(...)`` bool, whether a fault is on, by mean sojourn times of none and of one, in steps."""
     draw, on, found = (
         torch.rand(like.shape, generator=generator, dtype=like.dtype),
         torch.zeros_like(like[..., 0]) > 0,

@@ -151,7 +151,7 @@ def test_what_repeats_its_position_tells_nothing_of_the_noise_of_other_short_tra
 def test_the_filter_on_line_does_not_know_what_comes():
     recording, _, _ = recorded(7)
     cut = Recording("cut", recording.time[:120], recording.position[:120], None, {})
-    whole, part = (clean_tracks([r], sigma=SIGMA, q=1.0, smooth=False)[0] for r in (recording, cut))
+    whole, part = (clean_tracks([r], sigma=SIGMA, q=1.0, bank="aircraft", smooth=False)[0] for r in (recording, cut))
     np.testing.assert_allclose(whole.mean[:120], part.mean, rtol=1e-9)
     np.testing.assert_allclose(whole.outlier[:120], part.outlier, atol=1e-9)
 
