@@ -11,8 +11,8 @@ import train
 
 LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
-    {"version"}, {"tables"}, {"suggestions"}, {"angles"}, {"numbers"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"}, {"entries"},
-    {"state_files"}, {"running"}, {"coordinates"}, {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
+    {"version"}, {"tables"}, {"suggestions"}, {"angles"}, {"numbers"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"},
+    {"entries"}, {"state_files"}, {"running"}, {"coordinates"}, {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
     {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"compiler"}, {"filters"},
     {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},

@@ -105,7 +105,7 @@ def test_a_backward_pass_of_its_own_kind_is_not_that_of_ready_tracks(options, ma
     plain, other = ([torch.autograd.grad(fast(**given, **more).mean.square().sum(), [*fast.parameters()])[0]
                      for _ in range(3)] for more in ({}, options))  # fmt: skip
     assert torch.equal(other[0], other[2])
-    assert torch.equal(plain[0], other[0]) == ("checkpoint" in options)
+    assert torch.allclose(plain[0], other[0], rtol=1e-11, atol=0) == ("checkpoint" in options)
     assert len(prepared) == 4
 
 

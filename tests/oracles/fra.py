@@ -27,7 +27,8 @@ def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str, row: 
         found[name] = score if math.isfinite(score) else -math.inf
     if row.waits(p, ahead["robust"]):
         found["adaptive"] = -math.inf
-        found |= {"plain": min(found["plain"], found["robust"]) for name in found if name == "plain"}
+        if "plain" in found:
+            found["plain"] = min(found["plain"], found["robust"])
     return {name: score + odds[name] for name, score in found.items()}
 
 

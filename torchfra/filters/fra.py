@@ -295,9 +295,9 @@ class FRA(Soft, Filter[FRAState]):
         score, repeated = torch.where(score.isfinite(), score, -torch.inf), before.repeated
         if self.patience:
             waits, repeated = self.judge_row(root[0], normalised[0], before, frame.measured)
-            adaptive = torch.where(waits, -torch.inf, score[1])
-            plain = torch.where(waits, torch.minimum(score[2:], score[:1]), score[2:])  # by its odds alone
-            score = torch.cat([score[:1], adaptive.unsqueeze(0), plain])
+            followed = torch.where(waits, -torch.inf, score[1:2])
+            others = torch.where(waits, torch.minimum(score[2:], score[:1]), score[2:])  # by its odds alone
+            score = torch.cat([score[:1], followed, others])
         return score + self.odds(score[0]), repeated
 
     def judge_row(self, root: Tensor, normalised: Tensor, before: Undecided, measured: Tensor) -> tuple[Tensor, Tensor]:

@@ -201,7 +201,7 @@ def eliminated(a: Tensor, count: int, least: float, *, graded: bool = False) -> 
             larger counts as zero.
         graded: whether columns may be of any scale, as where little is known beside what is known well, and keep their
             own digits: rows are made orthogonal twice, and a remainder is compared with what it is left of column by
-            column.  Otherwise it is compared with the norm of its row.
+            column, as well as with its row in double precision.  Otherwise it is compared with the norm of its row.
 
     Returns:
         ``L (..., count, count)``, ``cross (..., n - count, count)``, ``rest (..., n - count, p)``, and ``(..., count)``
@@ -212,6 +212,7 @@ def eliminated(a: Tensor, count: int, least: float, *, graded: bool = False) -> 
     """
     first = a[..., :count, :].detach()
     scale = least * (first.abs() if graded else _norms(first))
+    smallest = least * torch.finfo(torch.float64).eps / torch.finfo(a.dtype).eps * _norms(first)
     units: list[Tensor] = []
     columns, dependent, rest = [], [], a
     for j in range(count):
@@ -220,7 +221,7 @@ def eliminated(a: Tensor, count: int, least: float, *, graded: bool = False) -> 
             row, _ = _orthogonal(row, torch.cat(units, -2))
         norm = _norms(row)
         left = row.detach().abs() if graded else norm.detach()
-        depends = (left <= scale[..., j : j + 1, :]).all(-1, keepdim=True)
+        depends = (left <= scale[..., j : j + 1, :]).all(-1, keepdim=True) | (norm <= smallest[..., j : j + 1, :])
         norm = torch.where(depends, 1.0, norm)
         unit = torch.where(depends, 0.0, row / norm)
         below = (rest * unit).sum(-1, keepdim=True)
@@ -341,7 +342,7 @@ class _ForwardModeTria(_Tria):
     """``_Tria`` with forward-mode derivatives, a class of its own because ``torch.compile`` refuses such functions."""
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Tensor, Any], output: Tensor) -> None:
         _Tria.setup_context(ctx, inputs, output)
         ctx.save_for_forward(inputs[0], output)
 

@@ -115,7 +115,8 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         log_sum(joint, 0),
         averaged(states.outlier, some),
         averaged(states.duration, log_weights),
-        *(averaged(x.unsqueeze(-1), log_weights).squeeze(-1) for x in (states.doubt, states.widening)),
+        averaged(states.doubt.unsqueeze(-1), log_weights).squeeze(-1),
+        averaged(states.widening.unsqueeze(-1), log_weights).squeeze(-1),
         None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
         tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # it is not known whose measurement it was
         None if states.noise is None else _of_noise(states.noise, log_weights),
