@@ -95,7 +95,7 @@ def between(f, wide, dt):
 
 def made(name):
     models = [ConstantVelocity(0.01, continuous=True), ConstantVelocity(1.0, continuous=True)]
-    several = {"neighbours": [[0, 1], [0, 1]], "first": 0} if name.startswith("vsimm") else {}
+    several = {"neighbours": ((1,), (0,)), "first": (0, 1)} if name.startswith("vsimm") else {}
     return getattr(presets, name)(models if "imm" in name else models[0], Position(0.1), **several)
 
 
