@@ -174,8 +174,7 @@ def jumped(
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
         square = fit(m.e, measurement_noise(model, k, present(z)))[0] / max(len(m.e), 1)
-        beyond = len(m.e) * math.log(max(square / 30.0, 1.0))  # what is missing counts as good
-        jump = (regimes.burst - 0.5) * -(len(z) * math.log(30.0) + beyond) / 2
+        jump = (regimes.burst - 0.5) * -len(m.e) / 2 * math.log(max(square, 30.0))
         rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [jump] * len(regimes.jumps))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -283,10 +282,9 @@ class Regimes(Part):
             residual: ``(1, 1, 2, ..., m)`` of the prediction by the agile level, in units of the measurement noise.
             measured: ``(..., m)`` 1 where measured, 0 where missing.
         """
-        count, elements = measured.sum(-1), measured.shape[-1]
-        size = (residual.square().sum(-1) / count.clamp_min(1.0) / JUMP_SIZE).clamp_min(1.0)
-        least = elements * math.log(JUMP_SIZE)  # also of what is missing, whatever it will be
-        rarity: Tensor = -0.5 * (least + count * size.log()) * (self.burst(residual[..., 0]) - 0.5)
+        count = measured.sum(-1)
+        size = (residual.square().sum(-1) / count.clamp_min(1.0)).clamp_min(JUMP_SIZE)
+        rarity: Tensor = -0.5 * count * size.log() * (self.burst(residual[..., 0]) - 0.5)
         return rarity
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
