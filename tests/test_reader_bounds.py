@@ -136,11 +136,11 @@ def test_many_anchors_do_not_take_the_square_of_their_number(tmp_path):
 @pytest.mark.slow
 def test_many_names_of_columns_in_json_do_not_take_the_square_of_their_number(tmp_path):
     took = []
-    for count in (250, 4_000):
+    for count in (1_000, 4_000):
         path = tmp_path / f"{count}.json"
         path.write_text(json.dumps([{"t": i, "x": i, "y": i, f"more {i}": 0} for i in range(count)]))
         took.append(seconds(lambda path=path: read(path)))
-    assert took[1] < 80 * took[0]
+    assert took[1] < 10 * took[0]  # 16 for the square
 
 
 def test_rows_as_long_as_they_may_be_are_read_and_longer_ones_are_not(tmp_path):
