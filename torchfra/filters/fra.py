@@ -42,7 +42,7 @@ UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 _ROUNDING = 1e-9
 """Relative difference of two scores that are equal up to rounding, in double precision."""
 _FAR = 2.5
-"""Gates above which an innovation squared is far off: noise does not reach it, so a row of them tells its cause."""
+"""Gates above which an innovation squared is far off: noise hardly reaches it, so a row of them tells its cause."""
 _GROWTH = 1 / 3
 """Share of an innovation by which the next one is longer, if the target manoeuvres: at constant velocity the second is
 longer by all of the first, and the fourth still by a third of the third."""
@@ -140,9 +140,9 @@ class FRA(Soft, Filter[FRAState]):
     the estimate stays provisional, and the filter carries its branches on until a measurement comes.
 
     Two outliers in a row look like a manoeuvre, whose branch, with its larger covariance, predicts the second one.  But
-    a target that manoeuvres gets farther off from step to step, as its velocity has changed.  So with ``patience`` an
-    innovation far off, above 2.5 gates, whose next one is no longer is no manoeuvre: the robust branch is kept, until
-    the row is longer than outliers last.  The first row of a track is followed at once: a prior may be wrong.
+    a target that manoeuvres gets farther off from step to step, as its velocity has changed.  So with ``patience`` the
+    robust branch is kept where an innovation is far off, above 2.5 gates, and the next one is not longer by a third:
+    until the row is longer than outliers last.  The first row of a track is followed at once: a prior may be wrong.
 
     Hard choices have no gradient with respect to the gate and the scores.  With a ``temperature`` they are soft, for
     training: a step is abnormal with the weight ``sigmoid((nis - gate) / temperature)``, the softmax of the scores over
@@ -246,8 +246,7 @@ class FRA(Soft, Filter[FRAState]):
         )  # eq. (36)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
-        near = (excess <= (_FAR - 1) * self.gate(nis)) & (nis > 0)
-        repeated = torch.where(near, 0.0, repeated)  # it ends a row
+        repeated = torch.where(self.is_far(excess) | (nis == 0), repeated, 0.0)  # any other measurement ends a row
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, whitened.residual, repeated)
         weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
@@ -312,12 +311,16 @@ class FRA(Soft, Filter[FRAState]):
         first, nis = whiten(root, measured * before.residual), normalised.square().sum(-1)
         change, size = normalised - first, first.square().sum(-1)
         grows = (change * first).sum(-1) > _GROWTH * size
-        # Without a size the step before was one of another sensor.
-        far = (nis > 0) & (size > 0) & (before.excess > (_FAR - 1) * self.gate(nis))
+        far = self.is_far(before.excess) & (nis > 0) & (size > 0)  # no size: that step was of another sensor
         repeats = far & ~grows
         another = far & (change.square().sum(-1) > size)  # row begins with this measurement
         repeated = torch.where(another, 0.0, before.repeated + repeats.to(nis))
         return repeats & (repeated < self.patience), repeated
+
+    def is_far(self, excess: Tensor) -> Tensor:
+        """``(...)`` bool, whether a step was far off."""
+        far: Tensor = excess > (_FAR - 1) * self.gate(excess)
+        return far
 
     def odds(self, like: Tensor) -> Tensor:
         """``(branches, ...)`` log odds over the adaptive branch before the next measurement, for tracks ``(...)``."""

@@ -208,10 +208,9 @@ class GPB(Filter[GPBState]):
         )
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
-        doubt, last_widening = (
-            torch.where(measured, x, y) for x, y in ((0.0, state.doubt), (widening, state.widening))
-        )
-        now = GPBState(belief, lagged, *kept, state.duration, doubt, last_widening, relaxation, last, noise)
+        doubt = torch.where(measured, 0.0, state.doubt)
+        widened = torch.where(measured, widening, state.widening)
+        now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
@@ -221,15 +220,9 @@ class GPB(Filter[GPBState]):
         variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
         info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
-        past = GPBPast(
-            *kept,
-            Surprise(*(batch_first(x, BEFORE) for x in surprise)),
-            widening,
-            given_back,
-            measured.to(widening).expand_as(widening),
-            relaxation,
-            ratio,
-        )
+        by_belief = Surprise(*(batch_first(x, BEFORE) for x in surprise))
+        seen = measured.to(widening).expand_as(widening)
+        past = GPBPast(*kept, by_belief, widening, given_back, seen, relaxation, ratio)
         expected = self.compare(self.expected(predicted), frame)
         root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood

@@ -308,8 +308,12 @@ class Regimes(Part):
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
         """
+        return Gaussian(propagated.mean[:, :1], tria(self.agile_root(propagated)))
+
+    def agile_root(self, propagated: Propagated) -> Tensor:
+        """A root ``(1, 1, 2, ..., n, p)`` of that prediction's covariance."""
         noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
-        return Gaussian(propagated.mean[:, :1], tria(hstack(propagated.spread[:, :1], noise)))
+        return hstack(propagated.spread[:, :1], noise)
 
     def predictions(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
@@ -373,7 +377,7 @@ class Regimes(Part):
         widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
         components = range(mean.shape[-1])
         place, rates = (self._chosen(components[part], mean) for part in (motion.position, motion.velocity))
-        _, root = self.agile_prediction(propagated)
+        root = self.agile_root(propagated)
         speed = safe_sqrt((rates * mean[:, :1]).square().sum(-1, keepdim=True))
         faster = safe_divide(speed, safe_sqrt(root.square().sum(-1))).clamp_min(1.0)
         widths = widths.unsqueeze(-1)
