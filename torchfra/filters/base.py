@@ -198,6 +198,10 @@ class Filter(Part, Generic[S]):
         _, record = self.one_step(state, frame)
         return one_hypothesis(self.finish(state, record.belief, None)[0])
 
+    def weights_if_measured(self, state: Any, log_weights: Tensor, frame: Frame) -> Tensor:
+        """Logs of the weights of ``predict_hypotheses`` if a measurement comes that is as expected."""
+        return log_weights
+
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
         whitened = self.compare(beliefs, frame)

@@ -403,6 +403,10 @@ class GPB(Filter[GPBState]):
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
+    def weights_if_measured(self, state: GPBState, log_weights: Tensor, frame: Frame) -> Tensor:
+        """Logs of the weights of ``predict_hypotheses`` if a measurement comes that shows no jump."""
+        return self.predict_hypotheses(state, frame)[1]
+
     def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the stated measurement noise."""
         _, learned = self.noise_of(state, frame)
