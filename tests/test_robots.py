@@ -182,7 +182,8 @@ def test_an_antenna_on_a_lever_arm_goes_round_when_the_robot_turns():
          r"u: expected \(\.\.\., 3\), velocities ahead and to the left and turn, received None"),
         (lambda: BodyOdometry(1e-3, 1e-3, 1e-4), r"longest: expected seconds that velocities may hold above 0, .*None"),
         (lambda: BodyOdometry(1e-3, 1e-3, 1e-4, longest=1.0, steps=True), r"longest: expected None beside steps"),
-        (lambda: BodyOdometry(longest=1.0)(torch.zeros(3), torch.tensor(1.0), torch.zeros(3)), r"u: expected \(.*6\), .*std"),
+        (lambda: BodyOdometry(longest=1.0)(torch.zeros(3), torch.tensor(1.0), torch.zeros(3)),
+         r"u: expected \(.*6\), .*std"),
         (lambda: RangeBearing(0.1, frame="car"), r"frame: expected one of \('world', 'body'\), received 'car'"),
         (lambda: RangeBearing(0.1, frame="body", dims=3), r"dims: expected 2, received 3"),
         (lambda: RangeBearing(0.1, frame="body")(torch.zeros(3)), r"u: expected where the landmark stands"),
@@ -276,6 +277,11 @@ def test_every_reading_counts_over_97_s_without_a_fix_and_a_gap_in_them_is_an_er
     with pytest.raises(ValueError, match=r"odometry: .*longest.*none from 100 to 197 s"):
         merge((time[:-1][kept], u[kept]), {"gps": fixes}, longest=0.2)
     assert error_before_the_fix(merge((time[:-1][kept], u[kept]), {"gps": fixes}, longest=97.0)) > 40
+
+
+def test_a_gap_before_the_start_is_in_no_step():
+    merged = merge(([0.0, 50.0, 51.0], [[1.0]] * 3), {"gps": ([51.5], [[1.0]])}, longest=1.0, start=50.5)
+    assert merged.time.tolist() == [51.0, 51.5]
 
 
 @pytest.mark.parametrize(
