@@ -186,6 +186,7 @@ def test_an_antenna_on_a_lever_arm_goes_round_when_the_robot_turns():
          r"u: expected \(.*6\), .*std"),
         (lambda: RangeBearing(0.1, frame="car"), r"frame: expected one of \('world', 'body'\), received 'car'"),
         (lambda: RangeBearing(0.1, frame="body", dims=3), r"dims: expected 2, received 3"),
+        (lambda: RangeBearing(0.1, frame="body", heading=1), r"heading: expected the index of a component behind"),
         (lambda: RangeBearing(0.1, frame="body")(torch.zeros(3)), r"u: expected where the landmark stands"),
         (lambda: Mounted(Position(0.1), at=[1.0]), r"at: expected finite numbers \(2,\)"),
         (lambda: Mounted(ROBOT, at=[1.0, 0.0]), r"sensor: expected a sensor, received BodyOdometry"),
