@@ -84,6 +84,14 @@ def test_steps_streams_and_targets_from_any_kind_of_numbers_are_the_same(of):
         torch.testing.assert_close(a, b, equal_nan=True)
 
 
+def test_a_stream_takes_a_row_of_a_table_that_misses_a_number():
+    f = presets.gpb(MOTION, SENSOR)
+    table, plain = Tracker(f, PRIOR), Tracker(f, PRIOR)
+    table.update(1.0, without_one("of pandas").iloc[0])
+    plain.update(1.0, [torch.nan, 1.0])
+    torch.testing.assert_close(table.belief.mean, plain.belief.mean)
+
+
 # ---------------------------------------------------------------- beliefs
 
 

@@ -128,6 +128,15 @@ def test_after_no_time_the_state_is_as_it_was():
     assert motion.shift(torch.tensor(0.0).double(), torch.ones(1).double()).eq(0).all()
 
 
+def test_a_sensor_with_another_function_is_no_longer_linear():
+    class Squared(sensors.Linear):
+        def forward(self, x, u=None):
+            return super().forward(x, u).square()
+
+    assert sensors.Linear([[1.0]], 1.0).linear
+    assert not Squared([[1.0]], 1.0).linear
+
+
 # ---------------------------------------------------------------- learning
 
 
@@ -170,8 +179,8 @@ def test_an_entry_keeps_its_constraint():
 
 def test_a_wide_prior_is_the_exact_diffuse_start():
     """Without knowledge of level and slope the estimate is that of generalised least squares of all measurements."""
-    T = 6
-    step, shock, z = np.array([[1.0, 1.0], [0.0, 1.0]]), np.diag([0.3, 0.1]), RNG.normal(size=(T, 1)).cumsum(0)
+    T, z = 6, np.random.default_rng(1).normal(size=(6, 1)).cumsum(0)
+    step, shock = np.array([[1.0, 1.0], [0.0, 1.0]]), np.diag([0.3, 0.1])
     f = presets.srckf(Linear(step, root=shock), sensors.Linear([[1.0, 0.0]], 0.5))
     wide = f(z, Gaussian.from_std([0, 0], 1e8), dt=[0.0] + [1.0] * (T - 1))
     powers = [np.linalg.matrix_power(step, k) for k in range(T)]
@@ -201,7 +210,7 @@ def test_a_wide_prior_is_the_exact_diffuse_start():
 @pytest.mark.parametrize("following", [False, True])
 def test_measurement_noise_that_is_correlated_with_process_noise_is_filtered_exactly(following):
     """The whole track as one Gaussian vector, whose noise has the cross-covariance written into its covariance."""
-    half = RNG.normal(size=(5, 5))
+    half = np.random.default_rng(2).normal(size=(5, 5))
     joint = half @ half.T
     Q, S, R = joint[:3, :3], joint[:3, 3:], joint[3:, 3:]
     models = sensors.cross_correlated(F[0], Q, H[0], R, S, following=following)

@@ -11,7 +11,7 @@ from torchfra.motion import Augmented, BodyOdometry, RandomWalk, body_velocities
 from torchfra.sensors import Mounted, Position, RangeBearing, Ranges
 from torchfra.stream import merge
 
-ROBOT = BodyOdometry(along=4e-3, across=1e-3, heading=1e-4, turn=1e-3)
+ROBOT = BodyOdometry(along=4e-3, across=1e-3, heading=1e-4, turn=1e-3, longest=2.0)
 U = torch.tensor([[1.0, 0.2, 0.3], [0.5, -0.3, -1.2], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]).double()
 
 
@@ -88,7 +88,7 @@ def test_a_robot_that_stands_has_no_noise():
 
 
 def test_noise_of_a_robot_that_stands_now_and_then_learns():
-    motion = BodyOdometry(along=4e-3, across=1e-3, heading=1e-4, turn=1e-3)
+    motion = BodyOdometry(along=4e-3, across=1e-3, heading=1e-4, turn=1e-3, longest=1.0)
     f = learnable(presets.srckf(motion, Position(1.0)), ("along", "across", "heading", "turn"))
     z = torch.arange(8.0).double().reshape(4, 2)
 
@@ -107,21 +107,42 @@ def test_noise_of_a_robot_that_stands_now_and_then_learns():
 
 
 def test_each_step_may_bring_its_noise():
-    plain, own = ROBOT, BodyOdometry()
     u = torch.cat([U[:1], torch.tensor([[0.1, 0.2, 0.03]]).double()], -1)
-    root = own.process_noise(torch.ones(1).double(), u)
-    flat = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).double()
-    covariance = flat @ root[0] @ root[0].mT @ flat
+    root = BodyOdometry(longest=1.0).process_noise(torch.ones(1).double(), u)
+    covariance = root[0] @ root[0].mT
     assert float(covariance[2, 2].sqrt()) == pytest.approx(0.03)
     ahead, left, _ = driven([0, 0, 0], 1.0, U[0].tolist())
     lead = 0.03**2 / 3 * (ahead**2 + left**2)
     assert float(covariance[0, 0] + covariance[1, 1]) == pytest.approx(0.1**2 + 0.2**2 + lead)
-    assert plain.process_noise(torch.ones(1).double(), U[:1]).shape == root.shape
+    assert ROBOT.process_noise(torch.ones(1).double(), U[:1]).shape == root.shape
+
+
+@pytest.mark.parametrize("dt", [2.1, torch.tensor([0.5, 0.5, 2.1, 0.5])])
+def test_velocities_over_a_gap_are_an_error_and_not_one_arc(dt):
+    f, prior, z = presets.gpb(ROBOT, Position(1.0)), Gaussian.from_std([0, 0, 0], 1.0), torch.zeros(4, 2).double()
+    assert not f(z, prior, dt=2.0, u=U).failed
+    message = r"dt: expected 2 s or less \(longest\), .* received 2\.1 s"
+    for call in (
+        lambda: f(z, prior, dt=dt, u=U),
+        lambda: f.smooth(z, prior, dt=dt, u=U),
+        lambda: f.step(f.init(prior), z[0], dt=2.1, u=U[0]),
+        lambda: f.predict(f.init(prior), dt=2.1, u=U[0]),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_a_gap_is_none_for_time_steps_that_rounding_made_longer():
+    f = presets.srckf(BodyOdometry(1e-3, 1e-3, 1e-4, longest=0.1), Position(1.0))
+    dt = torch.arange(1.0, 2.0, 0.1).double().diff()
+    for kind in (torch.float32, torch.float64):
+        z, u = torch.zeros(9, 2, dtype=kind), torch.ones(9, 3, dtype=kind)
+        assert not f(z, Gaussian.from_std([0, 0, 0], 1.0), dt=dt.to(kind), u=u).failed
 
 
 @pytest.mark.parametrize(
     ("motion", "u"),
-    [(ROBOT, U[0]), (BodyOdometry(1e-3, 1e-3, 1e-4, steps=True), U[0]), (BodyOdometry(), U[:2].flatten())],
+    [(ROBOT, U[0]), (BodyOdometry(1e-3, 1e-3, 1e-4, steps=True), U[0]), (BodyOdometry(longest=2.0), U[:2].flatten())],
 )
 def test_they_pass_the_check_of_models(motion, u):
     report = check_model(motion, RangeBearing([0.1, 0.02], position=[9.0, 5.0], frame="body"), u=u)
@@ -159,9 +180,13 @@ def test_an_antenna_on_a_lever_arm_goes_round_when_the_robot_turns():
         (lambda: BodyOdometry(-1.0, 0.0, 0.0), r"along: expected a value of 0 or more"),
         (lambda: presets.srckf(ROBOT, Position(1.0))(torch.zeros(3, 2), Gaussian.from_std([0, 0, 0], 1)),
          r"u: expected \(\.\.\., 3\), velocities ahead and to the left and turn, received None"),
-        (lambda: BodyOdometry()(torch.zeros(3), torch.tensor(1.0), torch.zeros(3)), r"u: expected \(.*6\), .*std"),
+        (lambda: BodyOdometry(1e-3, 1e-3, 1e-4), r"longest: expected seconds that velocities may hold above 0, .*None"),
+        (lambda: BodyOdometry(1e-3, 1e-3, 1e-4, longest=1.0, steps=True), r"longest: expected None beside steps"),
+        (lambda: BodyOdometry(longest=1.0)(torch.zeros(3), torch.tensor(1.0), torch.zeros(3)),
+         r"u: expected \(.*6\), .*std"),
         (lambda: RangeBearing(0.1, frame="car"), r"frame: expected one of \('world', 'body'\), received 'car'"),
         (lambda: RangeBearing(0.1, frame="body", dims=3), r"dims: expected 2, received 3"),
+        (lambda: RangeBearing(0.1, frame="body", heading=1), r"heading: expected the index of a component behind"),
         (lambda: RangeBearing(0.1, frame="body")(torch.zeros(3)), r"u: expected where the landmark stands"),
         (lambda: Mounted(Position(0.1), at=[1.0]), r"at: expected finite numbers \(2,\)"),
         (lambda: Mounted(ROBOT, at=[1.0, 0.0]), r"sensor: expected a sensor, received BodyOdometry"),
@@ -218,7 +243,7 @@ def test_several_sensors_with_inputs_of_their_own_share_the_axis():
     assert not estimate.failed
 
 
-QUIET = BodyOdometry(along=1e-3, across=1e-4, heading=1e-6, turn=1e-5)
+QUIET = BodyOdometry(along=1e-3, across=1e-4, heading=1e-6, turn=1e-5, longest=97.0)
 
 
 def drive(seed, seconds=300.0, rate=10.0):
@@ -253,6 +278,11 @@ def test_every_reading_counts_over_97_s_without_a_fix_and_a_gap_in_them_is_an_er
     with pytest.raises(ValueError, match=r"odometry: .*longest.*none from 100 to 197 s"):
         merge((time[:-1][kept], u[kept]), {"gps": fixes}, longest=0.2)
     assert error_before_the_fix(merge((time[:-1][kept], u[kept]), {"gps": fixes}, longest=97.0)) > 40
+
+
+def test_a_gap_before_the_start_is_in_no_step():
+    merged = merge(([0.0, 50.0, 51.0], [[1.0]] * 3), {"gps": ([51.5], [[1.0]])}, longest=1.0, start=50.5)
+    assert merged.time.tolist() == [51.0, 51.5]
 
 
 @pytest.mark.parametrize(
@@ -302,6 +332,16 @@ def test_a_robot_among_landmarks_is_located_as_well_as_its_filter_says():
     gap = ROBOT.difference(estimate.mean, truth)
     nees = (gap.unsqueeze(-2) @ torch.linalg.inv(estimate.covariance) @ gap.unsqueeze(-1)).flatten(1).mean(0)
     assert float(nees.mean()) == pytest.approx(3, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_gap_fails_the_track_in_a_kernel_which_cannot_raise():
+    f = presets.srckf(ROBOT, Position(1.0)).compile()
+    prior, z, dt = Gaussian.from_std([0, 0, 0], 1.0), torch.zeros(4, 2).double(), torch.tensor([1.0, 1.0, 97.0, 1.0])
+    assert not f(z, prior, dt=torch.ones(4).double(), u=U).failed
+    estimate = f(z, prior, dt=dt.double(), u=U)
+    assert bool(estimate.failed)
+    assert int(estimate.failure.step) == 2
 
 
 @pytest.mark.slow

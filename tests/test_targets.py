@@ -492,7 +492,7 @@ def test_a_sensor_that_does_not_locate_has_no_births():
     (torch.zeros(3, 2).double(), {"std": torch.zeros(3, 2)}, "std: expected finite numbers above 0"),
     (torch.zeros(3, 2).double(), {"noise": torch.ones(3, 2)}, r"noise: expected \(3, 2, 2\), received \(3, 2\)"),
     (torch.zeros(3, 2).double(), {"dt": math.nan}, "dt: expected finite seconds above 0"),
-    (torch.zeros(3, 2).double(), {"dt": "x"}, "dt: expected numbers, received str"),
+    (torch.zeros(3, 2).double(), {"dt": "x"}, "dt: expected numbers, received 'x'"),
     (torch.zeros(3, 2).double(), {"dt": None}, "dt: expected numbers, received None"),
     (torch.zeros(3, 2).double(), {"dt": torch.ones(3)}, r"dt: expected a number or \(1,\)"),
     (torch.zeros(3, 2).double(), {"u": torch.full((2,), math.nan)}, "u: expected finite numbers"),

@@ -345,7 +345,7 @@ BAD = [
     ({"old": "drop"}, r"old: expected one of \('refuse', 'count'\)"),
     ({"jump": 2.0}, r"jump: expected seconds above the lag of 3\.0"),
     ({"origin": [1.0, 2.0, 3.0]}, r"origin: expected a finite position \(2,\)"),
-    ({"origin": "here"}, "origin: expected numbers, received str"),
+    ({"origin": "here"}, "origin: expected numbers, received 'here'"),
     ({"origin": [1.0, math.inf]}, r"origin: expected a finite position \(2,\)"),
 ]
 
@@ -366,7 +366,7 @@ def test_what_a_tracker_cannot_be_made_of_is_named(wrong, message):
         ((1.0, [1.0, 2.0]), r"sensor: expected one of \['gps', 'radar'\], received None"),
         ((1.0, [1.0, 2.0], "sonar"), r"sensor: expected one of \['gps', 'radar'\], received 'sonar'"),
         ((1.0, [1.0, 2.0, 3.0], "gps"), r"z: expected \(..., 2\), received \(3,\)"),
-        ((1.0, "here", "gps"), "z: expected numbers, received str"),
+        ((1.0, "here", "gps"), "z: expected numbers, received 'here'"),
         ((1.0, [[1.0, 2.0]] * 3, "gps"), r"z: expected 1 dimension behind the prior's batch \(\), received \(3, 2\)"),
         ((1.0, [math.inf, 2.0], "gps"), "z: expected finite numbers, or NaN for what is missing"),
         ((1.0, np.array([1.0, 2.0j]), "gps"), "z: expected real numbers, received complex128"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from numbers import Integral, Real
 from typing import Any
 
@@ -81,24 +82,34 @@ def unmasked(values: Any) -> Any:
     return floating.filled(np.nan)
 
 
-def as_numbers(value: Any, name: str) -> Tensor:
-    """Numbers as a floating-point tensor; all but floating-point tensors become float64.
+def as_numbers(value: Any, name: str, uneven: str = "") -> Tensor:
+    """Numbers from a list, an array, a column of a table or a tensor; all but floating-point tensors become float64.
+
+    What is masked or has no value in a table is NaN.
+
+    Args:
+        value: the numbers.
+        name: what error messages call them.
+        uneven: what an error says of rows of several lengths, beside that.
 
     Raises:
-        ValueError: the value is not numeric.
+        ValueError: no real numbers, or rows of different lengths.
     """
+    if isinstance(value, Tensor) and value.is_floating_point():
+        return value
+    if "complex" in str(getattr(value, "dtype", "")):
+        raise ValueError(f"{name}: expected real numbers, received {value.dtype}")
     try:
-        values = (
-            value if isinstance(value, Tensor) else torch.as_tensor(_of_table(unmasked(value)), dtype=torch.float64)
-        )
+        return torch.as_tensor(_of_table(unmasked(value)), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"{name}: expected numbers, received {value!r}") from None
-    return values if values.is_floating_point() else values.double()
+        if isinstance(value, list | tuple) and len({len(row) for row in value if hasattr(row, "__len__")}) > 1:
+            raise ValueError(f"{name}: expected rows of one length, received several lengths{uneven}") from None
+        raise ValueError(f"{name}: expected numbers, received {reprlib.repr(value)}") from None
 
 
 def _of_table(values: Any) -> Any:
     """A column or a table of a data frame as an array, NaN where it has nothing; anything else as it is."""
-    if isinstance(values, np.ndarray) or not hasattr(values, "__array__") or not hasattr(values, "shape"):
+    if isinstance(values, np.ndarray | Tensor) or not hasattr(values, "__array__") or not hasattr(values, "shape"):
         return values
     if hasattr(values, "iloc"):  # of pandas, whose own missing values numpy does not know
         return values.to_numpy(dtype=float, na_value=np.nan).copy()

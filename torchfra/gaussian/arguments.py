@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,6 +21,7 @@ from torchfra.types import Gaussian
 PRECISIONS = (torch.float32, torch.float64)
 _TIMES = float, Tensor, *NUMBERS
 """Types of time steps that stay as they are, the most frequent first."""
+_PAD = ": take torch.nn.utils.rnn.pad_sequence([torch.as_tensor(track) for track in tracks], True, torch.nan)"
 
 
 def check(
@@ -70,47 +70,29 @@ def check(
 
 
 def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise: Any = None) -> Measurements:
-    """A user's arguments as tensors, from lists, arrays, columns of tables, tensors of integers and masked arrays.
-
-    What is masked is missing.  Tensors of floating-point numbers stay as they are, all else becomes float64.
+    """A user's arguments as tensors: see ``as_numbers``.
 
     Raises:
         ValueError: no numbers, or rows of different lengths.
     """
-    if not isinstance(z, Tensor) or z.dtype not in PRECISIONS:
-        z = _numbers("z", z)
-    if not isinstance(dt, _TIMES):
-        dt = _numbers("dt", dt)
-    if u is std is noise is None:
-        return Measurements(z, dt)
-    given = {name: _numbers(name, x) for name, x in (("u", u), ("std", std), ("noise", noise)) if x is not None}
-    return Measurements(z, dt, **given)
+    return Measurements(
+        z if isinstance(z, Tensor) and z.is_floating_point() else as_numbers(z, "z", _PAD),
+        dt if isinstance(dt, _TIMES) else as_numbers(dt, "dt"),
+        u if u is None else as_numbers(u, "u"),
+        std if std is None else as_numbers(std, "std"),
+        noise if noise is None else as_numbers(noise, "noise"),
+    )
 
 
 def belief_of(belief: Any) -> Any:
-    """A Gaussian of a user with tensors, from lists, arrays or tensors of integers; anything else as it is.
+    """A Gaussian of a user with tensors, see ``as_numbers``; anything else as it is.
 
     Raises:
         ValueError: no numbers.
     """
-    if not isinstance(belief, Gaussian) or all(isinstance(x, Tensor) and x.dtype in PRECISIONS for x in belief):
+    if not isinstance(belief, Gaussian):
         return belief
-    return Gaussian(_numbers("prior.mean", belief.mean), _numbers("prior.scale_tril", belief.scale_tril))
-
-
-def _numbers(name: str, x: Any) -> Tensor:
-    """Numbers as a tensor: a tensor of floating-point or complex numbers as it is, all else in double precision."""
-    if isinstance(x, Tensor):
-        whole = x.dtype in (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
-        return x.double() if whole else x
-    try:
-        return as_numbers(x, name)
-    except ValueError:
-        if isinstance(x, list | tuple) and len({len(row) for row in x if hasattr(row, "__len__")}) > 1:
-            pad = "torch.nn.utils.rnn.pad_sequence([torch.as_tensor(track) for track in tracks], True, torch.nan)"
-            raise ValueError(f"{name}: expected rows of one length, received several lengths: take {pad}") from None
-        received = type(x).__name__ if hasattr(x, "__len__") else repr(x)
-        raise ValueError(f"{name}: expected numbers, received {received}") from None
+    return Gaussian(as_numbers(belief.mean, "prior.mean"), as_numbers(belief.scale_tril, "prior.scale_tril"))
 
 
 def check_belief(belief: Any, name: str = "prior", *, size: int | None = None, from_filter: bool = False) -> Gaussian:
@@ -152,7 +134,7 @@ def _check_root(root: Tensor, name: str) -> None:
 
 
 def check_kinds(measurements: Measurements) -> None:
-    """Checks that all are tensors of real numbers, or for ``dt`` a number.
+    """Checks that all tensors are of real numbers.
 
     Raises:
         ValueError: names the first that is not; or both ``std`` and ``noise`` are given.
@@ -164,9 +146,6 @@ def check_kinds(measurements: Measurements) -> None:
             _check_tensor(name, x)
     if isinstance(dt, Tensor):
         _check_tensor("dt", dt)
-    elif not isinstance(dt, NUMBERS):
-        hint = "take torch.as_tensor(dt, dtype=torch.float64)"
-        raise ValueError(f"dt: expected a number or a tensor, received {type(dt).__name__}: {hint}")
     if std is not None and noise is not None:
         raise ValueError("std, noise: expected at most one of the two, received both")
 
@@ -174,10 +153,7 @@ def check_kinds(measurements: Measurements) -> None:
 def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
     """Checks that ``x`` is a tensor of one of these precisions; if there are none, of real numbers."""
     if not isinstance(x, Tensor):
-        masked = isinstance(x, np.ma.MaskedArray)  # whose mask torch would drop
-        plain = f"{name}.astype(float).filled(numpy.nan)" if masked else name
-        hint = f"take torch.as_tensor({plain}, dtype=torch.float64)"  # without it a list would be rounded to float32
-        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}: {hint}")
+        raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}")
     if x.is_nested:
         pad = f"torch.nested.to_padded_tensor({name}, torch.nan)"
         raise ValueError(f"{name}: expected a tensor of tracks of one length, received a nested one: take {pad}")

@@ -11,9 +11,13 @@ from torch.distributions import constraints
 from torchfra.angles import wrap
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_sqrt
+from torchfra.linalg.tracing import is_traced
 from torchfra.motion.base import Motion
 from torchfra.motion.blocks import arc
-from torchfra.numbers import as_numbers
+from torchfra.numbers import as_numbers, positive
+
+_ROUNDING = 1e-6
+"""Of time steps, relative: float32 rounds them to 1e-7."""
 
 
 class Odometry(Motion):
@@ -103,17 +107,20 @@ class BodyOdometry(Motion):
         across: variance of the way to the left that grows with each metre, m^2/m.
         heading: variance of the heading that grows with each metre, rad^2/m.
         turn: variance of the heading that grows with each radian of turn, rad^2/rad.
+        longest: seconds that velocities may hold.  A longer ``dt`` would be bridged by a single arc, which is wrong
+            wherever the robot turned in between, so it is an error; in a kernel, which cannot raise one, the track
+            fails.  ``stream.merge`` makes steps that are short enough.
         steps: whether inputs are steps; ``dt`` does not matter then, except that after 0 s nothing has moved.
 
     Raises:
-        ValueError: a variance below 0, some of the three without the others; in a step, ``u`` that is missing or too
-            short.
+        ValueError: a variance below 0, some of the three without the others, velocities without ``longest`` or steps
+            with it; in a step, a ``dt`` above ``longest``, or ``u`` that is missing or too short.
 
     Source: Chong & Kleeman (1997), "Accurate Odometry and Error Modelling for a Mobile Robot", ICRA, for noise that
     grows with the way; Thrun, Burgard & Fox (2005), "Probabilistic Robotics", chapter 5, for the models.
 
     Example:
-        >>> motion = torchfra.motion.BodyOdometry(along=1e-3, across=1e-4, heading=1e-4, turn=1e-3)
+        >>> motion = torchfra.motion.BodyOdometry(along=1e-3, across=1e-4, heading=1e-4, turn=1e-3, longest=2.0)
         >>> motion(torch.zeros(3), torch.tensor(2.0), torch.tensor([1.5, 0.5, 0.0]))
         tensor([3., 1., 0.])
     """
@@ -131,6 +138,7 @@ class BodyOdometry(Motion):
         heading: Value | None = None,
         turn: Value = 0.0,
         *,
+        longest: float | None = None,
         steps: bool = False,
     ) -> None:
         super().__init__(
@@ -144,7 +152,10 @@ class BodyOdometry(Motion):
         for name, value in (given | {"turn": None if missing else turn}).items():
             if value is not None:
                 setattr(self, name, Hyper(value, constraints.nonnegative, finite=True, name=name))
-        self.states_noise, self.steps = not missing, steps
+        if steps and longest is not None:
+            raise ValueError(f"longest: expected None beside steps, which a gap does not change, received {longest!r}")
+        self.longest = None if steps else positive("longest", longest, "seconds that velocities may hold")
+        self.states_noise = not missing
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 3)`` after ``dt (...)`` seconds with the inputs ``u (..., 3)`` or longer."""
@@ -192,13 +203,19 @@ class BodyOdometry(Motion):
         """Metres ahead and to the left in the axes before the step, and radians of turn, each ``(...)``."""
         needed = 3 if self.states_noise else 6
         if u is None or u.shape[-1] < needed:
-            what = "steps" if self.steps else "velocities"
+            what = "steps" if self.longest is None else "velocities"
             expected = f"(..., {needed}), {what} ahead and to the left and turn{', and their std' * (needed > 3)}"
             raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
         ahead, left, turn = u[..., :3].to(dt).unbind(-1)
-        if self.steps:
+        if self.longest is None:
             moves = (dt != 0).to(dt)
             return ahead * moves, left * moves, turn * moves
+        gap = dt > self.longest * (1 + _ROUNDING)
+        if is_traced(dt):
+            dt = torch.where(gap, torch.nan, dt)
+        elif bool(gap.any()):
+            expected = f"{self.longest:g} s or less (longest), as one arc over a gap is wrong where it turned"
+            raise ValueError(f"dt: expected {expected}, received {float(dt.max()):g} s")
         turn = turn * dt
         along, aside = arc(turn)
         return (along * ahead - aside * left) * dt, (aside * ahead + along * left) * dt, turn

@@ -13,7 +13,7 @@ from torchfra.linalg.batches import joined
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.numbers import is_integer
 from torchfra.sensors.base import Expected, MeasurementNoise, Sensor
-from torchfra.sensors.places import finite
+from torchfra.sensors.places import finite, heading_at
 
 
 class Stacked(Sensor):
@@ -132,7 +132,7 @@ class Around(Sensor):
         raise TypeError(f"{type(self).__name__}: expected an inside, received none")
 
     def _surround(self, sensor: Sensor, reads: int) -> None:
-        """Lays out a measurement as that of the sensor inside, which reads so many components."""
+        """Lays out a measurement as that of the sensor inside, and reads so many components or more."""
         self._lay_out(max(sensor.reads, reads), sensor.angles.tolist())
         self.blocks, self.dims = sensor.blocks, sensor.dims
 
@@ -229,9 +229,7 @@ class Mounted(Around):
     def __init__(self, sensor: Sensor, at: Any, heading: int = 2) -> None:
         if not isinstance(sensor, Sensor):
             raise ValueError(f"sensor: expected a sensor, received {type(sensor).__name__}")
-        if not is_integer(heading, 2):
-            raise ValueError(f"heading: expected the index of a component behind the position, received {heading!r}")
-        self._surround(sensor, heading + 1)
+        self._surround(sensor, heading_at(heading) + 1)
         self.mounted, self.heading = sensor, heading
         self.register_buffer("at", finite(at, 2, name="at"), persistent=False)
 

@@ -40,7 +40,7 @@ class Correlated(Around):
             received = "one that has" if isinstance(sensor, Sensor) else type(sensor).__name__
             raise ValueError(f"sensor: expected a sensor without time-correlated errors, received {received}")
         self._surround(sensor, 0)
-        self.sensor = sensor
+        self.sensor, self.locates = sensor, sensor.locates
         values = [as_numbers(std, "std"), as_numbers(time, "time")]
         for name, value in zip(("std", "time"), values, strict=True):
             if value.shape not in ((), (self.size,)):
@@ -55,11 +55,6 @@ class Correlated(Around):
     def inside(self) -> Sensor:
         """The sensor without such errors."""
         return self.sensor
-
-    @property
-    def locates(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether the sensor locates the target."""
-        return self.sensor.locates
 
     def forward(self, x: Tensor, u: Tensor | None = None) -> Tensor:
         """The measurement ``(..., m)`` without errors."""

@@ -14,7 +14,7 @@ from torchfra.angles import wrap
 from torchfra.hyper import Value, one_of
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Expected, Sensor
-from torchfra.sensors.places import finite, from_u, in_space
+from torchfra.sensors.places import finite, from_u, heading_at, in_space
 
 
 class Bearings(Sensor):
@@ -82,12 +82,13 @@ class RangeBearing(Sensor):
 
     In the frame ``"body"`` the state is that of a vehicle, its heading behind the position, and the sensor on it
     measures a landmark in the plane: its range, and its bearing counter-clockwise from ahead.  The landmark stands at
-    ``position``, or at the last two entries of ``u``; behind those of the motion.  Its place is known: landmarks whose
-    place has to be found as well (SLAM) are out of scope.  ``Mounted`` is for a sensor that is not where the state is.
+    ``position``, or where the last two entries of ``u`` say, behind those of the motion.  Its place is known: landmarks
+    whose place has to be found as well (SLAM) are out of scope.  ``Mounted`` is for a sensor that is not where the state
+    is.
 
     Raises:
-        ValueError: ``dims`` neither 2 nor 3, or 3 in the frame of a vehicle, another frame, a ``position`` of another
-            shape or not finite, a ``u`` that is too short.
+        ValueError: ``dims`` neither 2 nor 3, or 3 in the frame of a vehicle, another frame, a ``heading`` that is
+            none, a ``position`` of another shape or not finite, a ``u`` that is too short.
     """
 
     position: Tensor | None
@@ -103,22 +104,15 @@ class RangeBearing(Sensor):
         heading: int = 2,
     ) -> None:
         one_of(frame=(frame, ("world", "body")))
-        if dims not in (2, 3)[: 1 if frame == "body" else 2]:
-            raise ValueError(f"dims: expected {'2' if frame == 'body' else '2 or 3'}, received {dims}")
-        super().__init__(dims if frame == "world" else max(dims, heading + 1), [False, True, True][:dims], std, noise)
+        world = frame == "world"
+        if dims != 2 and not (world and dims == 3):
+            raise ValueError(f"dims: expected {'2 or 3' if world else '2'}, received {dims}")
+        super().__init__(dims if world else heading_at(heading) + 1, [False, True, True][:dims], std, noise)
         self.dims, self.frame, self.heading = dims, frame, heading
+        # Without its heading a vehicle is anywhere around a landmark.
+        self.locates = self.measures_each_direction = world
         at = None if position is None else finite(position, dims, name="position")
         self.register_buffer("position", at, persistent=False)
-
-    @property
-    def locates(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether it is in the world's frame: without the heading a vehicle is anywhere around a landmark."""
-        return self.frame == "world"
-
-    @property
-    def measures_each_direction(self) -> bool:  # type: ignore[override]  # of this sensor, not of the class
-        """Whether it is in the world's frame."""
-        return self.frame == "world"
 
     @property
     def expects(self) -> Expected:  # type: ignore[override]  # of this sensor, not of the class
@@ -147,9 +141,8 @@ class RangeBearing(Sensor):
             landmark = self.position.to(x)
         elif u is None or u.shape[-1] < 2:
             received = None if u is None else f"(..., {u.shape[-1]})"
-            raise ValueError(
-                f"u: expected where the landmark stands in the last of (..., 2) or more, received {received}"
-            )
+            expected = "where the landmark stands in the last of (..., 2) or more"
+            raise ValueError(f"u: expected {expected}, received {received}")
         else:
             landmark = u[..., -2:]
         away = landmark - x[..., :2]

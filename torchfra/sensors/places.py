@@ -7,12 +7,23 @@ from typing import Any
 from torch import Tensor
 
 from torchfra.motion.base import KINDS
-from torchfra.numbers import as_numbers
+from torchfra.numbers import as_numbers, is_integer
 
 
 def in_space(dims: int, orders: int = 1) -> list[tuple[int, tuple[str, ...]]]:
     """``Sensor.expects`` of a sensor that reads positions and, with ``orders`` of 2, velocities."""
     return [(order * dims + axis, (KINDS[order],)) for order in range(orders) for axis in range(dims)]
+
+
+def heading_at(index: Any) -> int:
+    """The index of a vehicle's heading in a state, behind its position in the plane.
+
+    Raises:
+        ValueError: no such index.
+    """
+    if not is_integer(index, 2):
+        raise ValueError(f"heading: expected the index of a component behind the position, received {index!r}")
+    return int(index)
 
 
 def from_u(u: Tensor | None, count: int, what: str) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.hyper import one_of
-from torchfra.numbers import is_integer, unmasked
+from torchfra.numbers import as_numbers, is_integer
 from torchfra.sensors.base import Sensor
 
 OWN = "sensor"
@@ -80,18 +80,11 @@ def numbers(name: str, x: Any, device: torch.device, dtype: torch.dtype = torch.
     """A copy of numbers as a tensor, as the caller may write into the original later.
 
     Raises:
-        ValueError: they are not numbers, or complex.
+        ValueError: they are no real numbers.
     """
     if isinstance(x, list | tuple) and {*map(type, x)} == {float} and device.type == "cpu":
         return torch.frombuffer(array(_CODES[dtype], x), dtype=dtype)  # in a third of the time that torch.tensor takes
-    if "complex" in str(getattr(x, "dtype", "")):
-        raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
-    try:
-        if isinstance(x, Tensor):
-            return x.to(device, dtype, copy=True)
-        return torch.tensor(unmasked(x), dtype=dtype, device=device)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{name}: expected numbers, received {type(x).__name__}: {error}") from None
+    return as_numbers(x, name).to(device, dtype, copy=True)
 
 
 def check_fits(name: str, x: Tensor, event: int, batch: torch.Size) -> None:

@@ -78,9 +78,13 @@ def merge(
     time = time[order]
     begins = torch.cat([time.new_tensor([first]), time[:-1]])
     reading = torch.searchsorted(times, begins, right=True) - 1
-    _check_gaps(times, time, longest)
-    rest = len(ends)
-    pad = torch.nn.functional.pad
+    stale = time - times[reading] > longest * (1 + 1e-9)
+    if bool(stale.any()):
+        i = int(stale.nonzero()[0])
+        expected = f"a reading every {longest:g} s at least (longest), as one arc over a gap is wrong where it turned"
+        received = f"none from {float(times[reading[i]]):g} to {float(time[i]):g} s"
+        raise ValueError(f"odometry: expected {expected}, received {received}")
+    rest, pad = len(ends), torch.nn.functional.pad
     z, own = pad(z, (0, 0, 0, rest), value=torch.nan)[order], pad(own, (0, 0, 0, rest))[order]
     return Merged(time, z, time - begins, torch.cat([readings[reading], own], 1), pad(which, (0, rest))[order])
 
@@ -89,20 +93,6 @@ def _together(parts: Sequence[Tensor], fill: float) -> Tensor:
     """Rows of several tables, those of narrower ones filled up."""
     width = max(x.shape[1] for x in parts)
     return torch.cat([torch.nn.functional.pad(x, (0, width - x.shape[1]), value=fill) for x in parts])
-
-
-def _check_gaps(times: Tensor, time: Tensor, longest: float) -> None:
-    """Checks that no reading holds longer than it may.
-
-    Raises:
-        ValueError: one does.
-    """
-    held = torch.cat([times, time[-1:].clamp_min(float(times[-1]))])
-    gaps = held.diff() > longest * (1 + 1e-9)
-    if bool(gaps.any()):
-        a, b = held[int(gaps.nonzero()[0])], held[int(gaps.nonzero()[0]) + 1]
-        expected = f"a reading every {longest:g} s at least (longest), as one arc over a gap is wrong where it turned"
-        raise ValueError(f"odometry: expected {expected}, received none from {float(a):g} to {float(b):g} s")
 
 
 def _measured(name: str, time: Any, z: Any, u: Any = None) -> tuple[Tensor, Tensor, Tensor]:
