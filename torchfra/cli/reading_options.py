@@ -23,7 +23,8 @@ _ABOUT = {
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("CHAR", "character between cells; or tab, space"),
     "decimal": ("CHAR", "decimal separator: . or ,"),
-    "time_format": ("FORM", f"times as {', '.join(FORMS)}, or such as 25fps or %%d.%%m.%%Y %%H:%%M:%%S"),
+    "time_format": ("FORM", f"how times are written: {', '.join(FORMS)}; 25fps for numbers of frames; or a form such "
+                    "as %%d.%%m.%%Y %%H:%%M:%%S, or %%M:%%S for a stopwatch (12:34.5)"),
 }  # fmt: skip
 """Placeholder and help of each option."""
 READING = tuple(field.name for field in fields(ReadOptions))
