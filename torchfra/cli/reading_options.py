@@ -35,7 +35,7 @@ def add_reading_options(add: Callable[..., object]) -> None:
     """Adds ``--time COLUMN`` and the others, by the ``add_argument`` of a parser or of a group."""
     for name in READING:
         sign, about = _ABOUT[name]
-        add(f"--{name.replace('_', '-')}", metavar=sign, help=f"for files: {about}")
+        add(f"--{name.replace('_', '-')}", metavar=sign, help=about)
 
 
 def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
@@ -51,7 +51,8 @@ def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES
 
 def add_cleaning_options(add: Callable[..., object]) -> None:
     """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
-    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: as the file says, or any)")
+    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: as the file says; where it "
+        "says none, the motion is bounded by the track's own speed)")  # fmt: skip
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
         "(default: estimated)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: estimated)")
