@@ -70,16 +70,16 @@ def compare(options: argparse.Namespace) -> None:
     """Runs the chosen parts, prints and writes."""
     check_files({"json": options.json, "picture": options.picture})
     what, found = options.what.split(","), {}
+    flights = swiss_traffic() if {"recorded", "folded"} & set(what) else []
+    worlds = {name: recorded(flights, options.seed, DT, options.scans, folded=name == "folded")
+              for name in ("folded", "recorded") if name in what}  # fmt: skip
     with torch.no_grad():
         if "many" in what:
             found["many"] = many(options.runs, options.seed, options.compile)
-        flights = swiss_traffic() if {"recorded", "folded"} & set(what) else []
-        for name in ("folded", "recorded"):
-            if name in what:
-                world = recorded(flights, options.seed, DT, options.scans, folded=name == "folded")
-                found[name], estimate = streamed(world, options.compile)
-                if options.picture is not None:
-                    save(picture(world, estimate), options.picture)
+        for name, world in worlds.items():
+            found[name], estimate = streamed(world, options.compile)
+            if options.picture is not None:
+                save(picture(world, estimate), options.picture)
         if "crowd" in what:
             found["crowd"] = streamed(crowd(options.seed, min(options.scans, CROWD)), options.compile)[0]
     if not options.quiet:
@@ -184,6 +184,9 @@ def recorded(flights: Sequence[Recording], seed: int, dt: float, scans: int, *, 
         dt: seconds between scans.
         scans: how many.
         folded: whether all flights are moved by a whole multiple of that time, so that they begin in it.
+
+    Raises:
+        ValueError: no flight is there for two scans.
     """
     start, end = min(f.time[0] for f in flights), max(f.time[-1] for f in flights)
     grid, rows = (start + end - dt * scans) / 2 + dt * np.arange(scans), []
@@ -194,6 +197,11 @@ def recorded(flights: Sequence[Recording], seed: int, dt: float, scans: int, *, 
         if inside.sum() >= 2:
             axes = [np.interp(grid, time, x) for x in position[:, :2].T]
             rows.append(np.where(inside[:, None], np.stack(axes, -1), np.nan))
+    if not rows:
+        raise ValueError(
+            f"scans: expected so many, {dt:g} s apart, that a flight is there in two of them, received {scans} in the "
+            f"middle of {end - start:g} s"
+        )
     truth = torch.from_numpy(np.stack(rows))
     corners = truth.nan_to_num(nan=math.inf).amin((0, 1)), truth.nan_to_num(nan=-math.inf).amax((0, 1))
     return _world(truth, corners, seed, dt, q=4.0, speed=350.0)

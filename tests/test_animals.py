@@ -9,7 +9,7 @@ from cleaning.simulated import animal
 
 from torchfra.cleaning import clean_tracks
 from torchfra.cleaning.kinds import kind_of
-from torchfra.cleaning.outputs.summary import settings_lines
+from torchfra.cleaning.outputs.summary import sentences, settings_lines
 from torchfra.readers import Recording, read
 from torchfra.readers.recording import Source
 
@@ -131,6 +131,33 @@ def test_a_standard_deviation_of_kilometres_that_is_stated_is_taken():
     (one,) = clean_tracks([Recording("seal", recording.time, fixes, None, {}, sigma=sigma)], bank="marine")
     assert one.found.sigma == pytest.approx(1.0, rel=0.25)
     assert np.square(one.position - truth).mean() < 0.3 * np.square(fixes - truth)[~wrong].mean()
+
+
+def test_classes_of_argos_are_the_noise_as_they_are_or_times_a_given_factor_also_beside_other_tracks():
+    recording, _, _ = walk(6, noise=100.0, count=40)
+    fast = np.where(np.arange(40)[:, None] == 20, recording.position + 90e3, recording.position)
+    classes, others = (Source(word="animal", argos=argos) for argos in (True, False))
+    several = [
+        Recording(name, recording.time, fast, None, {}, sigma=np.full(40, 4000.0), source=source)
+        for name, source in (("ptt", classes), ("gps", others), ("ptt 2", classes))
+    ]
+    cleaned = clean_tracks(several)
+    assert [one.recording.name for one in cleaned] == ["ptt", "gps", "ptt 2"]
+    assert [("sigma" in one.found.estimated, one.found.sigma) for one in cleaned[::2]] == [(False, 1.0)] * 2
+    assert sentences(cleaned[0])[1] == "Noise of a fix: 4.0 km per axis, as the file states"
+    (given,) = clean_tracks(several[:1], sigma=0.5)
+    assert sentences(given)[1] == "Noise of a fix: 2.0 km per axis, as given; the file states 4.0 km"
+
+
+def test_it_is_said_where_a_path_of_argos_is_too_fast_for_what_swims():
+    time = 60.0 * np.arange(40.0)
+    ways = np.where(np.arange(39) < 10, 300.0, 30.0)  # 5 m/s for ten minutes, then 0.5
+    path = np.stack([np.append(0.0, ways.cumsum()), np.zeros(40)], 1)
+    one = Recording("ptt", time, path, None, {}, sigma=np.full(40, 1.0), source=Source(word="animal", argos=True))
+    (cleaned,) = clean_tracks([one])
+    assert "Faster than what swims (3 m/s): 10 of 39 ways of the path" in sentences(cleaned)
+    (other,) = clean_tracks([replace(one, source=Source(word="animal"))])
+    assert not any(line.startswith("Faster") for line in sentences(other))
 
 
 def test_stated_deviations_stay_where_fixes_are_too_far_apart_to_show_them():

@@ -41,6 +41,13 @@ def test_a_crowd_is_followed_and_timed():
     assert 0 < found["ms per scan, median"] <= found["ms per scan, largest"]
 
 
+def test_too_few_scans_for_any_flight_are_refused_before_anything_runs(monkeypatch, capsys):
+    monkeypatch.setattr(script, "swiss_traffic", lambda: [FLIGHTS[0], FLIGHTS[3]])  # none in the middle
+    monkeypatch.setattr(script, "many", lambda *_: pytest.fail("many ran"))
+    assert script.main(["--scans", "2", "--what", "many,recorded"]) == 2
+    assert "scans: expected so many, 5 s apart, that a flight is there in two of them, " in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("rough_figures")
 def test_the_script_prints_and_writes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(script, "swiss_traffic", lambda: FLIGHTS)

@@ -293,7 +293,7 @@ def _fast(steps: Steps, mean: Array) -> str:
     at = steps.measured
     speed = np.linalg.norm(np.diff(mean[at, :2], axis=0), axis=1) / np.diff(steps.time[at])
     fast = int((speed > _SWIMS).sum())
-    return f"Faster than {_SWIMS:g} m/s: {fast:,} of {len(speed):,} ways of the path, if it swims" if fast else ""
+    return f"Faster than what swims ({_SWIMS:g} m/s): {fast:,} of {len(speed):,} ways of the path" if fast else ""
 
 
 def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:

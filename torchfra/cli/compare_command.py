@@ -59,7 +59,7 @@ def add_to(command: argparse.ArgumentParser) -> None:
     )
     command.epilog = _EXAMPLES
     add = command.add_argument
-    add_source_options(add)
+    add_source_options(command)
     names = f"{', '.join(track_filters())}, for clutter-* {', '.join(scan_filters())}"
     add("--filters", metavar="A,B", help=f"some of {names} (default: all), or module:function, file.py:function")
     own = "run this module or file first: filters and scenarios that it registers then have names here"

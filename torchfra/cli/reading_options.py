@@ -23,7 +23,8 @@ _ABOUT = {
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("CHAR", "character between cells; or tab, space"),
     "decimal": ("CHAR", "decimal separator: . or ,"),
-    "time_format": ("FORM", f"times as {', '.join(FORMS)}, or such as 25fps or %%d.%%m.%%Y %%H:%%M:%%S"),
+    "time_format": ("FORM", f"how times are written: {', '.join(FORMS)}; 25fps for numbers of frames; or a form such "
+                    "as %%d.%%m.%%Y %%H:%%M:%%S, or %%M:%%S for a stopwatch (12:34.5)"),
 }  # fmt: skip
 """Placeholder and help of each option."""
 READING = tuple(field.name for field in fields(ReadOptions))
@@ -34,7 +35,7 @@ def add_reading_options(add: Callable[..., object]) -> None:
     """Adds ``--time COLUMN`` and the others, by the ``add_argument`` of a parser or of a group."""
     for name in READING:
         sign, about = _ABOUT[name]
-        add(f"--{name.replace('_', '-')}", metavar=sign, help=f"for files: {about}")
+        add(f"--{name.replace('_', '-')}", metavar=sign, help=about)
 
 
 def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
@@ -50,7 +51,8 @@ def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES
 
 def add_cleaning_options(add: Callable[..., object]) -> None:
     """Adds ``--sigma`` and the others, by the ``add_argument`` of a parser or of a group."""
-    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: as the file says, or any)")
+    add("--bank", metavar="NAME", help=f"kind of targets: {', '.join(KINDS)} (default: as the file says; where it "
+        "says none, the motion is bounded by the track's own speed)")  # fmt: skip
     add("--sigma", type=float, metavar="M", help="std of a fix per axis, m; a factor for fixes that state theirs "
         "(default: estimated)")  # fmt: skip
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: estimated)")

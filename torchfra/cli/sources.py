@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from torchfra import readers, scenarios
 from torchfra.catalogue import SCENARIOS, make_scenario
@@ -25,8 +24,9 @@ _TAKEN = {
 _OPTIONS = tuple(dict.fromkeys(name for names in _TAKEN.values() for name in names))
 
 
-def add_source_options(add: Any) -> None:
+def add_source_options(command: argparse.ArgumentParser) -> None:
     """Adds the options of the sources; their defaults are those of the scenarios."""
+    add = command.add_argument
     q = "for files and ranges: variance of the change of acceleration that filters assume per step, m^2/s^4 (default: "
     add("files", metavar="FILE", type=Path, nargs="*")
     own = "or your own function that makes one: module:function, or file.py:function"
@@ -45,7 +45,7 @@ def add_source_options(add: Any) -> None:
     height = "for ranges: height of the target, m (default: the median of the path's)"
     add("--height", type=float, metavar="M", help=height)
     add_bound_option(add, default=None)
-    add_reading_options(add)
+    add_reading_options(command.add_argument_group("reading files").add_argument)
 
 
 def scenario_of(options: argparse.Namespace) -> tuple[Scenario, int]:

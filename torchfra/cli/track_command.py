@@ -23,8 +23,8 @@ from torchfra.running.jobs import add_jobs_option, cores
 from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 
-FILES = """FILE holds one or several recorded tracks: CSV with a header (any delimiter; AIS logs and state vectors of
-OpenSky among it), JSON, GPX, KML, TCX, VBOX, IGC, PLT, GeoJSON, NMEA 0183, .npy, Parquet or Feather, gzipped or not.
+FILES = """FILE holds one or several recorded tracks: CSV with a header and any delimiter, such as AIS logs and state
+vectors of OpenSky, JSON, GPX, KML, TCX, VBOX, IGC, PLT, GeoJSON, NMEA 0183, .npy, Parquet or Feather, gzipped or not.
 Columns are found by their names; the output states which were taken, and the options for reading name others."""
 
 _ABOUT = f"""Clean a recorded track: positions with their standard deviations, wrong fixes, and manoeuvres.
@@ -38,7 +38,7 @@ _EXAMPLES = f"""examples:
   torchfra track flights.csv --format gpx            # out/NAME.gpx for each target
   torchfra track walk.csv --sigma 5 --bank person    # known values are not estimated
   torchfra track log.csv --time when --lat breite --lon laenge --delimiter ";" --decimal ,
-  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # the estimates of a filter
+  torchfra track flight.csv --no-smooth --filter vsimm_srckf    # another filter, on line
   torchfra track flight.csv --dt 1 --html flight.html           # also every second, and an interactive page
 
 A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned

@@ -18,6 +18,7 @@ from torchfra.readers.times import (
     SINCE_1970,
     SPLIT,
     STARTS,
+    STOPWATCH,
     UNITS,
     WEEKS,
     count_of,
@@ -227,8 +228,9 @@ def _chosen(columns: tuple[str, ...], forms: list[str], texts: list[str], name: 
     """
     if not forms:
         other = next((text for text in texts if not forms_of([text])), texts[0])
+        form = STOPWATCH if re.fullmatch("[0-9]{1,2}:[0-9]{2}[.,][0-9]+", other) else "%d.%m.%Y %H:%M:%S"
         raise AskError(f"column {name}: expected times, received {short(other)}: say how they are written, such as ",
-                       {"time_format": "%d.%m.%Y %H:%M:%S"}, ", or name another column")  # fmt: skip
+                       {"time_format": form}, ", or name another column")  # fmt: skip
     if len(forms) > 1:
         choices = [part for form in forms for part in (" or ", {"time_format": form})]
         raise AskError(f"column {name}: {texts[0]!r} may have the day, the month or the year first: say ", *choices[1:])

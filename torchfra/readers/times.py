@@ -30,6 +30,8 @@ FORMS = (*UNITS, *STARTS, *WEEKS, "iso")
 """What a ``time_format`` may be besides a form of ``datetime.strptime``, or numbers of frames such as ``25fps``."""
 CLOCK = "%H:%M:%S"
 """Times of the day without a date: seconds since midnight, and a day more after each midnight."""
+STOPWATCH = "%M:%S"
+"""Minutes below an hour, and seconds, which may have decimals."""
 _LEAPS = np.array([
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
     "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",

@@ -103,11 +103,13 @@ def headline(of: Mapping[str, Any]) -> str:
 
 def noise(of: Mapping[str, Any]) -> str:
     """What fixes are off by, from a ``summary``: as found, as given, and as the file states."""
-    found = metres(of["sigma"] * of["stated_sigma"] if of["stated"] else of["sigma"])
-    if "sigma" not in of["estimated"]:
-        return f"Noise of a fix: {found} per axis, as {'the file states' if of['stated'] else 'given'}"
+    size = metres(of["sigma"] * of["stated_sigma"] if of["stated"] else of["sigma"])
+    if of["stated"] and of["sigma"] == 1:
+        return f"Noise of a fix: {size} per axis, as the file states"
     stated = f"; the file states {metres(of['stated_sigma'])}" if of["stated"] else ""
-    return f"Noise found: {found} per axis{', unsure' if of['sigma_unsure'] else ''}{stated}"
+    if "sigma" not in of["estimated"]:
+        return f"Noise of a fix: {size} per axis, as given{stated}"
+    return f"Noise found: {size} per axis{', unsure' if of['sigma_unsure'] else ''}{stated}"
 
 
 def _stated(cleaned: Cleaned) -> float:
