@@ -13,10 +13,22 @@ from torchfra.adaptive import Fading
 from torchfra.association import Clutter
 from torchfra.hyper import hypers
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
+from torchfra.presets import options as groups
 from torchfra.robust import Huber, HuberScore, ThreeSegment
 from torchfra.sensors import Bearings, Position
 
 ALL = [getattr(presets, name) for name in presets.__all__]
+
+
+def keywords(preset):
+    """Names and annotations of all that a preset takes, in the order of its documentation, those of its groups too."""
+    own = dict(inspect.signature(preset).parameters)
+    group = own.pop("options", None)
+    own = {name: str(p.annotation) for name, p in own.items()}
+    if group is None:
+        return own
+    typed = getattr(groups, group.annotation.removeprefix("Unpack[").removesuffix("]"))
+    return own | {name: str(kind) for name, kind in typed.__annotations__.items()}
 
 
 def faded(f):
@@ -29,11 +41,9 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("preset", ALL)
-def test_every_keyword_is_explicit_and_has_its_line_of_documentation(preset):
-    parameters = inspect.signature(preset).parameters.values()
-    assert not [p for p in parameters if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
+def test_every_keyword_has_its_line_of_documentation(preset):
     documented = re.findall(r"^    (\w+): ", inspect.getdoc(preset).split("Args:\n")[1].split("\n\n")[0], re.MULTILINE)
-    assert documented == [p.name for p in parameters]
+    assert documented == list(keywords(preset))
 
 
 @pytest.mark.parametrize("preset", ALL)
@@ -42,35 +52,33 @@ def test_a_misspelt_keyword_is_an_error_that_names_the_preset(preset):
         preset(ConstantVelocity(1.0), Position(1.0), wekening=2.0)
 
 
-def test_the_defaults_of_presets_are_those_of_the_classes_but_for_what_they_change():
-    """Presets that pass a keyword on to another preset give it the same default, or the one listed here."""
-
-    def defaults(preset):
-        return {p.name: p.default for p in inspect.signature(preset).parameters.values() if p.default is not p.empty}
-
-    for outer, inner, changed in (
-        (
-            presets.fra,
-            presets.fra_srckf,
-            {
-                "rcond": 0.2,
-                "decision": "likelihood",
-                "memory": "weighted",
-                "patience": 4.0,
-            },
-        ),
-        (presets.imm_fra, presets.fra, {"preference": 5.0}),
-        (presets.imm_fra, presets.imm, {"self_transition": 0.99}),
-        (presets.iaukf_jpda, presets.iaukf, {}),
-        (presets.iaukf_jpda, presets.jpda, {"lost": 1e-3}),
-        (presets.ukf_jpda, presets.jpda, {}),
-        (presets.ukf_jpda, presets.ukf, {"beta": 2.0, "kappa": 0.0}),
-        (presets.rmckf, presets.asrckf, {}),
-        (presets.rmckf, presets.rsrckf, {}),
+def test_what_is_not_given_is_as_documented():
+    """Presets that share keywords differ in those that their docstrings name."""
+    motion, sensor = ConstantVelocity(1.0), Position(1.0)
+    bank = [motion, ConstantVelocity(9.0)]
+    clutter = Clutter(rate=1.0, volume=1e4)
+    published, own, several = (
+        presets.fra_srckf(motion, sensor),
+        presets.fra(motion, sensor),
+        presets.imm_fra(bank, sensor),
+    )
+    for f, patience, decision, memory, rcond in (
+        (published, 0.0, "normalised", "plain", 0.1),
+        (own, 4.0, "likelihood", "weighted", 0.2),
+        (several.inner, 4.0, "likelihood", "weighted", 0.2),
     ):
-        common = defaults(outer).keys() & defaults(inner).keys()
-        differ = {name: defaults(outer)[name] for name in common if defaults(outer)[name] != defaults(inner)[name]}
-        assert differ == changed
+        assert (f.patience, f.decision, f.memory, f.fading.rcond) == (patience, decision, memory, rcond)
+        assert f.gate().item() == pytest.approx(5.991)
+    assert [f.preference().item() for f in (published, own, several.inner)] == pytest.approx([0.0, 0.0, 5.0])
+    assert several.self_transition().item() == pytest.approx(0.99)
+    assert presets.imm(bank, sensor).self_transition().item() == pytest.approx(0.95)
+    for name, lost, gate in (
+        ("jpda", 0.0, "ChiSquare"),
+        ("ukf_jpda", 0.0, "Euclidean"),
+        ("iaukf_jpda", 1e-3, "Euclidean"),
+    ):
+        f = getattr(presets, name)(motion, sensor, clutter=clutter)
+        assert (f.lost, type(f.gate).__name__) == (lost, gate)
 
 
 @pytest.mark.parametrize("name", ["rsrckf", "rmckf", "fra_srckf", "fra"])
@@ -149,10 +157,10 @@ def with_companions(preset, name):
 
 BANKS = {p for p in ALL if "models" in inspect.signature(p).parameters}
 NUMBERS = [
-    (preset, p.name)
+    (preset, name)
     for preset in ALL
-    for p in inspect.signature(preset).parameters.values()
-    if p.kind is p.KEYWORD_ONLY and re.search(r"Value|float|\bint\b(?!\])", str(p.annotation))
+    for name, kind in list(keywords(preset).items())[2:]
+    if re.search(r"Value|float|\bint\b(?!\])", kind)
 ]
 
 
@@ -168,10 +176,15 @@ def test_words_where_numbers_belong_are_an_error_that_names_the_argument(bad):
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_numbers_of_numpy_are_numbers(kind):
     for preset, name in NUMBERS:
-        default = inspect.signature(preset).parameters[name].default
-        if isinstance(default, float):
-            models, sensor, others = with_companions(preset, name)
-            preset(models, sensor, **{**others, name: kind(default)})
+        if "int" in keywords(preset)[name]:
+            continue
+        models, sensor, others = with_companions(preset, name)
+        for value in (0.5, 3.0, 0.0):  # a probability, a threshold, what has to be 0
+            try:
+                preset(models, sensor, **{**others, name: value})
+            except ValueError:
+                continue
+            preset(models, sensor, **{**others, name: kind(value)})
 
 
 def test_an_outlier_is_a_probability_whatever_the_filter_decides():

@@ -75,9 +75,10 @@ def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise
     Raises:
         ValueError: no numbers, or rows of different lengths.
     """
+    times: Any = dt if isinstance(dt, _TIMES) else as_numbers(dt, "dt")
     return Measurements(
         z if isinstance(z, Tensor) and z.is_floating_point() else as_numbers(z, "z", _PAD),
-        dt if isinstance(dt, _TIMES) else as_numbers(dt, "dt"),
+        times,
         u if u is None else as_numbers(u, "u"),
         std if std is None else as_numbers(std, "std"),
         noise if noise is None else as_numbers(noise, "noise"),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, TypeVar
+
+from typing_extensions import Unpack
 
 from torchfra import register
 from torchfra.adaptive.fading import Fading
@@ -15,6 +17,15 @@ from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
 from torchfra.presets.learning import with_learning
+from torchfra.presets.options import (
+    FadingOptions,
+    HuberOptions,
+    NoiseOptions,
+    RobustAdaptiveOptions,
+    ScoreOptions,
+    picked,
+    with_options,
+)
 from torchfra.presets.values import with_values
 from torchfra.robust.base import Robust
 from torchfra.robust.regression import HuberRegression
@@ -37,16 +48,13 @@ __all__ = [
     "ukf",
 ]
 
-States = slice | Sequence[slice] | None
-"""State components that fade: one group, or several; None for the default of ``Fading``."""
-Share = Value | Sequence[float] | None
-"""Share of the fading factor of each group; None for 1."""
 R = TypeVar("R", bound=Robust)
 
 
 def robust_update(
-    sensor: Sensor, robust: R | None, threshold: Value | None, per_element: bool, learn: Collection[str]
-) -> R | Huber:
+    sensor: Sensor, learn: Collection[str], *, robust: R | None = None, threshold: Value | None = None,
+    per_element: bool = False,
+) -> R | Huber:  # fmt: skip
     """The robust update of the argument (a copy, if anything learns), or Huber weights with a threshold.
 
     Raises:
@@ -57,6 +65,11 @@ def robust_update(
     if threshold is not None or per_element:
         raise ValueError("robust, threshold, per_element: expected robust or options of Huber weights, received both")
     return copy.deepcopy(robust) if learn else robust
+
+
+def robust_and_fading(sensor: Sensor, learn: Collection[str], options: Mapping[str, Any]) -> tuple[Any, Fading]:
+    """The robust update and the fading factors of a preset's options."""
+    return robust_update(sensor, learn, **picked(options, HuberOptions)), Fading(**picked(options, FadingOptions))
 
 
 @register.filter("ukf", words="unscented Kalman filter")
@@ -109,27 +122,22 @@ def srckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRC
 
 
 @register.filter("rsrckf", words="srckf with Huber weights")
-def rsrckf(
-    motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
-    robust: Robust | None = None, learn: Collection[str] = (),
-) -> SRCKF:  # fmt: skip
+@with_options(HuberOptions)
+def rsrckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[HuberOptions]) -> SRCKF:
     """Robust square-root cubature Kalman filter: Huber weights at every step.
 
     Args:
         motion: how targets move.
         sensor: what is measured.
-        threshold: in standard deviations of the measurement noise, 1.345 if None: ``robust.Huber``.
-        per_element: whether each element of a measurement has its own threshold.
-        robust: another robust update instead of Huber weights: ``torchfra.robust``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
 
     Raises:
         ValueError: ``robust`` together with ``threshold`` or ``per_element``.
 
     Source: Wang et al. (2021), eqs. (25)-(26).
     """
-    update = robust_update(sensor, robust, threshold, per_element, learn)
-    return with_learning(SRCKF(motion, sensor, robust=update), learn)
+    return with_learning(SRCKF(motion, sensor, robust=robust_update(sensor, learn, **options)), learn)
 
 
 @register.filter("mr_ckf", words="srckf with weights in three segments")
@@ -189,10 +197,10 @@ def hghckf1(
 
 @register.filter("hghckf2", words="ghckf, robust by the innovation")
 @with_values
+@with_options(ScoreOptions)
 def hghckf2(
-    motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
-    eps: Value | str = "minimax", cov_mode: str = "constant", whitening: str = "cholesky", zeta_scale: bool = False,
-    values: str | None = None, learn: Collection[str] = (),
+    motion: Motion, sensor: Sensor, *, cov_mode: str = "constant", values: str | None = None,
+    learn: Collection[str] = (), **options: Unpack[ScoreOptions],
 ) -> SRCKF:  # fmt: skip
     """Robust by the Huber score of the normalised innovation.
 
@@ -203,26 +211,21 @@ def hghckf2(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
-        threshold: in standard deviations of the innovation: ``robust.HuberScore``.
-        eps: assumed share of outliers, or ``"minimax"``: ``robust.HuberScore``.
         cov_mode: factor of the covariance, ``"constant"`` or ``"indicator"``: ``robust.HuberScore``.
-        whitening: root of the innovation covariance, ``"cholesky"`` or ``"symmetric"``.
-        zeta_scale: whether the density behind the score is scaled to variance 1: ``robust.HuberScore``.
         values: name of a set of learned values for what is not given: ``torchfra.values()``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
 
     Source: Qin et al. (2018), eqs. (53)-(59).
     """
-    robust = HuberScore(threshold, eps=eps, cov_mode=cov_mode, whitening=whitening, zeta_scale=zeta_scale)
-    return with_learning(SRCKF(motion, sensor, rule=rule, robust=robust), learn)
+    score: dict[str, Any] = {**options}
+    rule = score.pop("rule", fifth_degree)
+    return with_learning(SRCKF(motion, sensor, rule=rule, robust=HuberScore(cov_mode=cov_mode, **score)), learn)
 
 
 @register.filter("hghckf", words="hghckf2 that recovers")
-def hghckf(
-    motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
-    eps: Value | str = "minimax", whitening: str = "cholesky", zeta_scale: bool = False, learn: Collection[str] = (),
-) -> SRCKF:  # fmt: skip
+@with_options(ScoreOptions)
+def hghckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[ScoreOptions]) -> SRCKF:
     """``hghckf2`` with ``cov_mode="indicator"``: prefer it, as it recovers where ``hghckf2`` loses the target.
 
     Where the score limits an innovation, the covariance does not shrink.  So the covariance of a filter whose estimate
@@ -231,101 +234,62 @@ def hghckf(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
-        threshold: in standard deviations of the innovation: ``robust.HuberScore``.
-        eps: assumed share of outliers, or ``"minimax"``: ``robust.HuberScore``.
-        whitening: root of the innovation covariance, ``"cholesky"`` or ``"symmetric"``.
-        zeta_scale: whether the density behind the score is scaled to variance 1: ``robust.HuberScore``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
 
     Source: Qin et al. (2018), eqs. (53)-(59), with the derivative of the score itself, at the innovation, in place of
     its mean.
     """
-    return hghckf2(
-        motion, sensor, rule=rule, threshold=threshold, eps=eps, cov_mode="indicator", whitening=whitening,
-        zeta_scale=zeta_scale, learn=learn,
-    )  # fmt: skip
+    return hghckf2(motion, sensor, cov_mode="indicator", learn=learn, **options)
 
 
 @register.filter("asrckf", words="srckf with fading factors")
-def asrckf(
-    motion: Motion, sensor: Sensor, *, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
-    rcond: float = 0.1, states: States = None, share: Share = None, trace: str = "full", learn: Collection[str] = (),
-) -> SRCKF:  # fmt: skip
+@with_options(FadingOptions)
+def asrckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[FadingOptions]) -> SRCKF:
     """Adaptive: fading factors at every step.  Source: Wang et al. (2021), eqs. (29)-(34).
 
     Args:
         motion: how targets move.
         sensor: what is measured.
-        weakening: above 1 the factors react less: ``adaptive.Fading``.
-        forgetting: memory of the innovations, in [0, 1]: ``adaptive.Fading``.
-        fading_max: largest factor: ``adaptive.Fading``.
-        rcond: smallest singular value that is inverted, as a share of the largest: ``adaptive.Fading``.
-        states: components that fade, one slice or several groups; the position if None.
-        share: of the factor for each group; if given, the groups are position, velocity, acceleration.
-        trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
     """
-    fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
-    return with_learning(SRCKF(motion, sensor, fading=fading), learn)
+    return with_learning(SRCKF(motion, sensor, fading=Fading(**options)), learn)
 
 
 @register.filter("rmckf", words="Huber weights and fading factors")
+@with_options(HuberOptions, FadingOptions)
 def rmckf(
-    motion: Motion, sensor: Sensor, *, threshold: Value | None = None, per_element: bool = False,
-    robust: Robust | None = None, weakening: Value = 2.0, forgetting: Value = 0.95, fading_max: Value = 1e3,
-    rcond: float = 0.1, states: States = None, share: Share = None, trace: str = "full", learn: Collection[str] = (),
-) -> SRCKF:  # fmt: skip
+    motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[RobustAdaptiveOptions]
+) -> SRCKF:
     """Robust and adaptive at every step.  Source: Qiu, Qian & Wang (2018), as Wang et al. (2021) describe it.
 
     Args:
         motion: how targets move.
         sensor: what is measured.
-        threshold: in standard deviations of the measurement noise, 1.345 if None: ``robust.Huber``.
-        per_element: whether each element of a measurement has its own threshold.
-        robust: another robust update instead of Huber weights: ``torchfra.robust``.
-        weakening: above 1 the fading factors react less: ``adaptive.Fading``.
-        forgetting: memory of the innovations, in [0, 1]: ``adaptive.Fading``.
-        fading_max: largest factor: ``adaptive.Fading``.
-        rcond: smallest singular value that is inverted, as a share of the largest: ``adaptive.Fading``.
-        states: components that fade, one slice or several groups; the position if None.
-        share: of the factor for each group; if given, the groups are position, velocity, acceleration.
-        trace: ``"full"``, or ``"position"`` to compare traces of the faded components only.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
 
     Raises:
         ValueError: ``robust`` together with ``threshold`` or ``per_element``.
     """
-    update = robust_update(sensor, robust, threshold, per_element, learn)
-    fading = Fading(weakening, forgetting, fading_max, rcond=rcond, states=states, share=share, trace=trace)
+    update, fading = robust_and_fading(sensor, learn, options)
     return with_learning(SRCKF(motion, sensor, robust=update, fading=fading), learn)
 
 
 @register.filter("iaukf", words="ukf that estimates the noise")
-def iaukf(
-    motion: Motion, sensor: Sensor, *, forgetting: Value = 0.96, confidence: Value | Sequence[float] = 0.5,
-    confidence_in: str = "nominal", lowest: float = 0.25, highest: float = 1e4, warmup: int = 5,
-    adapt: str = "innovation", learn: Collection[str] = (),
-) -> SRCKF:  # fmt: skip
+@with_options(NoiseOptions)
+def iaukf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[NoiseOptions]) -> SRCKF:
     """Unscented filter that estimates the variance of the measurement noise, sensor by sensor.
 
     Args:
         motion: how targets move.
         sensor: what is measured.
-        forgetting: memory of the innovations, in [0, 1]: ``adaptive.SageHusa``.
-        confidence: in [0, 1], one for each block of the sensor or one for all: ``adaptive.SageHusa``.
-        confidence_in: ``"nominal"`` or ``"measured"`` measurement noise: ``adaptive.SageHusa``.
-        lowest: share of the nominal variance below which the estimate does not fall.
-        highest: multiple of the nominal variance above which the estimate does not rise.
-        warmup: first innovations, which change nothing.
-        adapt: by the ``"innovation"``, before the update, or the ``"residual"``, after it.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
 
     Source: Chen, Zou & Wu, eqs. (10)-(24), with ``alpha=1, kappa=0`` and their psi of 2.  Differs: the points of the
     measurement are those of the prediction, process noise included (errors 0.1 to 0.9 % smaller).
     """
-    estimator = SageHusa(
-        sensor.blocks, forgetting=forgetting, confidence=confidence, confidence_in=confidence_in, lowest=lowest,
-        highest=highest, warmup=warmup, adapt=adapt,
-    )  # fmt: skip
+    estimator = SageHusa(sensor.blocks, **options)
     return with_learning(SRCKF(motion, sensor, rule=unscented(1.0, 2.0, 0.0), noise=estimator), learn)

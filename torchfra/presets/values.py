@@ -63,6 +63,7 @@ def with_values(preset: Callable[P, F]) -> Callable[P, F]:
         if options.get("values") is None:
             return preset(*arguments, **options)
         named: dict[str, Any] = dict(inspect.signature(preset).bind(*arguments, **options).arguments)
+        named |= named.pop("options", {})
         return made_with(preset, _record(preset.__name__, named.pop("values")), named)
 
     return chosen

@@ -83,8 +83,8 @@ class RangeBearing(Sensor):
     In the frame ``"body"`` the state is that of a vehicle, its heading behind the position, and the sensor on it
     measures a landmark in the plane: its range, and its bearing counter-clockwise from ahead.  The landmark stands at
     ``position``, or where the last two entries of ``u`` say, behind those of the motion.  Its place is known: landmarks
-    whose place has to be found as well (SLAM) are out of scope.  ``Mounted`` is for a sensor that is not where the state
-    is.
+    whose place has to be found as well (SLAM) are out of scope.  ``Mounted`` is for a sensor beside the point that the
+    state describes.
 
     Raises:
         ValueError: ``dims`` neither 2 nor 3, or 3 in the frame of a vehicle, another frame, a ``heading`` that is
