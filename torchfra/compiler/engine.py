@@ -15,6 +15,7 @@ from torchfra.compiler import one_operation, traced
 from torchfra.compiler.backward import BackwardInputs, backward_inputs, cut, of_windows, windows
 from torchfra.compiler.forms import hooked, late
 from torchfra.compiler.llvm import is_installed
+from torchfra.compiler.pieces import is_long
 from torchfra.compiler.program import Making, building
 from torchfra.compiler.ready import Data, check_changing, form_of, is_ordinary, is_short, number, seconds_of
 from torchfra.compiler.run import has_gradient
@@ -119,6 +120,8 @@ class Compiled:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
         plain = cut is None and not hooked()
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
+        if is_long(z.shape[:-2], z.shape[-2]):
+            return  # which runs in pieces
         inputs = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
         if f.viewed is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):

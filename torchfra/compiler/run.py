@@ -16,6 +16,7 @@ from torch.autograd import forward_ad
 from torchfra.compiler.boundary import Boundary, after_back, begin_back
 from torchfra.compiler.forms import first_order, savable
 from torchfra.compiler.learning import Learning
+from torchfra.compiler.pieces import Pieces, is_long
 from torchfra.compiler.program import Making, Program, Ready, batch_first, building
 from torchfra.compiler.source import Scan
 from torchfra.compiler.step import Step
@@ -150,19 +151,44 @@ class Kernels:
                 for all if they are few, else for one every sqrt(T) steps.
             truncate: steps after which gradients flow no further back.
         """
+        done: Sequence[Tensor]
         if has_tangents():
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
-        elif has_gradient((*state, *inputs)):
+        else:
+            whole: Sequence[Tensor] | None = None
+            if self.step.repeated and checkpoint is truncate is None and is_long(batch, steps):
+                whole = self._in_pieces(batch, steps, state, inputs)
+            done = whole or self._done(batch, steps, state, inputs, checkpoint, truncate)
+        rest = iter([batch_first(x, len(batch)) for x in done])
+        return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
+
+    def _in_pieces(
+        self, batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor]
+    ) -> list[Tensor] | None:
+        """What ``_done`` gives for a single long track, by its pieces; None where these depend on each other."""
+        rank = len(batch)
+
+        def run(batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor]) -> list[Tensor]:
+            return [batch_first(x, len(batch)) for x in self._done(batch, steps, state, inputs)]
+
+        track = [[x.reshape(x.shape[rank:]) for x in leaves] for leaves in (state, inputs)]
+        done = Pieces(run, self.step, steps, *track)()
+        return done and [x.reshape((*x.shape, *batch)) for x in done]
+
+    def _done(
+        self, batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor],
+        checkpoint: int | None = None, truncate: int | None = None,
+    ) -> Sequence[Tensor]:  # fmt: skip
+        """What the programs write, tracks innermost: see ``run``."""
+        if has_gradient((*state, *inputs)):
             remembers = checkpoint is None and self.remembers(batch, steps)
             all_kept = remembers or self.step.last_first
             length = steps if all_kept else checkpoint or math.isqrt((truncate or steps) - 1) + 1
             starts = (*sorted({*range(0, steps, length), *range(0, steps, truncate or steps)}), steps)
             saved = map(savable, (*state, *inputs))
             done = _Run.apply(self, batch, starts, truncate, remembers, *saved)  # type: ignore[no-untyped-call]
-        else:
-            done = self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
-        rest = iter([batch_first(x, len(batch)) for x in done])
-        return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
+            return list(done)
+        return self.forwards(batch, inputs[0].device)(batch, steps, (*state, *inputs))
 
     def _with_tangents(self, batch: torch.Size, steps: int, duals: Sequence[Any]) -> list[Tensor]:
         """What the kernel writes of dual numbers: pairs of a value, and a derivative or None."""
