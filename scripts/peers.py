@@ -15,7 +15,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -471,21 +471,29 @@ def peer(name: str, arrays: dict[str, np.ndarray]) -> Run:
 
 def main(arguments: list[str] | None = None) -> int:
     """Answers until standard input ends."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", choices=dict.fromkeys([*BEARINGS, *LINEAR]))
-    parser.add_argument("job", type=Path, metavar="JOB", help="arrays of the job (.npz), from scripts/benchmark.py")
-    parser.add_argument("--means", type=Path, metavar="FILE", help="write the last means of the tracks (.npy)")
+    return serve(__doc__, [*BEARINGS, *LINEAR], peer, arguments)
+
+
+def serve(
+    words: str | None, names: Iterable[str], made: Callable[[str, dict[str, np.ndarray]], Run],
+    arguments: list[str] | None = None,
+) -> int:  # fmt: skip
+    """Makes the call that a command line names, and times it for each line of standard input."""
+    parser = argparse.ArgumentParser(description=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", choices=dict.fromkeys(names))
+    parser.add_argument("job", type=Path, metavar="JOB", help="arrays of the job (.npz)")
+    parser.add_argument("--means", type=Path, metavar="FILE", help="write the means that the call gives (.npy)")
     options = parser.parse_args(arguments)
     os.environ["JAX_ENABLE_X64"] = "1"
     with np.load(options.job) as arrays:
         given = dict(arrays)
     learns = "rate" in given
     try:
-        run = peer(options.name, given)
+        run = made(options.name, given)
+        first = once(run)
     except ImportError as missing:
         answer(missing=str(missing))
         return 0
-    first = once(run)
     if options.means is not None:
         np.save(options.means, run())
     answer(first_call_s=first, **({"error": float(run())} if learns else {}))

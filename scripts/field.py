@@ -1,0 +1,405 @@
+"""Beside other libraries, in one command: the cells in which torchfra is not the first come first.
+
+    python scripts/field.py                     every job, some twenty minutes on two cores
+    python scripts/field.py --quick             the same jobs, smaller
+    python scripts/field.py --jobs spikes,imm --json out/field.json --figure out/field.png
+
+Each library runs in a process of its own, which sleeps while others are timed; one that is not installed is named and
+left out (``pip install 'torchfra[bench]'``; the environment variable TORCHFRA_PEERS_PYTHON may name the Python that has
+them).  A cell is a job and what is compared: the time of a call, a pass of each in turn, or the error of the position.
+A filter of your own joins with ``--own FILE``, which has ``peer(job)``: see ``scripts/fields/others.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from benchmarks.elsewhere import LEARNERS, Peer
+from benchmarks.elsewhere import PEERS as BEARINGS
+from benchmarks.layer import layer
+from benchmarks.linear import long_tracks
+from benchmarks.timing import Here, System, calls, timed
+from benchmarks.tracks import beside_peers
+from fields.others import Job
+from lists import check_list
+
+import torchfra
+from torchfra import Gaussian, presets, scenarios
+from torchfra.cli.command import add_json_option, check_files, check_least, exit_status, make_parser
+from torchfra.linalg.triangular import apply
+from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, RandomWalk
+from torchfra.running.versions import write_results
+from torchfra.sensors import Position
+from torchfra.tables import formed_table, significant
+
+OTHERS = Path(__file__).parent / "fields" / "others.py"
+CLOSE = 1.02
+"""Ratio up to which torchfra is as good as the first."""
+ALONE = (
+    "robust and adaptive filters, learned through",
+    "batches of tracks with gaps, outliers and manoeuvres in one program, smoothed too",
+    "gradients of all hyperparameters through compiled steps",
+)
+"""What no other library here does: a list and no victory."""
+FILTERS = ["FilterPy", "FilterPy, gated", "kalbee, gated", "kalbee, adaptive", "kalbee, variational Bayes"]
+
+
+class Cell(NamedTuple):
+    """What a job says of one measure, less is better."""
+
+    job: str
+    measure: str
+    ours: dict[str, float]
+    theirs: dict[str, float]
+
+    @property
+    def ratio(self) -> float:
+        """The best of torchfra over the best of the others."""
+        return min(self.ours.values()) / min(self.theirs.values())
+
+
+class Problem(NamedTuple):
+    """Tracks in a plane, and what filters are told of them."""
+
+    motion: Any
+    """One motion, or a bank."""
+    sensor: Position
+    prior: Gaussian
+    truth: torch.Tensor
+    z: torch.Tensor
+    dt: torch.Tensor
+    """``(T,)``."""
+    chain: torch.Tensor
+    """``(K, K)`` of the models."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """As ``fields.others.Job`` has it."""
+        models = self.motion[:] if isinstance(self.motion, Bank) else [self.motion]
+        noises = [m.process_noise(self.dt) for m in models]
+        values = {
+            "matrices": torch.stack([m.transition(self.dt) for m in models]),
+            "noises": torch.stack([q @ q.mT for q in noises]), "chain": self.chain,
+            "sensor": self.sensor(torch.eye(models[0].size).double()).mT,
+            "r": self.sensor.measurement_noise(self.z[0, 0]).std.square().diag(),
+            "means": self.prior.mean, "p": self.prior.covariance, "z": self.z,
+        }  # fmt: skip
+        return {name: x.detach().numpy() for name, x in values.items()}
+
+
+def problem(
+    runs: int, seed: int, *, steps: int = 200, outliers: str = "none", missing: float = 0.0, irregular: bool = False,
+    bank: bool = False,
+) -> Problem:  # fmt: skip
+    """Targets at constant velocity, or of a bank with turns, whose positions are measured to 1 m.
+
+    Args:
+        runs: how many.
+        seed: of all random numbers.
+        steps: measurements of each.
+        outliers: ``"spikes"`` of 30 to 1000 standard deviations, one in twenty measurements, or errors of ``"student"``
+            with two degrees of freedom.
+        missing: share of measurements that are not there.
+        irregular: whether time steps are drawn from 0.1 to 3 s instead of 1 s.
+        bank: whether targets turn, and filters have a bank.
+    """
+    g = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=g, dtype=torch.float64)
+
+    def uniform(*shape: int) -> torch.Tensor:
+        return torch.rand(*shape, generator=g, dtype=torch.float64)
+
+    straight = ConstantVelocity(0.1)
+    models: list[Any] = [straight, *([CoordinatedTurn(0.1, 0.1), CoordinatedTurn(-0.1, 0.1)] if bank else [])]
+    chain = torch.full((len(models), len(models)), 0.05 / max(len(models) - 1, 1), dtype=torch.float64)
+    chain.fill_diagonal_(0.95 if bank else 1.0)
+    dt = 0.1 + 2.9 * uniform(steps) if irregular else torch.ones(steps).double()
+    spread = torch.tensor([1.0, 1.0, 1.0, 1.0]).double()
+    mean = torch.cat([normal(runs, 2) * 100, normal(runs, 2) * 10], 1)
+    x, model, path = mean + spread * normal(runs, 4), torch.zeros(runs, dtype=torch.long), []
+    for seconds in dt:
+        model = torch.multinomial(chain[model], 1, generator=g)[:, 0]
+        pushes = normal(runs, 2)
+        moved = [apply(m.transition(seconds), x) + apply(m.process_noise(seconds), pushes) for m in models]
+        x = torch.stack(moved)[model, torch.arange(runs)]
+        path.append(x)
+    truth = torch.stack(path, 1)
+    errors = normal(runs, steps, 2)
+    if outliers == "student":
+        errors = errors / (-2 * uniform(runs, steps, 1).log() / 2).sqrt()  # a chi-square of two degrees is exponential
+    elif outliers == "spikes":
+        size = torch.exp(uniform(runs, steps, 1) * np.log(1000 / 30)) * 30
+        errors = torch.where(uniform(runs, steps, 1) < 0.05, size * errors, errors)
+    z = truth[..., :2] + errors
+    z = z.masked_fill(uniform(runs, steps, 1) < missing, torch.nan)
+    return Problem(
+        Bank(models) if bank else straight, Position(1.0), Gaussian(mean, spread.diag()), truth, z, dt, chain
+    )
+
+
+def compared(
+    name: str, problem: Problem, filters: Mapping[str, Any], others: Sequence[str], options: argparse.Namespace,
+    measures: Sequence[str] = ("error", "time"), smooth: bool = False,
+) -> list[Cell]:  # fmt: skip
+    """The cells of a job: filters of torchfra, compiled, and other libraries, on the same tracks."""
+    dt = problem.dt if len(problem.dt.unique()) > 1 else float(problem.dt[0])
+    made = {label: f.compile() for label, f in filters.items()}
+    runs = {
+        f"torchfra, {label}": lambda f=f: (f.smooth if smooth else f)(problem.z, problem.prior, dt=dt)
+        for label, f in made.items()
+    }
+    means = {label: run().mean.detach().numpy() for label, run in runs.items()}
+    systems: dict[str, System] = dict(calls(runs))
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        job = Path(folder) / "job.npz"
+        np.savez(job, **problem.arrays())
+        for i, other in enumerate([*others, *([str(options.own)] if options.own else [])]):
+            peer = started(other, job, Path(folder) / f"{i}.npy", stack)
+            if peer is not None:
+                systems[other], means[other] = peer, peer.means()
+        rows = timed(systems, options.passes, problem.z.shape[:2].numel()) if "time" in measures else []
+    truth = problem.truth[..., :2].numpy()
+    error = {label: float(np.sqrt(np.square(x[..., :2] - truth).sum(-1).mean())) for label, x in means.items()}
+    values = {"error": error, "time": {row["system"]: row["median"] for row in rows}}
+    return [cell(name, measure, values[measure]) for measure in measures]
+
+
+def started(name: str, job: Path, means: Path, stack: ExitStack) -> Peer | None:
+    """The process of a library; says if it is not installed."""
+    python = os.environ.get("TORCHFRA_PEERS_PYTHON", sys.executable)
+    try:
+        peer = Peer([python, str(OTHERS), name, str(job), "--means", str(means)], means)
+    except ImportError as missing:
+        print(f"{name}: not installed ({missing}): pip install 'torchfra[bench]'")
+        return None
+    stack.callback(peer.close)
+    return peer
+
+
+def cell(job: str, measure: str, values: Mapping[str, float]) -> Cell:
+    """A cell, from the values of all systems."""
+    ours = {name: x for name, x in values.items() if name.startswith("torchfra")}
+    return Cell(job, measure, ours, {name: x for name, x in values.items() if name not in ours})
+
+
+def linear(options: argparse.Namespace) -> list[Cell]:
+    """Kalman filters on batches of tracks: all have the same estimates, so it is time alone."""
+    cells = []
+    for batch in (1, 100) if options.quick else (1, 1000, 100_000):
+        scenario = scenarios.as_stated()
+        rows = beside_peers(scenario, scenario.simulate(batch, options.seed), timing(options))
+        cells.append(of_rows(f"Kalman filter, {batch} tracks of 100 steps", rows))
+    return cells
+
+
+def long(options: argparse.Namespace) -> list[Cell]:
+    """Kalman filters on one long track."""
+    steps, cells = 1000 if options.quick else 10_000, []
+    for name, scenario in long_tracks(steps).items():
+        rows = beside_peers(scenario, scenario.simulate(1, options.seed), timing(options))
+        cells.append(of_rows(f"Kalman filter, one track of {steps} steps, {name}", rows))
+    return cells
+
+
+def bearings(options: argparse.Namespace) -> list[Cell]:
+    """Cubature and unscented filters on two bearings from moving stations."""
+    scenario, cells = scenarios.bearings_outliers(initial="truth"), []
+    for batch in (1, 100) if options.quick else (1, 1000):
+        rows = beside_peers(scenario, scenario.simulate(batch, options.seed), timing(options))
+        cells.append(of_rows(f"bearings, {batch} tracks of 100 steps", rows))
+    return cells
+
+
+def timing(options: argparse.Namespace) -> argparse.Namespace:
+    """The options as ``benchmarks`` take them."""
+    return argparse.Namespace(filters="srckf", modes="compiled", device="cpu", passes=options.passes, peers=True)
+
+
+def of_rows(job: str, rows: Sequence[Mapping[str, Any]]) -> Cell:
+    """A cell of times from rows of a benchmark."""
+    names = {row["system"]: row["median"] for row in rows}
+    return cell(job, "time", {f"torchfra, {n}" if n.endswith("compiled") else n: x for n, x in names.items()})
+
+
+def gaps(options: argparse.Namespace) -> list[Cell]:
+    """Irregular times, and measurements that are missing."""
+    data = problem(size(options, 20), options.seed, missing=0.3, irregular=True)
+    filters = {"srckf": presets.srckf(data.motion, data.sensor)}
+    return compared("irregular times, 30 % missing", data, filters, ["FilterPy", "pykalman", "statsmodels"], options)
+
+
+def smoothing(options: argparse.Namespace) -> list[Cell]:
+    """Smoothers of linear models."""
+    data = problem(size(options, 20), options.seed)
+    names = ["FilterPy", "pykalman", "statsmodels", "simdkalman", "dynamax", "torch-kf"]
+    filters = {"srckf": presets.srckf(data.motion, data.sensor)}
+    return compared("smoothing", data, filters, [f"{x}, smoother" for x in names], options, smooth=True)
+
+
+def spikes(options: argparse.Namespace) -> list[Cell]:
+    """Spikes and heavy tails, for which users gate or adapt."""
+    cells = []
+    for kind in ("spikes", "student"):
+        data = problem(size(options, 40), options.seed, outliers=kind)
+        filters = {name: getattr(presets, name)(data.motion, data.sensor) for name in ("rsrckf", "fra", "gpb")}
+        words = {"spikes": "spikes of 30 to 1000 std", "student": "Student's t, 2 degrees"}[kind]
+        cells += compared(words, data, filters, FILTERS, options, ["error"])
+    return cells
+
+
+def imm(options: argparse.Namespace) -> list[Cell]:
+    """Targets that turn, with a bank whose motions and chain are told; and with spikes."""
+    cells = []
+    for kind, more in (("none", ""), ("spikes", ", spikes of 30 to 1000 std")):
+        data = problem(size(options, 40), options.seed, outliers=kind, bank=True)
+        filters = {
+            "imm_srckf": presets.imm_srckf(data.motion, data.sensor, transition=data.chain),
+            "imm_fra": presets.imm_fra(data.motion, data.sensor, transition=data.chain),
+            "gpb": presets.gpb(data.motion, data.sensor),
+        }
+        others = ["FilterPy, IMM", "FilterPy, IMM, gated", "kalbee, IMM"]
+        measures = ["error", *(["time"] if kind == "none" else [])]
+        cells += compared(f"turning targets{more}", data, filters, others, options, measures)
+    return cells
+
+
+def gradient(options: argparse.Namespace) -> list[Cell]:
+    """A step of learning of a network in front of the filter."""
+    settings = vars(timing(options)) | {"scenario": "bearings-outliers", "initial": "truth", "batch": None}
+    with torch.enable_grad():
+        rows = layer(argparse.Namespace(**settings))
+    rows = [row for row in rows if row["system"] in ("srckf, compiled", *(BEARINGS[name] for name in LEARNERS))]
+    return [of_rows("gradient of a network in front, 64 tracks of 100 steps", rows)]
+
+
+def likelihood(options: argparse.Namespace) -> list[Cell]:
+    """The variances of a local level that make a series likeliest: time, and what is missing to the best likelihood."""
+    g = torch.Generator().manual_seed(options.seed)
+    z = (torch.randn(100, generator=g).double().cumsum(0) + 2 * torch.randn(100, generator=g).double())[:, None]
+    level = presets.srckf(RandomWalk(1.0, dims=1), Position(1.0, dims=1))
+    fitted: list[float] = []
+
+    def call() -> None:
+        with torch.enable_grad():
+            found = torchfra.fit(level, z, learn=("q", "std"), quiet=True)
+        start = Gaussian(z[0], found.filter.sensor.std().reshape(1, 1))  # after an exact diffuse start
+        fitted.append(found.filter(z[1:], start).log_likelihood.sum().item())
+
+    systems: dict[str, System] = {"torchfra, fit": Here(call, warming=(1, 0.0), seconds=1e-3)}
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        job, said = Path(folder) / "job.npz", Path(folder) / "said.npy"
+        empty = np.zeros(0)
+        np.savez(job, **dict.fromkeys(Job._fields, empty) | {"z": z.numpy()[None]})
+        name = "statsmodels, local level"
+        peer = started(name, job, said, stack)
+        if peer is not None:
+            systems[name] = peer
+        rows = timed(systems, min(options.passes, 3), 1)
+        values = {"torchfra, fit": fitted[-1], **({name: float(np.load(said)[0])} if peer is not None else {})}
+    best = max(values.values())
+    gaps = {
+        label: 1.0 + best - x for label, x in values.items()
+    }  # a ratio of differences of rounding would say nothing
+    words = "likeliest local level, series of 100"
+    times = {row["system"]: row["median"] for row in rows}
+    return [cell(words, "1 + loss of log-likelihood", gaps), cell(words, "time", times)]
+
+
+def size(options: argparse.Namespace, runs: int) -> int:
+    """Runs of a job."""
+    return max(runs // 10, 2) if options.quick else runs
+
+
+JOBS: dict[str, Callable[[argparse.Namespace], list[Cell]]] = {
+    "linear": linear,
+    "long": long,
+    "bearings": bearings,
+    "gaps": gaps,
+    "smoothing": smoothing,
+    "spikes": spikes,
+    "imm": imm,
+    "gradient": gradient,
+    "likelihood": likelihood,
+}
+
+
+def table(cells: Sequence[Cell], form: str = "text") -> str:
+    """Cells as text, the lost ones first."""
+    rows = []
+    for one in sorted(cells, key=lambda one: -one.ratio):
+        unit = {"error": " m", "time": " us"}.get(one.measure, "")
+        best = [min(systems.items(), key=lambda item: item[1]) for systems in (one.ours, one.theirs)]
+        said = [f"{name.removeprefix('torchfra, ')} {significant(x)}{unit}" for name, x in best]
+        rows.append([one.job, one.measure, f"{one.ratio:.2f}", *said])
+    return formed_table(form, ["job", "measure", "ratio", "torchfra", "best other"], rows, "Ratios below 1 are ahead.")
+
+
+def draw(cells: Sequence[Cell], path: Path) -> None:
+    """Ratios as points, the lost ones on top."""
+    import matplotlib.pyplot as plt
+
+    ordered = sorted(cells, key=lambda one: one.ratio)
+    figure, axes = plt.subplots(figsize=(8, 0.3 * len(ordered) + 1), layout="constrained")
+    lost = ["tab:red" if one.ratio > CLOSE else "tab:blue" for one in ordered]
+    axes.scatter([one.ratio for one in ordered], range(len(ordered)), c=lost)
+    axes.set_yticks(range(len(ordered)), [f"{one.job}: {one.measure}" for one in ordered])
+    axes.axvline(1.0, color="0.5", linewidth=1)
+    axes.set(xscale="log", xlabel="torchfra over the best other library: time or error, less is better")
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = make_parser(__doc__)
+    p.add_argument("--jobs", default=",".join(JOBS), help=f"some of {', '.join(JOBS)} (default: all)")
+    p.add_argument("--quick", action="store_true", help="fewer and shorter tracks")
+    p.add_argument("--own", type=Path, metavar="FILE", help="Python with peer(job), to be compared where others are")
+    p.add_argument("--seed", type=int, default=0, help="of the tracks (default: 0)")
+    p.add_argument("--passes", type=int, default=7, help="timed passes (default: 7)")
+    p.add_argument("--figure", type=Path, metavar="FILE", help="PNG of the ratios")
+    p.add_argument("--form", default="text", choices=["text", "markdown"], help="of the table (default: text)")
+    add_json_option(p)
+    return p
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the jobs; returns the exit status: see ``torchfra.cli.command.exit_status``."""
+    p = parser()
+    options = p.parse_args(arguments)
+    check_list(p, "jobs", options.jobs, JOBS)
+    return exit_status("field", lambda: field(options))
+
+
+@torch.no_grad()
+def field(options: argparse.Namespace) -> None:
+    """Runs the jobs that the options name, prints their cells and writes them."""
+    check_least(options, passes=1)
+    check_files({"json": options.json, "figure": options.figure}, [options.own] if options.own else [])
+    cells: list[Cell] = []
+    for name in options.jobs.split(","):
+        cells += [one for one in JOBS[name](options) if one.theirs]
+    if not cells:
+        raise ValueError("jobs: expected another library that is installed, found none: pip install 'torchfra[bench]'")
+    ahead = sum(one.ratio <= CLOSE for one in cells)
+    print(f"\n{table(cells, options.form)}\nfirst, or within 2 % of it, in {ahead} of {len(cells)} cells")
+    print(f"Not compared, as no other library here does it: {'; '.join(ALONE)}.")
+    if options.figure is not None:
+        draw(cells, options.figure)
+    settings = {key: str(value) if isinstance(value, Path) else value for key, value in vars(options).items()}
+    results = [{**one._asdict(), "ratio": one.ratio} for one in cells]
+    write_results(options.json, {"settings": settings, "cells": results})
+
+
+if __name__ == "__main__":
+    sys.exit(main())

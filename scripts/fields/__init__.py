@@ -1,0 +1,1 @@
+"""Jobs and peers of scripts/field.py."""

@@ -1,0 +1,79 @@
+"""Beside other libraries: the cells that are lost come first, and a filter of one's own joins."""
+
+import json
+
+import field
+import numpy as np
+import pytest
+
+OWN = '''
+import numpy as np
+
+
+def peer(job):
+    """A Kalman filter of one motion, track by track, that leaves out what is missing."""
+
+    def track(x, z):
+        p, kept = job.p, []
+        for z_k, f, q in zip(z, job.matrices[0], job.noises[0]):
+            x, p = f @ x, f @ p @ f.T + q
+            if not np.isnan(z_k).any():
+                gain = p @ job.sensor.T @ np.linalg.inv(job.sensor @ p @ job.sensor.T + job.r)
+                x, p = x + gain @ (z_k - job.sensor @ x), p - gain @ job.sensor @ p
+            kept.append(x)
+        return np.array(kept)
+
+    return lambda: np.array([track(x, z) for x, z in zip(job.means, job.z)])
+'''
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """No other library is installed."""
+
+    def missing(name, *arguments):
+        if name.endswith(".py"):
+            return started(name, *arguments)
+        print(f"{name}: not installed")
+        return None
+
+    started = field.started
+    monkeypatch.setattr(field, "started", missing)
+
+
+def test_a_filter_of_ones_own_joins_and_has_the_same_errors_where_models_hold(alone, tmp_path, capsys):
+    own, results = tmp_path / "mine.py", tmp_path / "field.json"
+    own.write_text(OWN)
+    options = ["--quick", "--passes", "1", "--jobs", "gaps,spikes", "--own", str(own), "--json", str(results)]
+    assert field.main(options) == 0
+    said = capsys.readouterr().out
+    assert "pykalman: not installed" in said
+    cells = {(one["job"], one["measure"]): one for one in json.loads(results.read_text())["cells"]}
+    assert cells["irregular times, 30 % missing", "error"]["ratio"] == pytest.approx(1.0, abs=1e-9)
+    assert cells["spikes of 30 to 1000 std", "error"]["ratio"] < 0.1  # it follows spikes
+    assert [*cells["irregular times, 30 % missing", "time"]["theirs"]] == [str(own)]
+
+
+def test_without_any_other_library_it_says_what_to_install(alone, capsys):
+    assert field.main(["--quick", "--passes", "1", "--jobs", "gaps"]) == 2
+    assert "expected another library that is installed" in capsys.readouterr().err
+
+
+def test_cells_that_are_lost_come_first_and_are_red(tmp_path):
+    cells = [
+        field.cell("fast", "time", {"torchfra, srckf": 1.0, "other": 4.0, "slow": 9.0}),
+        field.cell("lost", "error", {"torchfra, fra": 3.0, "torchfra, gpb": 2.5, "other": 1.0}),
+    ]
+    lines = field.table(cells).splitlines()
+    assert lines[1].split() == ["lost", "error", "2.50", "gpb", "2.50", "m", "other", "1.00", "m"]
+    assert lines[2].split()[:3] == ["fast", "time", "0.25"]
+    field.draw(cells, tmp_path / "ratios.png")
+    assert (tmp_path / "ratios.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("kind", ["spikes", "student"])
+def test_outliers_are_as_wild_as_said(kind):
+    data = field.problem(20, 0, outliers=kind)
+    away = np.abs((data.z - data.truth[..., :2]).numpy()).max(-1)
+    assert np.median(away) < 2
+    assert np.mean(away > 15) == pytest.approx(0.05 if kind == "spikes" else 0.012, abs=0.01)
