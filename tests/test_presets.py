@@ -13,6 +13,7 @@ from torchfra.adaptive import Fading
 from torchfra.association import Clutter
 from torchfra.hyper import hypers
 from torchfra.motion import ConstantAcceleration, ConstantVelocity
+from torchfra.presets import constant_gains
 from torchfra.presets import options as groups
 from torchfra.robust import Huber, HuberScore, ThreeSegment
 from torchfra.sensors import Bearings, Position
@@ -27,7 +28,8 @@ def keywords(preset):
     own = {name: str(p.annotation) for name, p in own.items()}
     if group is None:
         return own
-    typed = getattr(groups, group.annotation.removeprefix("Unpack[").removesuffix("]"))
+    name = group.annotation.removeprefix("Unpack[").removesuffix("]")
+    typed = getattr(groups, name, None) or getattr(constant_gains, name)
     return own | {name: str(kind) for name, kind in typed.__annotations__.items()}
 
 
