@@ -155,8 +155,13 @@ class Kernels:
         if has_tangents():
             done = self._with_tangents(batch, steps, [forward_ad.unpack_dual(x) for x in (*state, *inputs)])
         else:
-            whole: Sequence[Tensor] | None = None
-            if self.step.repeated and checkpoint is truncate is None and is_long(batch, steps):
+            whole = None
+            plain = self.step.repeated and checkpoint is truncate is None and inputs[0].device == _CPU
+            if (
+                plain
+                and is_long(batch, steps)
+                and (self.remembers(batch, steps) or not has_gradient((*state, *inputs)))
+            ):
                 whole = self._in_pieces(batch, steps, state, inputs)
             done = whole or self._done(batch, steps, state, inputs, checkpoint, truncate)
         rest = iter([batch_first(x, len(batch)) for x in done])
