@@ -20,8 +20,6 @@ from torchfra.plotting.style import TITLE, line_styles, without_box, words
 
 _ROOM = 30.0
 """Upper limit of errors, as a factor on their median over all lines; a name at the upper edge is beyond."""
-_SHOWN = 1.3
-"""Upper limit of errors with a sign, as a factor on the size that 95 % of them have at most."""
 _QUANTITIES = (("range", "m", 1.0), ("azimuth", "mrad", 1e3), ("elevation", "mrad", 1e3))
 
 
@@ -204,6 +202,8 @@ def in_space(truth: Tensor, estimates: Tensor, measured: Tensor, title: str) -> 
 def errors_along(errors: dict[str, Tensor], dt: float, ylabel: str, title: str) -> Figure:
     """Errors over time: medians of the runs, and their quartiles as bands.
 
+    The axis is linear up to twice the median size, and logarithmic beyond: errors of metres show beside kilometres.
+
     Args:
         errors: by name of the filter, ``(B, T)`` each.
         dt: seconds per step.
@@ -213,9 +213,9 @@ def errors_along(errors: dict[str, Tensor], dt: float, ylabel: str, title: str) 
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes, styles = figure.subplots(), line_styles(errors)
     lines = {name: _band(axes, dt, of, styles[name]) for name, of in errors.items()}
-    # A filter that does not follow at all leaves the axes, which would be flat otherwise.
-    room = _SHOWN * float(torch.stack(list(errors.values())).abs().nanquantile(0.95))
-    axes.set(xlabel="time, s", ylabel=ylabel, title=words(title, TITLE), ylim=(-room, room))
+    usual = float(torch.stack(list(errors.values())).abs().nanmedian())
+    axes.set_yscale("symlog", linthresh=2 * usual)
+    axes.set(xlabel="time, s", ylabel=ylabel, title=words(title, TITLE))
     return named(figure, {axes: lines})
 
 
