@@ -6,6 +6,7 @@ Filters estimate in modified spherical coordinates; the truth is Cartesian.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from papers.experiment import SHOWN, Experiment, Figures, Filters, Results, Study, catalogue_filters
 from papers.figures import by_target, in_space, raw_and_filtered
-from torchfra import metrics
+from torchfra import metrics, presets
 from torchfra.angles import wrap
 from torchfra.association import Euclidean
 from torchfra.catalogue import scenario_filter
@@ -47,6 +48,9 @@ _FARTHEST = 25.0
 _CHUNK = 500
 _SAFEGUARDS = {"paper": (0.0, 0.0), "safe": (0.9999, 1e-3)}
 """Least probability of the gate, and the probability below which a series of misses means that a track is lost."""
+SAME_POINTS = "_same_points"
+"""End of the names of filters whose points go from the prediction through the sensor, as in the paper."""
+_INNER = {"ukf": partial(presets.ukf, alpha=1.0, beta=2.0, kappa=0.0), "iaukf": presets.iaukf}
 _KEYS = {"RMSE m": "rmse", "kept m": "rmse_kept", "median run": "median_run", "lost": "lost", "swaps": "swaps",
          "range m": "filtered_range", "raw m": "raw_range"}  # fmt: skip
 
@@ -55,12 +59,17 @@ def filters(scenario: Scenario, names: Sequence[str]) -> Filters:
     """Filters of these names; those of scans at both gates.
 
     ``ukf_jpda_paper`` and ``iaukf_jpda_paper`` are as in the paper, those on ``_safe`` have the safeguards of
-    ``presets.iaukf_jpda``.
+    ``presets.iaukf_jpda``.  Those on ``SAME_POINTS`` draw no new points after the prediction, as in the paper.
     """
-    if scenario.clutter is None:
-        return catalogue_filters(scenario, names)
     made: Filters = {}
     for name in names:
+        base = name.removesuffix(SAME_POINTS)
+        if base != name:
+            made |= _with_same_points(scenario, name, base)
+            continue
+        if scenario.clutter is None:
+            made |= catalogue_filters(scenario, [name])
+            continue
         base, _, kind = name.rpartition("_")
         if kind not in _SAFEGUARDS:
             raise ValueError(f"filters: expected names that end in _paper or _safe, received {name!r}")
@@ -68,6 +77,18 @@ def filters(scenario: Scenario, names: Sequence[str]) -> Filters:
         for size in GATES:
             made[f"{name} {size:g} m"] = scenario_filter(base, scenario, gate=Euclidean(size, least), lost=lost)
     return made
+
+
+def _with_same_points(scenario: Scenario, name: str, base: str) -> Filters:
+    """A filter, or those at both gates, whose points go from the prediction through the sensor."""
+    kind = base.removesuffix("_jpda_paper")
+    if kind not in _INNER or (kind == base) != (scenario.clutter is None):
+        raise ValueError(f"filters: expected {' or '.join(_INNER)} before {SAME_POINTS}, received {name!r}")
+    motion, sensor, inner = scenario.motion, scenario.sensor, partial(_INNER[kind], redraw=False)
+    if scenario.clutter is None:
+        return {name: inner(motion, sensor)}
+    return {f"{name} {size:g} m": presets.jpda(motion, sensor, clutter=scenario.clutter, inner=inner,
+                                               gate=Euclidean(size)) for size in GATES}  # fmt: skip
 
 
 def summarise(study: Study, results: Results) -> tuple[dict[str, Any], str]:

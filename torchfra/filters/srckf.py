@@ -16,7 +16,7 @@ from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.records import Past, Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.model import add_counts, canonical, repairs
+from torchfra.gaussian.model import add_counts, canonical, predict_and_compare, repairs
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
@@ -60,13 +60,16 @@ class SRCKF(Filter[State]):
         fading: factors that widen the prediction where the motion no longer holds (``torchfra.adaptive``); None for
             none.
         noise: an estimate of the measurement noise (``torchfra.adaptive``); None for the sensor's own.
+        redraw: whether points are drawn anew for the measurement, with the process noise in them; otherwise the points
+            of the prediction go on through the sensor, as in some papers.
 
     ``Estimate.nis`` and ``log_likelihood`` are those of the plain prediction under the nominal noise, or under the
     noise as estimated before the step.
 
     Raises:
         ValueError: fading factors and a rule with negative weights; an estimate of the noise beside fading factors or a
-            robust update, as both would explain the same large innovations; or see ``Filter``.
+            robust update, as both would explain the same large innovations; without ``redraw``, fading factors or a
+            rule with negative weights; or see ``Filter``.
 
     Source: Arasaratnam & Haykin (2009), "Cubature Kalman Filters"; Wang et al. (2021), sections 1-2, whose equation
     numbers stand in the code.  Differs: measurements are in units of their noise from (17) on, and (17), (20) and
@@ -84,6 +87,7 @@ class SRCKF(Filter[State]):
         robust: Robust | None = None,
         fading: Fading | None = None,
         noise: SageHusa | None = None,
+        redraw: bool = True,
     ) -> None:
         super().__init__(motion, sensor, rule)
         parts: dict[str, tuple[Any, type]] = {
@@ -92,7 +96,8 @@ class SRCKF(Filter[State]):
             "noise": (noise, SageHusa),
         }
         check_parts(**{name: part for name, part in parts.items() if part[0] is not None})
-        self.robust, self.noise = robust, noise
+        self.robust, self.noise, self.redraw = robust, noise, redraw
+        self.mixes = redraw  # a mix has the moments of beliefs alone, for which new points are drawn
         self.fading = None if fading is None else fading.for_motion(motion)
         if self.signed and fading is not None:
             raise ValueError(
@@ -102,6 +107,9 @@ class SRCKF(Filter[State]):
         if others and noise is not None:
             expected = "none beside an estimate of the measurement noise"
             raise ValueError(f"robust, fading: expected {expected}, received {' and '.join(others)}")
+        if not redraw and (self.motion_rule.signed or fading is not None):
+            received = "a rule with some" if self.motion_rule.signed else "fading factors"
+            raise ValueError(f"redraw: expected True but for rules without negative weights, received False and {received}")
         if noise is not None and len(noise.block_of) != sensor.size:
             count = len(noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
@@ -140,6 +148,8 @@ class SRCKF(Filter[State]):
     def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)`` under the estimated noise, in nominal units."""
         whitened = self.compare(beliefs, frame)
+        if not self.redraw:
+            _, whitened = self.predict_and_compare(Gaussian(*(x.unsqueeze(0) for x in state.belief)), frame)
         if self.noise is None:
             return Gaussian(whitened.residual, innovation(whitened)[0])
         root, _ = innovation(self.noise.rescale(whitened, state.noise))
@@ -149,10 +159,16 @@ class SRCKF(Filter[State]):
         """The past for the backward pass: beliefs, and the fading factors of the forward pass."""
         return Past(belief, info.fading)
 
+    def predict_and_compare(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
+        """The prediction of a step, and the measurement compared with it."""
+        if not self.redraw:
+            return predict_and_compare(self.motion, self.sensor, self.motion_rule, belief, frame)
+        prediction = self.predicted(belief, frame)  # (8)-(13)
+        return prediction, self.compare(prediction.belief, frame)  # (14)-(21)
+
     def advance(self, state: State, frame: Frame, mix: Mix | None = None) -> tuple[State, Record]:
         """One step; equation numbers of Wang et al. (2021)."""
-        prediction = self.predicted(state.belief if mix is None else mix(state.belief), frame)  # (8)-(13)
-        whitened = self.compare(prediction.belief, frame)  # (14)-(21)
+        prediction, whitened = self.predict_and_compare(state.belief if mix is None else mix(state.belief), frame)
         if self.noise is not None:
             return self.learn(self.noise, prediction, whitened, state, frame)
         if self.robust is not None or self.fading is not None:

@@ -81,6 +81,42 @@ def predict(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Predi
     return Prediction(after, propagated.spread, propagated.process_noise, repaired)
 
 
+def predict_and_compare(
+    motion: Motion, sensor: Sensor, rule: Rule, belief: Gaussian, frame: Frame
+) -> tuple[Prediction, Whitened]:
+    """``predict`` and ``compare`` by one set of points: the predicted ones go through the sensor as they are.
+
+    ``tria([[X, S_Q], [Z, 0]]) = [[S, 0], [H S, rest]]``, with the spreads X of the state and Z of the measurement.
+
+    Source: Chen, Zou & Wu, eqs. (11)-(18).
+    """
+    n, d, noise = motion.size, sensor.reads, frame.measurement_noise
+    frame = adapted(frame, belief.mean)
+
+    def through(x: Tensor) -> Tensor:
+        if frame.transition is None:
+            after = motion.at_points(x, frame.dt, frame.u)
+        else:
+            after = apply(frame.transition, x) if frame.shift is None else apply(frame.transition, x) + frame.shift
+        rows = hstack(after.unsqueeze(-2), sensor.at_points(after[..., :d], frame.u).unsqueeze(-2))
+        return rows.squeeze(-2)
+
+    def difference(a: Tensor, b: Tensor) -> Tensor:
+        return torch.cat([motion.difference(a[..., :n], b[..., :n]), sensor.difference(a[..., n:], b[..., n:])], -1)
+
+    value, spread, _ = rule(through, belief, difference)
+    mean, z = value[..., :n], value[..., n:]
+    process_noise = frame.process_noise
+    if frame.transition is None:
+        process_noise = motion.process_noise_at(process_noise, mean, frame.dt)
+    below = process_noise.new_zeros(*process_noise.shape[:-2], sensor.size, process_noise.shape[-1])
+    root = tria(hstack(spread, torch.cat([process_noise, below], -2)))
+    prediction = Prediction(Gaussian(mean, root[..., :n, :n]), spread[..., :n, :], process_noise)
+    residual = noise.whiten(sensor.difference(frame.z, z).unsqueeze(-1)).squeeze(-1)
+    whitened = Whitened(residual, noise.whiten(hstack(root[..., n:, n:], root[..., n:, :n])), n)
+    return prediction, whitened
+
+
 def propagate(motion: Motion, rule: Rule, belief: Gaussian, frame: Frame) -> Propagated:
     """The predicted mean and the parts of its covariance."""
     mean, root = belief

@@ -39,7 +39,7 @@ from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian, Innovation
+from torchfra.types import Gaussian, Innovation, Whitened
 
 Associate = Callable[[Scan, Tensor], Association]
 """From the measurements of a scan and their log membership ``(..., N, J)`` of gates to the association."""
@@ -137,6 +137,8 @@ class JPDA(Soft, Filter[JPDAState]):
         gate.check(inner.sensor)
         if not 0 <= as_number(lost) < 1:
             raise ValueError(f"lost: expected a probability of 0 or more and below 1, received {lost!r}")
+        if lost and not getattr(inner, "redraw", True):
+            raise ValueError(f"lost: expected 0 around a filter with redraw=False, received {lost!r}")
         self.inner, self.gate, self.clutter = copy.deepcopy((inner, gate, clutter))
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
@@ -199,9 +201,12 @@ class JPDA(Soft, Filter[JPDAState]):
             frame: of the scan.
         """
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state)
-        prediction = f.predicted(belief, frame)
-        prediction = prediction if inflation is None else inflated(prediction, inflation)
-        scan = self.compare_scan(f, prediction.belief, noise, frame)
+        if inflation is None:
+            prediction, whitened = f.predict_and_compare(belief, frame)
+        else:
+            prediction = inflated(f.predicted(belief, frame), inflation)
+            whitened = f.compare(prediction.belief, frame)
+        scan = self.scan_of(f, prediction.belief, whitened, noise, frame)
         repaired = target_repairs(prediction, scan.whitened)
         association = associate(scan, self.inside(scan))  # (25)-(27)
         learn = partial(learn_noise, f.noise, association=association, frame=frame, share_noise=self.share_noise)
@@ -230,7 +235,8 @@ class JPDA(Soft, Filter[JPDAState]):
         """
         f, state = self.inner, state if inflation is None else inflated_state(self.inner, state, inflation)
         none, record = step_missed(f, state, frame, self.sensor)
-        scan = self.compare_scan(core(f), record.belief, None, frame)
+        whitened = core(f).compare(record.belief, frame)
+        scan = self.scan_of(core(f), record.belief, whitened, None, frame)
         inside = self.inside(scan)
         each = step_measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)
@@ -238,16 +244,16 @@ class JPDA(Soft, Filter[JPDAState]):
         inner, info = merge_hypotheses(f, none, each, association)
         return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
 
-    def compare_scan(self, f: Any, belief: Gaussian, noise: Any, frame: Frame) -> Scan:
-        """Compares the measurements of a scan with the prediction ``belief (..., N, 1)`` of each target.
+    def scan_of(self, f: Any, belief: Gaussian, whitened: Whitened, noise: Any, frame: Frame) -> Scan:
+        """The measurements of a scan beside the prediction ``belief (..., N, 1)`` of each target.
 
         Args:
             f: the filter of each target.
             belief: predicted.
+            whitened: the measurements, compared with it.
             noise: memory of the noise estimate; None without an estimate.
             frame: of the scan.
         """
-        whitened = f.compare(belief, frame)
         root, normalised = innovation(whitened if noise is None else f.noise.rescale(whitened, noise))
         if noise is not None:
             every = frame.measured if root.shape[-3] > 1 else torch.ones_like(frame.measured[..., :1, :])
