@@ -76,9 +76,9 @@ def test_a_target_that_is_surely_measured_is_followed_as_without_association():
 
 
 def test_what_needs_new_points_is_refused():
-    with pytest.raises(ValueError, match="redraw: expected True"):
+    with pytest.raises(ValueError, match="redraw: expected True beside fading factors"):
         SRCKF(MOTION, SENSOR, redraw=False, fading=presets.asrckf(MOTION, SENSOR).fading)
-    with pytest.raises(ValueError, match="lost: expected 0 around a filter with redraw=False, received 0.001"):
+    with pytest.raises(ValueError, match=r"lost: expected 0 around a filter with redraw=False, received 0\.001"):
         presets.jpda(MOTION, SENSOR, clutter=Clutter(1e-4), lost=1e-3,
                      inner=lambda m, s: presets.ukf(m, s, redraw=False))  # fmt: skip
     with pytest.raises(ValueError, match="mixes"):

@@ -61,7 +61,7 @@ class SRCKF(Filter[State]):
             none.
         noise: an estimate of the measurement noise (``torchfra.adaptive``); None for the sensor's own.
         redraw: whether points are drawn anew for the measurement, with the process noise in them; otherwise the points
-            of the prediction go on through the sensor, as in some papers.
+            of the prediction go on through the sensor, as in some papers: the innovation then lacks the process noise.
 
     ``Estimate.nis`` and ``log_likelihood`` are those of the plain prediction under the nominal noise, or under the
     noise as estimated before the step.
@@ -108,8 +108,8 @@ class SRCKF(Filter[State]):
             expected = "none beside an estimate of the measurement noise"
             raise ValueError(f"robust, fading: expected {expected}, received {' and '.join(others)}")
         if not redraw and (self.motion_rule.signed or fading is not None):
-            received = "a rule with some" if self.motion_rule.signed else "fading factors"
-            raise ValueError(f"redraw: expected True but for rules without negative weights, received False and {received}")
+            beside = "a rule with negative weights" if self.motion_rule.signed else "fading factors"
+            raise ValueError(f"redraw: expected True beside {beside}, received False")
         if noise is not None and len(noise.block_of) != sensor.size:
             count = len(noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
