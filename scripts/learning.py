@@ -2,7 +2,7 @@
 
     python scripts/learning.py --json out/learning.json
     python scripts/learning.py --learn threshold,weakening,gate
-    python scripts/learning.py --starts 0.3:30 --ways hard,1-0.1,10-0.1
+    python scripts/learning.py --starts 0.3:30 --ways hard,1-0.1 --restarts 8
 
 Cells are scenario 1 (a bad prior) and scenario 2 of Wang et al. (2021), each with outliers of ten times the covariance
 or the standard deviation.  A way is ``hard``, a temperature, or two between which it falls geometrically.  A training
@@ -10,7 +10,7 @@ is Adam on new tracks in each iteration, with the robust loss; the filter that i
 learns from tracks of seed S + i and is judged on others, of seed S + i + 10000; an error is the mean over time of the
 RMSE of the position, a gain is the change of the error on the same tracks, with a 95 % interval over the trainings.
 Beside them are the best point of a grid (chosen on tracks of seed S + 20000, judged as the trainings are) and
-``torchfra.fit``.
+``torchfra.fit`` from each start, alone or with others around it.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ SCALE = 100.0
 """Error above which a track counts less, m."""
 BATCH, RATE, CLIP = 32, 0.1, 1.0
 """Tracks of an iteration, the first learning rate, and the largest norm of a gradient."""
+_NEAR = 0.01
+"""How much larger than the least loss of the grid one may be that is as good as it."""
 STUDENT = {1: 12.71, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31, 9: 2.26}
 """95 % point of Student's t, by degrees of freedom."""
 
@@ -66,6 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--iterations", type=int, default=100, metavar="K", help="of a training (default: 100)")
     p.add_argument("--runs", type=int, default=500, metavar="M", help="that judge a training (default: 500)")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="of the first training (default: 0)")
+    p.add_argument("--restarts", type=int, default=1, metavar="R", help="starts of fit (default: 1)")
     p.add_argument("--no-grid", action="store_true", help="neither the grid nor fit")
     p.add_argument("--no-compile", action="store_true", help="interpret filters, which takes a hundred times as long")
     add_output_options(p)
@@ -81,7 +84,7 @@ def study(options: argparse.Namespace) -> None:
         ValueError: an option out of its range.
     """
     check_files({"json": options.json})
-    check_least(options, trainings=2, iterations=1, runs=1)
+    check_least(options, trainings=2, iterations=1, runs=1, restarts=1)
     if options.trainings > len(STUDENT) + 1:
         raise ValueError(f"trainings: expected at most {len(STUDENT) + 1}, received {options.trainings}")
     ways = {name: temperatures(name) for name in options.ways.split(",")}
@@ -130,7 +133,7 @@ def of_cell(
     starts: dict[str, list[float]],
     options: argparse.Namespace,
 ) -> dict[str, Any]:
-    """Errors of a scenario: with the defaults, of each way from each start, of the grid and of ``fit``."""
+    """Errors of a scenario: with the defaults, of each way from each start, of the grid and of the fits."""
     names, seeds = tuple(options.learn.split(",")), range(options.seed, options.seed + options.trainings)
     judges = [scenario.simulate(options.runs, JUDGES + seed) for seed in seeds]
     default = made(scenario, (1.345, 2.0), names, options)
@@ -146,7 +149,8 @@ def of_cell(
         row["after"].append(error(f, scenario, judges[i]))
         row["values"].append([natural_values(f)[key] for key in learned(f, names)])
     if not options.no_grid:
-        found |= of_grid(default, scenario, judges, options)
+        found["grid"] = of_grid(default, scenario, judges, options)
+        found["fits"] = of_fits(scenario, starts, judges, options)
     return found
 
 
@@ -188,21 +192,40 @@ def error(f: Filter, scenario: Scenario, tracks: Tracks) -> float:
 
 
 def of_grid(f: Filter, scenario: Scenario, judges: list[Tracks], options: argparse.Namespace) -> dict[str, Any]:
-    """The best point of the grid and the result of ``fit``, judged; losses of the grid."""
-    compile = not options.no_compile
+    """The best point of the grid, judged, and the losses of all points."""
     values = {"threshold": THRESHOLDS, "weakening": WEAKENINGS}
-    grid = sweep(f, scenario, values, loss="robust", scale=SCALE, seed=CHOICE + options.seed, compile=compile)
-    fitted = fit(f, scenario, learn=tuple(values), loss="robust", scale=SCALE, seed=CHOICE + options.seed,
-                 compile=compile)  # fmt: skip
+    grid = sweep(f, scenario, values, loss="robust", scale=SCALE, seed=CHOICE + options.seed,
+                 compile=not options.no_compile)  # fmt: skip
     at_best = made(scenario, tuple(grid.best.values()), tuple(values), options)
-    least = min(grid.losses)
+    near = [
+        point for point, loss in zip(grid.points, grid.losses, strict=True) if loss <= (1 + _NEAR) * min(grid.losses)
+    ]
     return {
-        "grid": {"best": grid.best, "after": [error(at_best, scenario, tracks) for tracks in judges],
-                 "points": grid.points, "losses": grid.losses,
-                 "within 1 %": [point for point, loss in zip(grid.points, grid.losses, strict=True)
-                                if loss <= 1.01 * least]},
-        "fit": {"after": [error(fitted.filter, scenario, tracks) for tracks in judges], "text": str(fitted)},
-    }  # fmt: skip
+        "after": [error(at_best, scenario, tracks) for tracks in judges],
+        "values": [list(grid.best.values())],
+        "points": grid.points,
+        "losses": grid.losses,
+        "near": near,
+    }
+
+
+def of_fits(
+    scenario: Scenario, starts: dict[str, list[float]], judges: list[Tracks], options: argparse.Namespace
+) -> dict[str, Any]:
+    """Results of ``fit`` from each start, judged, and what it prints."""
+    found = {}
+    for start, values in starts.items():
+        for restarts in sorted({1, options.restarts}):
+            learn = tuple(options.learn.split(","))
+            fitted = fit(made(scenario, values, learn, options), scenario, learn=learn, loss="robust", scale=SCALE,
+                         restarts=restarts, seed=CHOICE + options.seed, compile=not options.no_compile)  # fmt: skip
+            name = f"fit, from {start}" if restarts == 1 else f"fit, from {restarts} around {start}"
+            found[name] = {
+                "after": [error(fitted.filter, scenario, tracks) for tracks in judges],
+                "values": [[natural_values(fitted.filter)[path] for path in learned(fitted.filter, learn)]],
+                "text": str(fitted),
+            }
+    return found
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
@@ -215,11 +238,13 @@ def table(cell: dict[str, Any]) -> str:
     """Errors before and after, gains and values."""
     before = cell["before"]
     rows = [["defaults", f"{statistics.mean(before):.1f}", "", ""]]
-    named = {**cell["trainings"], **{key: cell[key] for key in ("grid", "fit") if key in cell}}
+    named = {**cell["trainings"], **({"grid": cell["grid"]} if "grid" in cell else {}), **cell.get("fits", {})}
     for name, of in named.items():
         mean, half = interval([100 * (a / b - 1) for a, b in zip(of["after"], before, strict=True)])
-        values = of.get("values", [list(of["best"].values())] if "best" in of else [])
-        middle = ", ".join(f"{statistics.median(x):.3g}" for x in zip(*values, strict=True))
+        middle = ", ".join(f"{statistics.median(x):.3g}" for x in zip(*of["values"], strict=True))
+        if "near" in of:  # how flat the loss is
+            ends = [f"{min(x):g} to {max(x):g}" for x in zip(*of["near"], strict=True)]
+            middle += f" (within {_NEAR:.0%}: {', '.join(ends)})"
         rows.append([name, f"{statistics.mean(of['after']):.1f}", f"{mean:+.1f} +- {half:.1f}", middle])
     return text_table(["", "error m", "gain %", "values"], rows)
 

@@ -41,11 +41,13 @@ def test_the_grid_and_fit_are_judged_on_the_tracks_of_the_trainings(tmp_path, mo
     monkeypatch.setattr(learning, "WEAKENINGS", (2.0, 20.0))
     monkeypatch.setattr(learning, "sweep", functools.partial(learning.sweep, runs=6))
     monkeypatch.setattr(learning, "fit", functools.partial(learning.fit, runs=20, iterations=2, polish=False))
-    found = run(tmp_path / "l.json", "--ways", "hard")
+    found = run(tmp_path / "l.json", "--ways", "hard", "--starts", "0.3:30", "--restarts", "2")
     assert len(found["grid"]["points"]) == len(found["grid"]["losses"]) == 4
-    assert list(found["grid"]["best"].values()) in found["grid"]["within 1 %"]
-    assert len(found["grid"]["after"]) == len(found["fit"]["after"]) == 2
-    assert "threshold" in found["fit"]["text"]
+    assert found["grid"]["values"][0] in found["grid"]["near"]
+    assert list(found["fits"]) == ["fit, from 0.3:30", "fit, from 2 around 0.3:30"]
+    for of in found["fits"].values():
+        assert len(found["grid"]["after"]) == len(of["after"]) == 2
+        assert "threshold" in of["text"]
 
 
 def test_a_temperature_falls_between_two_or_stays():
