@@ -60,7 +60,7 @@ class SRCKF(Filter[State]):
         fading: factors that widen the prediction where the motion no longer holds (``torchfra.adaptive``); None for
             none.
         noise: an estimate of the measurement noise (``torchfra.adaptive``); None for the sensor's own.
-        redraw: whether points are drawn anew for the measurement, with the process noise in them; otherwise the points
+        redraw: whether the measurement has points of its own, with the process noise in them; otherwise the points
             of the prediction go on through the sensor, as in some papers: the innovation then lacks the process noise.
 
     ``Estimate.nis`` and ``log_likelihood`` are those of the plain prediction under the nominal noise, or under the

@@ -294,8 +294,8 @@ def _reflect(a: Tensor, way: _Way) -> Tensor:
 
     What is left out is a copy and ``triu``, whose threads an eager step of small matrices pays for.  An eager step of
     SRCKF takes 3.7 +- 0.3 times as long by ``torch.linalg.qr`` for one track and 1.61 +- 0.03 times for 64 tracks with
-    two threads (wall time in another run: 4.4 +- 0.2 and 1.25 +- 0.15); with one thread 1.02 +- 0.02 and 1.00 +- 0.02
-    times, for 1000 tracks 1.06 +- 0.01 (processor time, medians of ratios of turns with standard errors, a busy server).
+    two threads (by the clock 4.4 +- 0.2 and 1.25 +- 0.15); with one thread 1.02 +- 0.02 and 1.00 +- 0.02 times, for
+    1000 tracks 1.06 +- 0.01 (processor time, medians of ratios of turns with standard errors, a busy server).
     """
     n, finer = a.shape[-2], _finer(a, way)
     lower: Tensor = torch.geqrf(finer.mT)[0][..., :n, :].mT * _minus_lower(n, finer.dtype, a.device)

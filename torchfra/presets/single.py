@@ -85,7 +85,7 @@ def ukf(
         alpha: spread of the points: ``cubature.unscented``.
         beta: added to the centre's weight in the covariance: ``cubature.unscented``.
         kappa: moves points from the centre outwards: ``cubature.unscented``.
-        redraw: whether points are drawn anew for the measurement: ``filters.SRCKF``.
+        redraw: whether the measurement has points of its own: ``filters.SRCKF``.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
     """
     return with_learning(SRCKF(motion, sensor, rule=unscented(alpha, beta, kappa), redraw=redraw), learn)
@@ -289,12 +289,12 @@ def iaukf(
     Args:
         motion: how targets move.
         sensor: what is measured.
-        redraw: whether points are drawn anew for the measurement: ``filters.SRCKF``; False is the paper's.
+        redraw: whether the measurement has points of its own: ``filters.SRCKF``; False is the paper's.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
 
-    Source: Chen, Zou & Wu, eqs. (10)-(24), with ``alpha=1, kappa=0`` and their psi of 2.  Differs: points are drawn
-    anew for the measurement, with the process noise in them.
+    Source: Chen, Zou & Wu, eqs. (10)-(24), with ``alpha=1, kappa=0`` and their psi of 2.  Differs: the
+    measurement has points of its own, with the process noise in them.
     """
     estimator = SageHusa(sensor.blocks, **options)
     return with_learning(SRCKF(motion, sensor, rule=unscented(1.0, 2.0, 0.0), noise=estimator, redraw=redraw), learn)
