@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     # learn= names what gradient descent may change, wherever it is: threshold of the weights, q of the motion.
     f = presets.rsrckf(ConstantAcceleration(q=1.0), scenario.sensor, threshold=4.0, learn=("threshold", "q"))
-    torchfra.summary(f)
+    torchfra.summary(f)  # f.compile() pays where it learns for more than half a minute
     z, prior, u, truth = simulate(200, seed=1)
     with torch.no_grad():
         before = metrics.rmse(f(z, prior, u=u).mean, truth, scenario.position).mean()
