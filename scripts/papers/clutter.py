@@ -5,7 +5,7 @@ Filters estimate in modified spherical coordinates; the truth is Cartesian.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from torchfra.angles import wrap
 from torchfra.association import Euclidean
 from torchfra.catalogue import scenario_filter
 from torchfra.coordinates import AZIMUTH, ELEVATION, from_cartesian
+from torchfra.filters import Filter
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.tables import text_table
@@ -50,7 +51,10 @@ _SAFEGUARDS = {"paper": (0.0, 0.0), "safe": (0.9999, 1e-3)}
 """Least probability of the gate, and the probability below which a series of misses means that a track is lost."""
 SAME_POINTS = "_same_points"
 """End of the names of filters whose points go from the prediction through the sensor, as in the paper."""
-_INNER = {"ukf": partial(presets.ukf, alpha=1.0, beta=2.0, kappa=0.0), "iaukf": presets.iaukf}
+_INNER: dict[str, Callable[..., Filter]] = {
+    "ukf": partial(presets.ukf, alpha=1.0, beta=2.0, kappa=0.0),
+    "iaukf": presets.iaukf,
+}
 _KEYS = {"RMSE m": "rmse", "kept m": "rmse_kept", "median run": "median_run", "lost": "lost", "swaps": "swaps",
          "range m": "filtered_range", "raw m": "raw_range"}  # fmt: skip
 
