@@ -56,8 +56,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="A,B",
         help=f"some of {', '.join(track_filters())}, of bearings-* also {', '.join(bearings.OWN)}, of adsb-turns imm3 "
         "and imm5, of alpha-beta f1, f2, f3, paper and paper_polar; of clutter-* ukf_jpda_paper and iaukf_jpda_paper, "
-        "and with safeguards against lost tracks ukf_jpda_safe and iaukf_jpda_safe; those on _paper, and ukf and iaukf of "
-        "noise-change, also with _same_points behind, which draw no new points (default: the paper's)",
+        "and with safeguards against lost tracks ukf_jpda_safe and iaukf_jpda_safe; those on _paper, and ukf and iaukf "
+        "of noise-change, also with _same_points behind, which draw no new points (default: the paper's)",
     )
     p.add_argument(
         "--literal",
