@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchfra.entries import Entries
 from torchfra.linalg.covariance import covariance_root
+from torchfra.linalg.triangular import apply
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 
@@ -68,15 +69,12 @@ class Linear(Sensor):
         """
         x = x[..., : self.reads]
         if self.H is not None:
-            measured: Tensor = x @ self.H(x).mT
-            return measured
+            return apply(self.H(x), x)
         count = self.size * self.reads
         if u is None or u.shape[-1] < count:
             expected = f"(..., {count}) or more, sensor.inputs(), as H differs from step to step"
             raise ValueError(f"u: expected {expected}, received {None if u is None else tuple(u.shape)}")
-        matrix = u[..., u.shape[-1] - count :].unflatten(-1, (self.size, self.reads))
-        measured = (matrix.to(x) * x.unsqueeze(-2)).sum(-1)
-        return measured
+        return apply(u[..., u.shape[-1] - count :].unflatten(-1, (self.size, self.reads)).to(x), x)
 
     def inputs(self) -> Tensor:
         """The inputs ``u (..., T, m n)`` of all steps: the matrices, row by row.
