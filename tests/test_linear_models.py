@@ -85,6 +85,22 @@ def test_matrices_of_each_step_are_inputs_of_kernels_too():
         torch.testing.assert_close(found.covariance, plain.covariance, rtol=0, atol=1e-12)
 
 
+def white_acceleration(dt):
+    """The covariance of a position and a velocity after ``dt``."""
+    rows = [[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+@pytest.mark.parametrize("noise", [[[0.25, 0.5], [0.5, 1.0]], white_acceleration], ids=["fixed", "of dt"])
+def test_fixed_matrices_and_covariances_of_any_time_step_run_in_kernels(noise):
+    f = presets.srckf(Linear([[1, 1], [0, 1]], noise), sensors.Linear([[1, 0]], 0.5))
+    z, prior, dt = Z[:, :1], Gaussian.from_std([0, 0], 3.0), torch.linspace(0.1, 2.0, T).double()
+    plain = f(z, prior, dt=dt)
+    found = f.compile()(z, prior, dt=dt)
+    torch.testing.assert_close(found.mean, plain.mean, rtol=0, atol=1e-12)
+    torch.testing.assert_close(found.covariance, plain.covariance, rtol=0, atol=1e-12)
+
+
 def test_each_track_may_have_matrices_of_its_own():
     several = np.stack([F, F[::-1]])
     motion = Linear(several, Q)
@@ -278,6 +294,18 @@ def test_a_covariance_of_any_rank_has_a_root_and_what_is_none_is_refused():
     ):
         with pytest.raises(ValueError, match=f"Q: expected a? ?{said}"):
             covariance_root(torch.tensor(bad), "Q")
+
+
+def test_while_traced_a_covariance_of_any_rank_has_its_root_and_what_is_none_has_nan():
+    half = np.random.default_rng(0).standard_normal((4, 2))
+    for covariance in (half @ half.T, np.diag([4.0, 0.0, 1.0, 0.0]), np.eye(3), np.diag([1e12, 1e-12])):
+        (root,) = torch.vmap(covariance_root)(torch.from_numpy(covariance)[None])
+        std = np.sqrt(covariance.diagonal().clip(1e-300))
+        error = ((root @ root.mT).numpy() - covariance) / std / std[:, None]
+        np.testing.assert_allclose(error, 0.0, atol=1e-10)
+        assert not root.triu(1).any()
+    for bad in ([[1, 0], [0, -1]], [[1, 2], [2, 1]], [[0, 0.1], [0.1, 1]], [[math.nan]], [[math.inf, 0], [0, 1]]):
+        assert torch.vmap(covariance_root)(torch.tensor([bad]).double()).isnan().any()
 
 
 @pytest.mark.parametrize(
