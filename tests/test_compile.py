@@ -251,6 +251,7 @@ FUNCTIONS = {
     "count": lambda x: ((x > 0).sum() + (x > 1).to(x).amax()).to(x), "mixed": lambda x: torch.where(x > 1, x > 2, x),
     "picked": lambda x: x[torch.tensor([True, False, True])] * x[torch.tensor([2, 0], dtype=torch.int32)],
     "any": lambda x: (x > 0).any().to(x) + (x > -1).all(), "in place": lambda x: (x + 1).mul_(x).sub_(3.0),
+    "row": lambda x: x @ torch.stack([x, x + 1, x - 1]), "shaped in place": lambda x: (x + 1).unsqueeze_(0).t_() * x,
 }  # fmt: skip
 
 

@@ -47,6 +47,15 @@ def _in_place(functional: Any) -> Rule:
     return rule
 
 
+def _view_in_place(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
+    """An operation that changes the shape of a tensor: ``squeeze_`` ends torch's product of a vector and a matrix."""
+    target: Entries = args[0]
+    func(target.ids, *args[1:], **kwargs)
+    with torch._C._DisableTorchDispatch():  # of the tensor itself, which holds no numbers
+        func(*args, **kwargs)
+    return target
+
+
 def _in_place_rules() -> dict[Any, Rule]:
     """Rules for ``mul_`` and the like of all operations that have a rule."""
     rules = {}
@@ -54,7 +63,7 @@ def _in_place_rules() -> dict[Any, Rule]:
         packet = getattr(aten, functional._schema.name.split("::")[-1] + "_", None)
         in_place = getattr(packet, functional._overloadname, None)
         if in_place is not None:
-            rules[in_place] = _in_place(functional)
+            rules[in_place] = _view_in_place if torch.Tag.inplace_view in in_place.tags else _in_place(functional)
     return rules
 
 
