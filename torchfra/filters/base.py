@@ -515,8 +515,10 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: an argument that is no sensor, or a filter that takes its own sensor only, with the reason.
         """
+        if sensor is None:
+            return self
         f: Any = self.viewed
-        if sensor is None or sensor is f.sensor or any(sensor is x for x in f.originals):
+        if sensor is f.sensor or any(sensor is x for x in f.originals):
             own: Self = f
             return own
         view: Self = f._views(f, sensor)
