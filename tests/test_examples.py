@@ -33,7 +33,7 @@ def numbers(pattern, text):
 
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 18)]
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 19)]
     assert all(len(path.read_text(encoding="utf-8").splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -219,3 +219,11 @@ def test_every_sensor_of_the_harbour_brings_the_boats_nearer(capsys):
     assert with_camera < with_lidar < radar < 10.0
     assert numbers(r"(\d+) false tracks", text) == [0, 0, 0]
     assert min(numbers(r"followed (\d+) %", text)) > 70
+
+
+def test_keypoints_are_cleaned_to_less_than_six_tenths_of_the_error_of_usual_filters(capsys):
+    pytest.importorskip("xarray")
+    pytest.importorskip("llvmlite")
+    load("18_keypoints").main(["--frames", "600"])
+    _, *usual, cleaned = numbers(r"error +([\d.]+) pixels", capsys.readouterr().out)
+    assert cleaned < 0.6 * min(usual)

@@ -13,6 +13,7 @@ LIBRARY = Path(torchfra.__file__).parent
 PRIVATE = {
     "torch._C._functorch.is_functorch_wrapped_tensor": "linalg/tracing.py knows by it whether a transform is at work",
     "torch._C._functorch.peek_interpreter_stack": "compiler/one_operation.py: no kernel runs inside a transform",
+    "torch._C._DisableTorchDispatch": "compiler/operations.py changes the shape of a tensor without numbers",
     "torch._C._disabled_torch_function_impl": "compiler/entries.py sees operations, not functions",
     "torch._decomp.decomposition_table": "compiler/operations.py takes apart operations that it does not know",
     "torch._ops.OpOverload": "compiler/operations.py finds the operations that write in place",

@@ -54,13 +54,11 @@ def estimates(estimate: Estimate, motion: Motion, time: Any = None) -> pd.DataFr
     return pd.DataFrame({name: x.detach().numpy() for name, x in columns.items()}, index=index)
 
 
-def measurements(
-    frame: pd.DataFrame, names: Sequence[str], *, time: str, by: str | None = None
-) -> tuple[Tensor, Tensor]:
+def measurements(frame: Any, names: Sequence[str], *, time: str, by: str | None = None) -> tuple[Tensor, Tensor]:
     """Columns of a table as measurements, rows in order of time.
 
     Args:
-        frame: a row for each measurement.
+        frame: a row for each measurement; of pandas or polars.
         names: of the columns that are measured.
         time: of the column that tells when, in seconds or moments.
         by: of the column that tells whose they are; None for one track.
@@ -72,6 +70,7 @@ def measurements(
     Raises:
         ValueError: a column that is not there.
     """
+    frame = frame if isinstance(frame, pd.DataFrame) else frame.to_pandas()
     for name in (*names, time, *([] if by is None else [by])):
         if name not in frame:
             raise ValueError(f"names: expected some of {', '.join(map(str, frame.columns))}, received {name}")

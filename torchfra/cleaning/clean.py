@@ -20,6 +20,7 @@ from torchfra.readers import MAX_BYTES, Recording, read
 from torchfra.readers.reading import read_sheet
 from torchfra.readers.repairs import nowhere
 from torchfra.readers.sheets import Sheet
+from torchfra.running.optional import optional
 
 if TYPE_CHECKING:
     from torchfra.motion.bank import Bank
@@ -53,9 +54,9 @@ def clean(
     """Cleans tracks: estimates of positions with their covariances, outliers and manoeuvres.
 
     Args:
-        data: the path of a file; a pandas ``DataFrame``, or a ``GeoDataFrame`` of points in any coordinate reference
-            system; ``(time (k,), position (k, d))``, seconds or moments that increase, and metres in 2 or 3 dimensions,
-            where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
+        data: the path of a file; a ``DataFrame`` of pandas or polars, or a ``GeoDataFrame`` of points in any coordinate
+            reference system; ``(time (k,), position (k, d))``, seconds or moments that increase, and metres in 2 or 3
+            dimensions, where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
             ``torchfra.readers.read``.
         filter: its name, one of ``catalogue.track_filters()``.
         bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
@@ -78,7 +79,7 @@ def clean(
         For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,
         ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others: positions in the units of the input, all else in
         m and s.  Rows that hold no fix, or one at the time of another, have NaN there.  Its ``attrs["torchfra"]`` says
-        in lines what was read as what, and what became of it.  A ``GeoDataFrame`` stays one
+        in lines what was read as what, and what became of it (not of polars).  A ``GeoDataFrame`` stays one
         and gets ``clean_geometry`` too, points in its own coordinate reference system.  For arrays a ``Cleaned``, and
         for a path or recordings a list of them, one for each target.
 
@@ -90,6 +91,10 @@ def clean(
     """
     settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
                                 "repair": repair, "compile": compile, "jobs": jobs}  # fmt: skip
+    if _is_frame(data, "polars"):
+        for needed in ("pandas", "pyarrow"):
+            optional(needed, "a DataFrame of polars", "frames")
+        return sys.modules["polars"].from_pandas(clean(data.to_pandas(), max_bytes=max_bytes, **settings, **words))
     if isinstance(data, str | Path):
         return clean_tracks(read(data, max_bytes=max_bytes, **words), **settings)
     if _is_frame(data):
@@ -118,10 +123,10 @@ def track(data: Any, **settings: Any) -> Any:
 # ---------------------------------------------------------------- tables
 
 
-def _is_frame(data: Any) -> bool:
-    """Whether data is a ``DataFrame``; does not import pandas."""
-    pandas = sys.modules.get("pandas")
-    return pandas is not None and isinstance(data, pandas.DataFrame)
+def _is_frame(data: Any, library: str = "pandas") -> bool:
+    """Whether data is a ``DataFrame`` of pandas, or of another library; does not import it."""
+    module = sys.modules.get(library)
+    return module is not None and isinstance(data, module.DataFrame)
 
 
 def _points(frame: Any) -> Any:
@@ -222,9 +227,9 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
         ValueError: it is no pair of times and positions, or these cannot be read.
     """
     if not isinstance(data, tuple | list) or len(data) != 2:
-        raise ValueError(
-            f"data: expected a path, a DataFrame, recordings or (time, position), received {type(data).__name__}"
-        )
+        poses = ": take torchfra.adapters.poses.clean" if type(data).__module__.startswith("xarray.") else ""
+        expected = "a path, a DataFrame, recordings or (time, position)"
+        raise ValueError(f"data: expected {expected}, received {type(data).__name__}{poses}")
     time, position = np.asarray(unmasked(data[0])), np.array(unmasked(data[1]), dtype=np.float64)
     if time.dtype == object:
         time = np.asarray(_moments(time.tolist()))
