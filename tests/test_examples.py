@@ -221,6 +221,7 @@ def test_every_sensor_of_the_harbour_brings_the_boats_nearer(capsys):
     assert min(numbers(r"followed (\d+) %", text)) > 70
 
 
+@pytest.mark.slow
 def test_keypoints_are_cleaned_to_less_than_six_tenths_of_the_error_of_usual_filters(capsys):
     pytest.importorskip("xarray")
     pytest.importorskip("llvmlite")

@@ -129,6 +129,7 @@ def points(rows=60):
     return truth, X
 
 
+@pytest.mark.slow
 def test_an_estimator_of_scikit_learn_finds_values_and_smooths(scikit):
     from sklearn.base import clone
 

@@ -347,8 +347,9 @@ class Filter(Part, Generic[S]):
 
     def _step(self, state: S, measurements: Measurements, sensor: Sensor | None, *, watched: bool) -> tuple[Any, Any]:
         """One step of the filter around the sensor that has measured: see ``Engine.step``."""
-        f = self.with_sensor(sensor)
-        measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
+        f = self if sensor is None else self.with_sensor(sensor)  # a call less: a compiled step takes microseconds
+        if measurements.u is not None:
+            measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
         stepped: tuple[Any, Any] = f.engine.step(f, state, measurements, watched)
         return stepped
 

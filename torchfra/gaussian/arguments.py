@@ -77,7 +77,7 @@ def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise
     """
     times: Any = dt if isinstance(dt, _TIMES) else as_numbers(dt, "dt")
     return Measurements(
-        z if isinstance(z, Tensor) and z.is_floating_point() else as_numbers(z, "z", _PAD),
+        z if type(z) is Tensor and z.is_floating_point() else as_numbers(z, "z", _PAD),
         times,
         u if u is None else as_numbers(u, "u"),
         std if std is None else as_numbers(std, "std"),
