@@ -6,6 +6,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from two_processes import run_in_two
@@ -33,7 +34,7 @@ def numbers(pattern, text):
 
 
 def test_the_examples_are_numbered_and_have_80_lines_or_fewer():
-    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 19)]
+    assert [int(name[:2]) for name in EXAMPLES] == [*range(1, 20)]
     assert all(len(path.read_text(encoding="utf-8").splitlines()) <= 80 for path in EXAMPLES.values())
 
 
@@ -228,3 +229,30 @@ def test_keypoints_are_cleaned_to_less_than_six_tenths_of_the_error_of_usual_fil
     load("18_keypoints").main(["--frames", "600"])
     _, *usual, cleaned = numbers(r"error +([\d.]+) pixels", capsys.readouterr().out)
     assert cleaned < 0.6 * min(usual)
+
+
+@pytest.mark.slow
+def test_draws_from_the_posterior_are_about_the_true_values(capsys):
+    pytest.importorskip("llvmlite")
+    load("19_posterior").main(60)
+    low, high, true = zip(*re.findall(r"(\S+) to +(\S+), true +(\S+)", capsys.readouterr().out), strict=True)
+    inside = [float(a) < float(x) < float(b) for a, b, x in zip(low, high, true, strict=True)]
+    assert sum(inside) >= 4
+    assert len(inside) == 5
+
+
+def test_nuts_draws_as_often_from_each_part_of_a_distribution_as_it_has_mass():
+    """A posterior with a known covariance."""
+    example, rng = load("19_posterior"), np.random.default_rng(0)
+    root = np.tril(rng.normal(size=(5, 5))) + 2 * np.eye(5)
+    precise = np.linalg.inv(root @ root.T)  # of the likelihood, beside the prior
+
+    def likelihood(raw):
+        return -0.5 * ((raw @ precise) * raw).sum(-1), -raw @ precise
+
+    found = example.draws(likelihood, 1000, rng)
+    covariance = np.linalg.inv(precise + np.eye(5) / example.WIDE**2)
+    mean = covariance @ example.USUAL / example.WIDE**2
+    white = np.linalg.solve(np.linalg.cholesky(covariance), (found - mean).T)
+    assert np.abs(white.mean(1)).max() < 0.15
+    np.testing.assert_allclose(np.cov(white), np.eye(5), atol=0.2)

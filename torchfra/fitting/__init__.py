@@ -9,6 +9,19 @@ from torchfra.fitting.errors import Bootstrap, Profile
 from torchfra.fitting.fitted import Fitted
 from torchfra.fitting.from_tracks import fit
 from torchfra.fitting.judging import Figure, HeldOutComparison, Judged
+from torchfra.fitting.likelihood import LogLikelihood
 from torchfra.fitting.sweeping import Sweep, sweep
 
-__all__ = ["Batch", "Bootstrap", "Figure", "Fitted", "HeldOutComparison", "Judged", "Profile", "Sweep", "fit", "sweep"]
+__all__ = [
+    "Batch",
+    "Bootstrap",
+    "Figure",
+    "Fitted",
+    "HeldOutComparison",
+    "Judged",
+    "LogLikelihood",
+    "Profile",
+    "Sweep",
+    "fit",
+    "sweep",
+]
