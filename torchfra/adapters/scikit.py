@@ -77,4 +77,5 @@ class Smoother(base.TransformerMixin, base.BaseEstimator):  # type: ignore[misc]
         z = as_numbers(X, "X").double()
         if z.dim() != 2 or z.shape[1] == 0 or z.shape[1] % self.dims:
             raise ValueError(f"X: expected rows of {self.dims} columns for each point, received {tuple(z.shape)}")
-        return z.unflatten(1, (-1, self.dims)).transpose(0, 1)
+        points: torch.Tensor = z.unflatten(1, (-1, self.dims)).transpose(0, 1)
+        return points
