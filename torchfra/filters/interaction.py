@@ -116,7 +116,10 @@ def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Te
             together = pooled(belief, before, motion)
         pairs = zip(belief, repeated(together, count), strict=True)
         two = Gaussian(*(torch.stack(torch.broadcast_tensors(*pair)) for pair in pairs))
-        return matched(two, roots, motion.angles, triangular=not motion.linear)
+        # Columns that are parallel, as those of one direction in both components, stay so in a product only if they are
+        # one: in single precision what rounding parts would be noise beside a wide prior.
+        triangular = not motion.linear or two.mean.dtype == torch.float32
+        return matched(two, roots, motion.angles, triangular=triangular)
 
     return predicted, interact
 

@@ -141,6 +141,17 @@ class SRCKF(Filter[State]):
         """A state with the memory of innovations of the state ``before``."""
         return state._replace(fading=before.fading)
 
+    def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
+        """The belief one step later, by the root that a robust update needs."""
+        prediction = super().predicted(belief, frame)
+        return prediction if self.robust is None else self.robust.rooted(prediction)
+
+    def faded(self, prediction: Prediction, factor: Tensor) -> Prediction:
+        """The prediction with fading factors, by the root that a robust update needs."""
+        assert self.fading is not None
+        prediction = self.fading.inflate(prediction, factor)
+        return prediction if self.robust is None else self.robust.rooted(prediction)
+
     def predict_hypotheses(self, state: State, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
         return one_hypothesis(self.predicted(state.belief, frame).belief)
@@ -188,7 +199,7 @@ class SRCKF(Filter[State]):
         if self.fading is not None:
             memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
             factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
-            predicted = self.fading.inflate(prediction, factor)  # (29)
+            predicted = self.faded(prediction, factor)  # (29)
             compared = self.compare(predicted.belief, frame)
         if self.robust is None:
             corrected = Corrected(correct(predicted.belief, compared)[0], None)

@@ -27,6 +27,8 @@ Difference = Callable[[Tensor, Tensor], Tensor]
 
 _KEPT = 1e-4
 """Relative rounding error of a mean that a rule may have: four digits, a metre in 10 km."""
+_ROUNDING = 2 * torch.finfo(torch.float32).eps
+"""Relative rounding error of the difference of two values in single precision, that of their points included."""
 
 
 class Linearised(NamedTuple):
@@ -139,12 +141,28 @@ class SigmaPoints(nn.Module):
             raise ValueError(f"rule: expected {expected}, received {received}: take a larger alpha, or float64")
         points, combine = self.points.to(mean), self.combine.to(mean)
         values = function(mean + (root @ points.mT).movedim(-1, 0))
-        centre = values[0]
-        around = difference(values[1:], centre).flatten(1).mT  # a row for each entry of the batch and of the values
-        moments = (around @ combine).reshape(*centre.shape, combine.shape[1])
-        minus = self.minus
-        subtracted = None if minus is None else (around @ minus.to(mean)).reshape(*centre.shape, minus.shape[1])
-        return Linearised(centre + moments[..., 0], moments[..., 1:], subtracted)
+        centre, n = values[0], mean.shape[-1]
+        around = difference(values[1:], centre)
+
+        def combined(matrix: Tensor) -> Tensor:
+            """Sums ``(..., m, k)`` of the differences, by a row for each entry of the batch and of the values."""
+            return (around.flatten(1).mT @ matrix).reshape(*centre.shape, matrix.shape[1])
+
+        def curvature(sums: Tensor, matrix: Tensor) -> Tensor:
+            """Sums that are 0 of a linear function, without what rounding errors leave in single precision.
+
+            Beside a wide prior that would be an error of the linearisation as large as the noise.
+            """
+            if mean.dtype != torch.float32:
+                return sums  # of priors 1e14 times as wide as the noise
+            largest = torch.maximum(around.detach().abs().amax(0), centre.detach().abs()).unsqueeze(-1)
+            return torch.where(sums.abs() <= _ROUNDING * largest * matrix.abs().sum(0), 0.0, sums)
+
+        moments = combined(combine)
+        rest, slope = curvature(moments[..., :-n], combine[:, :-n]), moments[..., -n:]
+        minus = None if self.minus is None else self.minus.to(mean)
+        subtracted = None if minus is None else curvature(combined(minus), minus)
+        return Linearised(centre + rest[..., 0], torch.cat([rest[..., 1:], slope], -1), subtracted)
 
 
 class FirstOrder(nn.Module):

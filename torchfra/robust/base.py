@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchfra.hyper import Part
 from torchfra.sensors.base import MeasurementNoise
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Gaussian, Prediction, Whitened
 
 
 class Corrected(NamedTuple):
@@ -37,6 +37,10 @@ class Robust(Part):
             nis: ``(...)`` normalised innovation squared.
         """
         return torch.ones_like(residual)
+
+    def rooted(self, prediction: Prediction) -> Prediction:
+        """The prediction by the root that ``correct`` needs, here any."""
+        return prediction
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The belief after the measurement.

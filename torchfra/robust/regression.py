@@ -14,7 +14,7 @@ from torchfra.linalg.triangular import apply, eliminated, hstack, rounding, tria
 from torchfra.numbers import as_number, is_integer
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import MeasurementNoise
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Gaussian, Prediction, Whitened
 
 
 class _Linear(NamedTuple):
@@ -81,9 +81,22 @@ class HuberRegression(Robust):
         self.threshold = Hyper(threshold, name="threshold")
         self.max_iter, self.tol, self.first_iterate, self.compensate = max_iter, tol, first_iterate, compensate
 
+    def rooted(self, prediction: Prediction) -> Prediction:
+        """The prediction by a root that has a zero column for each component which those above it determine.
+
+        The lower root of a singular covariance is not unique: what rounding leaves on such a pivot decides how the rest
+        of that column is shared with those behind it.  Weights of the prediction's elements depend on that.  Which are
+        determined is judged by the columns that the root is made of: the root has forgotten of what scale they were.
+        """
+        graded = prediction.repaired is None  # nothing is subtracted from the columns
+        belief, n = prediction.belief, prediction.belief.mean.shape[-1]
+        columns = hstack(prediction.process_noise, prediction.spread) if graded else belief.scale_tril
+        root, _, _, determined = eliminated(columns, n, rounding(sum(columns.shape[-2:]), columns.dtype), graded=graded)
+        root = root - torch.where(determined, 1.0, 0.0).diag_embed()
+        return prediction._replace(belief=belief._replace(scale_tril=root))
+
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The belief after the measurement; the weights of the iterations take the place of ``weights``."""
-        belief, whitened = _with_unique_root(belief, whitened)
         linear = self._linear(whitened, belief.mean.shape[-1])
         error, iterations = self._iterate(linear, self._first(belief, whitened))
         solution, weights = linear.reweighted(error)
@@ -118,21 +131,6 @@ class HuberRegression(Robust):
             error, count = torch.where(active.unsqueeze(-1), new, error), count + active.to(count)
             active = active & moved
         return error, count
-
-
-def _with_unique_root(belief: Gaussian, whitened: Whitened) -> tuple[Gaussian, Whitened]:
-    """The same with a root of the prediction that has a zero column for each component which those above it determine.
-
-    The lower root of a singular covariance is not unique: what rounding leaves on such a pivot decides how the rest of
-    that column is shared with those behind it.  Weights of the prediction's elements depend on that.
-    """
-    n, d = belief.mean.shape[-1], whitened.reads
-    slope = pad(whitened.slope, (0, n - d))
-    rows = torch.cat([belief.scale_tril.expand(*slope.shape[:-2], n, n), slope], -2)
-    root, slope, _, determined = eliminated(rows, n, rounding(n, rows.dtype))
-    root = root - torch.where(determined, 1.0, 0.0).diag_embed()
-    spread = torch.cat([whitened.rest, slope[..., :d]], -1)
-    return belief._replace(scale_tril=root), whitened._replace(spread=spread)
 
 
 def _huber_weights(residual: Tensor, threshold: Tensor) -> Tensor:

@@ -376,38 +376,39 @@ def sequential(
         The posterior ``(C, ..., k)`` of the unknowns, with any root, and the log density ``(C, ...)`` of the
         measurement, constants left out.
 
-    For each row ``h``, with ``f = S^T h`` and ``s^2 = f^T f + size``, the gain is ``S f / s^2`` and the root afterwards
-    ``S - S f f^T / (s (s + sqrt(size)))``.
+    Each row is one more column of the joint root, of length ``noise`` at first, which plane rotations with one column
+    of the unknowns after another make longer until it holds what the row says of all of them.  Each rotation keeps the
+    digits of its two columns, whatever their scales: where little is known beside the noise, the difference of the
+    identity and what a row says would lose them.
 
-    Source: Potter's square-root update, in Bierman (1977), chapter II.
+    Source: Carlson (1973), "Fast Triangular Formulation of the Square Root Filter".
     """
     rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
     m, k, rank = rows.shape[0], rows.shape[1], rows.dim() - 2
-    root = torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank)
+    columns = list(torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank).unbind(1))
     mean, squares, stds = torch.zeros_like(rows[0]), torch.zeros_like(residual[..., 0]), []
     sizes, small = noise.square(), _small(noise.dtype)
     far = sizes == torch.inf  # the unknowns vary little beside such noise
-    far_inverse, log_scale = (
-        1 / torch.where(far, noise, 1.0),
-        torch.where(far, torch.full_like(noise, math.log(small)), 0.0),
-    )
+    log_scale = torch.where(far, torch.full_like(noise, math.log(small)), 0.0)
     for i in range(m):
-        f = (root * rows[i].unsqueeze(1)).sum(0)
-        std = torch.where(far, noise, (f.square().sum(0) + sizes).sqrt())
-        factor = 1 / (std * (std + noise))
-        inverse = torch.where(far, far_inverse, (std + noise) * factor)  # of std, by the same division
+        square, std, cross = sizes, noise, torch.zeros_like(mean)
+        for j, column in enumerate(columns):
+            f = (column * rows[i]).sum(0)
+            square = square + f.square()
+            longer = torch.where(far, noise, square.sqrt())
+            cosine, sine = std / longer, f / longer
+            columns[j], cross, std = cosine * column - sine * cross, cosine * cross + sine * column, longer
         centred = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
-        normalised = (centred - (mean * rows[i]).sum(0)) * inverse
-        covariance = (root * f).sum(1)
-        mean = mean + covariance * (normalised * inverse)
-        root = root - covariance.unsqueeze(1) * (f * factor)
+        normalised = (centred - (mean * rows[i]).sum(0)) / std
+        mean = mean + cross * normalised
         squares = squares + normalised.square()
         stds.append(torch.where(missing[..., i] > 0, 1.0, torch.where(far, small * std, std)))
     # The log of two factors at a time: their product does not overflow where their squares do not.
     log_density = -0.5 * squares + (1 - missing).sum(-1) * log_scale
     for i in range(0, m, 2):
         log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
-    return Gaussian(mean.movedim(0, -1), root.movedim((0, 1), (-2, -1))), log_density
+    root = torch.stack(torch.broadcast_tensors(*columns), -1)
+    return Gaussian(mean.movedim(0, -1), root.movedim(0, -2)), log_density
 
 
 def _small(dtype: torch.dtype) -> float:

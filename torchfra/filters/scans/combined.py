@@ -67,7 +67,7 @@ def fade(
     weights = torch.ones_like(nearest.residual) if f.robust is None else f.robust(nearest.residual, nis)
     factor = f.fading(prediction, nearest, memory, weights)
     factor = torch.where(total.amax(-1) >= 0.5, factor, 1.0)  # 1 if the target was probably missed
-    prediction = f.fading.inflate(prediction, factor)
+    prediction = f.faded(prediction, factor)
     return prediction, f.compare(prediction.belief, frame), memory, factor.squeeze(-1)
 
 
