@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchfra import Gaussian, presets, tree
+from torchfra.gaussian.arguments import LostDigits
 from torchfra.linalg.triangular import eliminated, rounding
 from torchfra.motion import ConstantVelocity, Motion, WhiteJerk
 from torchfra.sensors import Position, RangeBearing, Sensor
@@ -88,6 +89,7 @@ def test_however_wide_a_prior_is_single_precision_says_what_double_says(name, en
 SMOOTHERS = sorted(set(presets.__all__) - {"alphabeta", "jpda", "ukf_jpda", "iaukf_jpda"})
 """Presets that smooth a track of their own."""
 
+
 def made(name):
     models = [ConstantVelocity(0.01, continuous=True), ConstantVelocity(1.0, continuous=True)]
     several = {"neighbours": ((1,), (0,)), "first": (0, 1)} if name.startswith("vsimm") else {}
@@ -131,3 +133,12 @@ def test_points_too_near_the_centre_for_the_precision_are_refused():
         with pytest.raises(ValueError, match=r"rule: expected weights whose sum leaves four digits in torch.float32"):
             run(z, prior)
     assert not f(z.double(), Gaussian(*(x.double() for x in prior))).failed.any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_prior_beyond_the_digits_of_double_precision_brings_a_warning(dtype):
+    z = tracks(*CASES["constant velocity"]).to(dtype)
+    for f in (presets.srckf(*CASES["constant velocity"]), presets.srckf(*CASES["constant velocity"]).compile()):
+        with pytest.warns(LostDigits, match="prior: expected standard deviations below 1e.12 times"):
+            f(z, Gaussian(torch.zeros(4, dtype=dtype), 1e12 * torch.eye(4, dtype=dtype)))
+        f(z, Gaussian(torch.zeros(4, dtype=dtype), 1e10 * torch.eye(4, dtype=dtype)))

@@ -17,7 +17,14 @@ from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
 from torchfra.filters.records import Kept, Past, Record, Smoothed
 from torchfra.filters.several_sensors import SensorsInTurn, SensorViews
 from torchfra.filters.whole_tracks import WholeTracks
-from torchfra.gaussian.arguments import belief_of, check, check_belief, measurements_of, warn_of_lost_digits
+from torchfra.gaussian.arguments import (
+    belief_of,
+    check,
+    check_belief,
+    measurements_of,
+    warn_of_lost_digits,
+    warn_of_width,
+)
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import (
     BackwardStep,
@@ -394,7 +401,8 @@ class Filter(Part, Generic[S]):
             Estimates ``(..., T, n)``, or ``(..., N, T, n)`` for several targets.
 
         Warns:
-            RuntimeWarning: ``z`` or ``dt`` in single precision has lost its digits before, as northings and Unix times.
+            RuntimeWarning: ``z`` or ``dt`` in single precision has lost its digits before, as northings and Unix times;
+                or the prior is 1e12 times as wide as a linear sensor's noise.
 
         Raises:
             ValueError: a shape or a value that does not fit.
@@ -595,6 +603,8 @@ class Filter(Part, Generic[S]):
         batch = torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
         batch = batch if self.scans else broadcast_with_values(self, batch)
         warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
+        if name == "prior":
+            warn_of_width(prior, measurements, self.sensor)
         return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:

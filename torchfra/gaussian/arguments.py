@@ -245,6 +245,28 @@ def warn_of_lost_digits(measurements: Measurements, sensor: Sensor, rank: int, *
             warnings.warn(f"z: float32 holds {held}: {hint}", LostDigits, stacklevel=2)
 
 
+_WIDEST = 1e12
+"""Widest prior, in standard deviations of the measurement noise, beside which reflections keep the digits of the noise.
+
+Products and sums of columns keep those of each, but a reflection in double precision leaves 2e-16 of a row's largest.
+"""
+
+
+def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor) -> None:
+    """Warns of a prior so wide that no number holds it beside what a linear sensor measures."""
+    root, (z, _, _, std, noise) = prior.scale_tril.detach(), measurements
+    if not sensor.linear or is_traced(root, z) or not bool((root.abs() > 1e-6 * _WIDEST).any()):
+        return  # no sensor is that precise: the usual case costs one comparison
+    with torch.no_grad():
+        wide = torch.linalg.vector_norm(sensor(root.mT), dim=-2).reshape(-1, sensor.size).amax(0)
+        least = sensor.measurement_noise(z.to(root), std, noise).std.reshape(-1, sensor.size)
+        ratio = wide / torch.where(least > 0, least, torch.inf).amin(0)
+    if bool((ratio > _WIDEST).any()):
+        expected = f"standard deviations below {_WIDEST:.0e} times those of the measurement noise"
+        received = f"{float(ratio.max()):.1e} times that of element {int(ratio.argmax())}"
+        warnings.warn(f"prior: expected {expected}, received {received}: digits are lost", LostDigits, stacklevel=2)
+
+
 def _singular(noise: Tensor, measured: Tensor) -> Tensor:
     """``(...)`` bool, where a root ``noise (..., m, m)`` of the measured elements is not finite or singular."""
     root = torch.where(measured.unsqueeze(-1), noise, 0.0)
