@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import time
 import warnings
 from ctypes import addressof, c_int64
 
@@ -245,6 +246,20 @@ def test_processes_may_keep_the_same_kernel_at_the_same_time(folder):
     processes = [subprocess.Popen(command, stderr=subprocess.PIPE) for _ in range(4)]
     assert [p.communicate()[1] for p in processes] == [b""] * 4
     assert only(folder).name == "a.o"
+
+
+def test_a_process_that_is_killed_at_any_moment_leaves_a_whole_kernel_or_none(folder):
+    content = bytes(2**20)
+    code = f"{LOADED}\nprint(flush=True)\nwhile True:\n    module.write('a.o', bytes(2**20))"
+    for moment in range(8):
+        with subprocess.Popen([sys.executable, "-c", code, cache.__file__], stdout=subprocess.PIPE) as process:
+            process.stdout.readline()
+            time.sleep(0.003 * moment)
+            process.kill()
+        assert cache.read("a.o") in (None, content)
+    cache.write("a.o", content)
+    assert cache.read("a.o") == content
+    assert all(path.suffix == ".part" for path in folder.iterdir() if path.name != "a.o")
 
 
 # ---------------------------------------------------------------- where it cannot be kept

@@ -46,7 +46,7 @@ class Robust(Part):
         """The belief after the measurement.
 
         Args:
-            belief: predicted.
+            belief: predicted, by the root of ``rooted``.
             whitened: the measurement compared with it.
             weights: from ``forward``, of this innovation or of the one before fading.
             noise: the measurement noise that ``whitened`` is in units of.
