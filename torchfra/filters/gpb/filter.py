@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -31,7 +32,7 @@ from torchfra.filters.gpb.hypotheses import (
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import LARGEST_FACTOR, Regimes, Surprise, Switching
-from torchfra.filters.gpb.slopes import by_points_or_slope, elements_of
+from torchfra.filters.gpb.slopes import Line, along, by_points_or_line, by_points_or_slope, elements_of, line_at_place
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record, Smoothed
@@ -183,8 +184,8 @@ class GPB(Filter[GPBState]):
         noise, frame = self.noise_of(state, frame)
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
-        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
+        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)  # (3)
         log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
         given_back = torch.where(measured, _deferred(state.widening), 0.0)
         modes = log_mode + self.outlying_rarity(widening, given_back), blocks_outlying
@@ -255,7 +256,7 @@ class GPB(Filter[GPBState]):
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
     def predict_regimes(
-        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor
+        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor, relaxation: Tensor | None
     ) -> tuple[Hypotheses, Surprise, Tensor]:
         """Predictions of all regimes, and what they take from the measurement.
 
@@ -264,6 +265,7 @@ class GPB(Filter[GPBState]):
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             frame: of the step.
             doubt: ``(...)`` as in ``GPBState``.
+            relaxation: from ``Outliers.relaxation``.
 
         Returns:
             Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction by the agile level; and the
@@ -274,7 +276,8 @@ class GPB(Filter[GPBState]):
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        surprise = Surprise(nis, self.regimes.rarity(compared.residual, frame.measured))
+        cost = self.outliers.cost(compared.residual, frame.measured, relaxation)
+        surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion))
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
@@ -330,11 +333,26 @@ class GPB(Filter[GPBState]):
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
-        """Hypotheses after the measurement: see ``Outliers.update``."""
+        """Hypotheses after the measurement: see ``Outliers.update``.
+
+        If points of a belief are far off a line, as after a jump, the measurement is compared with it by the line where
+        the measurement places the target.
+        """
+
+        @cache
+        def line() -> Line:
+            last = self.read(Gaussian(*(x[:, -1:] for x in predicted.belief)))  # the widest
+            return line_at_place(lambda x: super(GPB, self).compare(x, frame), last)
+
+        def compare(belief: Gaussian, block: Sequence[int]) -> Whitened:
+            points = self.compare(belief, frame, block)
+            if self.sensor.linear:
+                return points
+            return by_points_or_line(points, lambda: elements_of(along(line(), belief), block))
+
         return self.outliers.update(
-            predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, 1 - frame.measured, modes,
-            change, learn_noise=self.noise is not None,
-        )  # fmt: skip
+            predicted, compare, self.sensor.reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
+        )
 
     def compare_change(
         self, state: GPBState, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
@@ -399,7 +417,8 @@ class GPB(Filter[GPBState]):
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
         switching = self.regimes.switch(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
         mixed, _ = self.mix(before.belief, switching)
-        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)
+        relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
+        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
