@@ -276,7 +276,7 @@ class GPB(Filter[GPBState]):
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        cost = self.outliers.cost(compared.residual, frame.measured, relaxation)
+        cost = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
         surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion))
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
@@ -320,14 +320,17 @@ class GPB(Filter[GPBState]):
         return torch.stack([given_back.expand_as(off), off], 1).unsqueeze(1)
 
     def outlying_rows(self, widening: Tensor) -> Tensor:
-        """Factors ``(1, 1, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
 
-        Parameters, biases and angles keep theirs: a heading that is off by more than a turn means nothing.
+        Parameters, biases and angles keep theirs: a heading that is off by more than a turn means nothing.  So do
+        jumps, which are as wide as the measurement asks for by themselves.
         """
         kept = ("angle", "rate", "bias", "parameter")
         inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
         rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
-        return torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1)
+        both, jumps = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1), self.regimes.jump_count
+        others = len(self.regimes.motion_of) - jumps
+        return torch.cat([both] * others + [torch.ones_like(both)] * jumps, MOTION) if jumps else both
 
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],

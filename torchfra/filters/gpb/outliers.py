@@ -217,16 +217,17 @@ class Outliers(Part):
         begins, lasts = relaxation * faulty / (without + faulty), 1 - relaxation * without / (without + faulty)
         return begins.unsqueeze(-1), lasts.unsqueeze(-1)
 
-    def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None) -> Tensor:
+    def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int) -> Tensor:
         """Log ``(...)`` of how much less likely a measurement is as outliers that last than as stated.
 
-        Each block is whichever is likelier.  It is at least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0
-        without a measurement.
+        Each block is whichever is likelier.  Of more elements than tell a place it is the share of so many.  It is at
+        least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0 without a measurement.
 
         Args:
             residual: ``(..., m)`` of a prediction, in units of the noise.
             measured: ``(..., m)`` 1 where measured, 0 where missing.
             relaxation: ``(...)`` from ``relaxation``, None without durations.
+            dims: of space.
         """
         begins, lasts = self._probabilities(measured, relaxation)
         rare = -safe_log(torch.maximum(begins, lasts)[..., 0]) - safe_log(self.outlier_shares(measured)[..., -1])
@@ -237,7 +238,9 @@ class Outliers(Part):
             mean = safe_divide(square, count.clamp_min(1.0)).clamp_min(1.0)
             total = total + torch.minimum(0.5 * square, rare + 0.5 * count * (mean.log() - EXPECTED))
             least = least + rare + 0.5 * len(block) * (math.log(LEAST_OUTLIER) - EXPECTED)
-        return torch.where(measured.sum(-1) > 0, torch.maximum(total, least), 0.0)
+        elements = measured.sum(-1)
+        total = torch.maximum(total * (dims / elements.clamp_min(dims)), least * min(1.0, dims / measured.shape[-1]))
+        return torch.where(elements > 0, total, 0.0)
 
     def update(
         self,

@@ -26,8 +26,8 @@ NEAR = 0.01
 LARGEST_REST = 3.0
 """Standard deviations of its noise by which a measured element may be off a line, so that points of the belief itself
 give that line."""
-ITERATIONS = 3
-"""Gauss-Newton steps to the place of a measurement."""
+ITERATIONS = 4
+"""Gauss-Newton steps to the place of a measurement: enough for one as far away as the sensor."""
 
 
 class Line(NamedTuple):
@@ -46,8 +46,7 @@ class Line(NamedTuple):
 def line_at_place(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Line:
     """The line at the place that a belief and a measurement have in common, by Gauss-Newton steps.
 
-    It leaves out what the measurement is off a line where the belief lies after it, or as far away as the measurement
-    is still off at that place.
+    It leaves out what the measurement is off a line as far away as it was still off before the last step.
 
     Args:
         compare: compares the measurement with a belief by the belief's points.
@@ -60,11 +59,12 @@ def line_at_place(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> 
     point, std = mean, NEAR * root.square().sum(-1).sqrt()
     for _ in range(ITERATIONS):
         line = _line(compare, point, std)
-        slope = line.rows @ root
-        residual = line.residual + apply(line.rows, point - mean)
+        # Damped: with noise as large as what is left, a step goes no farther than the line is good for.
+        left = line.residual.square().mean(-1, keepdim=True).clamp_min(1.0).sqrt()
+        residual = (line.residual + apply(line.rows, point - mean)) / left
+        slope = line.rows @ root / left.unsqueeze(-1)
         (point, lower), _, _ = correct(belief, Whitened(residual, slope, slope.shape[-1]))
-    off = line.residual.square().sum(-1, keepdim=True).clamp_min(1.0)
-    return _line(compare, point, (off * lower.square().sum(-1)).sqrt())
+    return _line(compare, point, lower.square().sum(-1).sqrt())
 
 
 def _line(compare: Callable[[Gaussian], Whitened], point: Tensor, std: Tensor) -> Line:
