@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -44,6 +43,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
+from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
@@ -52,8 +52,8 @@ from torchfra.types import Alarm, Gaussian, Whitened
 
 PRIOR_MARGIN = 4.0
 """Factor on the covariance of an outlying prior beyond what the residual of the first measurement asks for."""
-PATIENCE = math.log(1000.0)
-"""Log of the factor by which an outlying prior is less likely until the second measurement shows it."""
+PRIOR_BURST = 2.0
+"""How many outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
 
 
 class Mixing(NamedTuple):
@@ -185,10 +185,10 @@ class GPB(Filter[GPBState]):
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
-        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)  # (3)
+        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state, relaxation)  # (3)
         log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
-        given_back = torch.where(measured, _deferred(state.widening), 0.0)
-        modes = log_mode + self.outlying_rarity(widening, given_back), blocks_outlying
+        rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
+        modes = log_mode + rarity, blocks_outlying
         change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
         updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
         posterior = updated.posterior()  # (5)
@@ -209,8 +209,8 @@ class GPB(Filter[GPBState]):
         )
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
-        doubt = torch.where(measured, 0.0, state.doubt)
-        widened = torch.where(measured, widening, state.widening)
+        doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
+        widened = torch.where(measured & (state.doubt > 0.5), widening, state.widening)
         now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
@@ -223,7 +223,8 @@ class GPB(Filter[GPBState]):
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
         by_belief = Surprise(*(batch_first(x, BEFORE) for x in surprise))
         seen = measured.to(widening).expand_as(widening)
-        past = GPBPast(*kept, by_belief, widening, given_back, seen, relaxation, ratio)
+        rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
+        past = GPBPast(*kept, by_belief, widening, rarity, seen, relaxation, ratio)
         expected = self.compare(self.expected(predicted), frame)
         root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood
@@ -256,7 +257,7 @@ class GPB(Filter[GPBState]):
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
     def predict_regimes(
-        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor, relaxation: Tensor | None
+        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, state: GPBState, relaxation: Tensor | None
     ) -> tuple[Hypotheses, Surprise, Tensor]:
         """Predictions of all regimes, and what they take from the measurement.
 
@@ -264,7 +265,7 @@ class GPB(Filter[GPBState]):
             mixed: ``(1, S, 2, ...)`` beliefs, of each motion and of separate levels.
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             frame: of the step.
-            doubt: ``(...)`` as in ``GPBState``.
+            state: before the step.
             relaxation: from ``Outliers.relaxation``.
 
         Returns:
@@ -277,9 +278,9 @@ class GPB(Filter[GPBState]):
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
         cost = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
-        surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion))
+        surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion), cost)
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
-        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
+        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, state.doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
 
@@ -296,28 +297,42 @@ class GPB(Filter[GPBState]):
             frame: of the step.
             doubt: ``(...)`` as in ``GPBState``.
         """
+        doubtful = (doubt > 0.5) & (self.prior_inflation(predicted.mean[..., 0]) > 1)
+        some = doubtful.any()  # only at the first measurement; kernels too compare no belief later
+        if not is_traced(some) and not some:
+            return torch.ones_like(frame.measured[..., 0])
         residual, spread, _, _ = self.compare(self.read(predicted), frame)
         excess, size = residual.square().sum(-1) - frame.measured.sum(-1), spread.square().sum((-2, -1))
         # Bounded before it is divided: beyond the range of numbers the gradient of a quotient is NaN.
         factor = PRIOR_MARGIN * safe_divide(torch.minimum(excess, LARGEST_FACTOR * size), size)
-        doubtful = (doubt > 0.5) & (self.prior_inflation(residual[..., 0]) > 1)
         return torch.where(doubtful, factor.clamp(1.0, LARGEST_FACTOR), 1.0)
 
-    def outlying_rarity(self, widening: Tensor, given_back: Tensor) -> Tensor:
-        """Logs ``(2, 1, 2, ...)`` of factors on the probabilities of modes at the first two measurements, else 1.
+    def outlying_rarity(
+        self, state: GPBState, predicted: Hypotheses, cost: Tensor, widening: Tensor, frame: Frame
+    ) -> Tensor:
+        """Logs ``(2, 1, 2, ...)`` of factors on the probabilities of modes at the first three measurements, else 1.
 
-        A prior that is off and an outlier are the same at the first measurement.  So that one is taken for an outlier
-        whatever its size: the weight of a prior that is off falls as one over the root of its distance, and by
-        ``PATIENCE`` more, which the second measurement gives back.  That both are wrong is rarer still: merged with an
-        outlier after a good prior, it would take away what that one knows.
+        A prior that is off and outliers are the same at first.  As a jump, a prior that is off is as rare as outliers,
+        ``PRIOR_BURST`` of them: so one is taken for an outlier whatever its size, and so are two; and what it loses at
+        the next two measurements as it knows no velocity and no acceleration, it is given back.  That both are wrong is rarer still: merged
+        with an outlier after a good prior, it would take away what that one knows.
 
         Args:
+            state: before the step.
+            predicted: ``(1, R, 2, ...)``.
+            cost: ``(1, 1, 2, ...)`` as in ``Surprise``.
             widening: ``(...)`` from ``widening``.
-            given_back: ``(...)`` log of what the first measurement has taken, at the second; else 0.
+            frame: of the step.
         """
-        rarity = -0.25 * widening.log()
-        off = torch.stack([rarity - _deferred(widening), 5 * rarity])
-        return torch.stack([given_back.expand_as(off), off], 1).unsqueeze(1)
+        off, rarer = 3 * widening.log(), cost[0, 0, -1]
+        rarity = torch.stack([torch.minimum(k * off, (PRIOR_BURST + k - 1.75) * rarer) for k in (1, 2)])
+        later = (state.doubt <= 0.5) & (state.doubt > 0.2) & (state.widening > 1) & (frame.measured.sum(-1) > 0)
+        begun = torch.zeros_like(off)
+        some = later.any()
+        if is_traced(some) or some:
+            unknown, _ = innovation(self.compare(self.read(Gaussian(*(x[0, 0, 0] for x in predicted.belief))), frame))
+            begun = torch.where(later, unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), 0.0)
+        return torch.stack([torch.stack([begun, torch.zeros_like(begun)]), -rarity], 1).unsqueeze(1)
 
     def outlying_rows(self, widening: Tensor) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
@@ -421,7 +436,7 @@ class GPB(Filter[GPBState]):
         switching = self.regimes.switch(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
         mixed, _ = self.mix(before.belief, switching)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
-        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)
+        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state, relaxation)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
@@ -521,8 +536,3 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
-
-
-def _deferred(widening: Tensor) -> Tensor:
-    """Log ``(...)`` of how much less likely an outlying prior is until the second measurement; 0 where it is not."""
-    return widening.log().clamp_max(PATIENCE)

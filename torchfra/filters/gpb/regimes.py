@@ -35,6 +35,8 @@ class Surprise(NamedTuple):
     """``(1, 1, 2, ...)`` normalised innovation squared per element."""
     rarity: Tensor
     """``(1, 1, 2, ...)`` log of the factor on the weight of a jump: see ``Regimes.rarity``."""
+    cost: Tensor
+    """``(1, 1, 2, ...)`` log of how much less likely it is as outliers than as stated: see ``Outliers.cost``."""
 
 
 class Switching(NamedTuple):
