@@ -305,15 +305,15 @@ class Regimes(Part):
             surprise: of the measurement.
         """
         manoeuvre = -2 * (surprise.nis / MANOEUVRE_NIS).clamp_min(1.0).log()
-        log_weight = log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre))
+        others = log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre))
         if not self.jump_count:
-            return log_weight
+            return others
         chain = log_weight.narrow(MOTION, -self.jump_count, self.jump_count)
         restart = self.restart_distribution(log_weight[0])[-self.jump_count :]
         share = safe_log(safe_divide(restart, restart.sum(0))).unsqueeze(0)
         jumps = log_sum(log_weight, MOTION).unsqueeze(MOTION) + share + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, chain, jumps)  # without a measurement the chain goes on as it is
-        return torch.cat([log_weight.narrow(MOTION, 0, len(self.motion_of) - self.jump_count), jumps], MOTION)
+        return torch.cat([others.narrow(MOTION, 0, len(self.motion_of) - self.jump_count), jumps], MOTION)
 
     # ------------------------------------------------------------ predictions
 
