@@ -299,7 +299,8 @@ def updated(
     W = P[:, :READS] @ m.H.T @ np.linalg.inv(sloped + noise)
     left = np.eye(len(mean))
     left[:, :READS] -= W @ m.H
-    return fit(e, sloped + noise)[1], mean + W @ e, left @ P @ left.T + W @ noise @ W.T  # by Joseph: P may be wide
+    P = left @ P @ left.T + W @ noise @ W.T  # by Joseph: it may have been wide
+    return fit(e, sloped + noise)[1], mean + W @ e, (P + P.T) / 2
 
 
 def compared(belief: Belief, z: Array, block: list[int], model: Model, k: int, line: Line | None) -> Measured:
