@@ -187,10 +187,10 @@ def jumped(
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
             widen[position] = width = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
-            for order in (1, 2):  # velocity and acceleration: at least as large as before
+            for order in (1, 2):  # velocity and acceleration: three times as large as before, at least
                 rates = range(order * position.stop, min((order + 1) * position.stop, len(mean)))
                 for i in (i for i in rates if P[i, i] > 0):
-                    widen[i] = min(width, max(1.0, np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
+                    widen[i] = min(width, max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
             given = np.log(widen[position.stop :]).sum()

@@ -24,6 +24,11 @@ from torchfra.types import Gaussian
 
 LARGEST_FACTOR = 1e10
 """Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
+SOONER = 0.65
+"""By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
+are rather less likely than expected, by noise that is stated wrongly say, than more."""
+FASTER = 3.0
+"""Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
 MANOEUVRE_NIS = 30.0
 """Normalised innovation squared beyond which the weight of a manoeuvre falls with its size."""
 
@@ -156,7 +161,7 @@ class Regimes(Part):
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
-        self.burst = Hyper(burst, constraints.greater_than_eq(0.5), name="burst")
+        self.burst = Hyper(burst, constraints.greater_than_eq(SOONER), name="burst")
         self.self_transition = self.durations = None
         if sojourn == "durations":
             self.durations = sojourn_times(stay, 1, sojourn)
@@ -275,7 +280,7 @@ class Regimes(Part):
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
         A jump and a burst of equal outliers are the same until the burst ends.  Besides its own density, which is about
-        that of an outlier of this size, a jump has that of ``burst - 1/2`` more outliers: whatever the size, it is less
+        that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is less
         likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What it
         will lose at the next measurements, as it knows no velocity any more, it is given before.
 
@@ -290,7 +295,7 @@ class Regimes(Part):
             return -cost
         wider = self._widths(propagated, nis, motion)[:, -1:].squeeze(-1).log()
         still = 1 - self._chosen(range(motion.size)[motion.position], wider)
-        return torch.where(cost > 0, (still * wider).sum(-1) - cost * (self.burst(cost) - 0.65), 0.0)
+        return torch.where(cost > 0, (still * wider).sum(-1) - cost * (self.burst(cost) - SOONER), 0.0)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
@@ -384,9 +389,9 @@ class Regimes(Part):
     def _widths(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and its derivatives in a jump.
 
-        A receiver that was reset moves as before, a target that was carried elsewhere as fast in any direction: a
-        standard deviation of the velocity is at least the speed, if it is not multiplied by more than the position's;
-        and so is one of the acceleration at least its size.
+        A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
+        standard deviation of the velocity is at least ``FASTER`` times the speed, if it is not multiplied by more than
+        the position's; and so is one of the acceleration of its size.
         """
         mean, rank = propagated.mean, nis.dim() - 2
         jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
@@ -398,7 +403,7 @@ class Regimes(Part):
         for part in (components[motion.velocity], accelerations):
             those = self._chosen(part, mean)
             size = safe_sqrt((those * mean[:, :1]).square().sum(-1, keepdim=True))
-            larger = safe_divide(size, std).clamp_min(1.0)
+            larger = safe_divide(FASTER * size, std).clamp_min(1.0)
             rows = rows + (torch.minimum(widths, larger) - 1) * those
         return rows.unsqueeze(-1)
 
