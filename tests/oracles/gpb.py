@@ -199,9 +199,7 @@ def jumped(
     return after, np.array(rarity), factors, costs
 
 
-def cost(
-    e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int
-) -> float:
+def cost(e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int) -> float:
     """Log of how much less likely a measurement is as outliers that last than as stated."""
     measured = present(z)
     if not measured:
@@ -282,7 +280,14 @@ def along(line: Line, belief: Belief, block: list[int], R: Array) -> Measured:
 
 
 def updated(
-    belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float, first: bool, off: float = 0.0,
+    belief: Belief,
+    z: Array,
+    block: list[int],
+    model: Model,
+    k: int,
+    size: float,
+    first: bool,
+    off: float = 0.0,
     line: Line | None = None,
 ) -> tuple[float, Array, Array]:
     """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
@@ -577,9 +582,7 @@ def step(
     mixed, shares = interacted(c.beliefs, log_pairs, motion)
     predictions = predicted(mixed, motions, regimes, k)
     over = q.over(seconds)
-    after_jumps, rarity, factors, costs = jumped(
-        predictions, mixed, motions, regimes, position, z, model, k, q, over
-    )
+    after_jumps, rarity, factors, costs = jumped(predictions, mixed, motions, regimes, position, z, model, k, q, over)
     predictions |= after_jumps
     moved = paths(mixed, predictions, motions, regimes, factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in MODES])

@@ -105,8 +105,8 @@ def gpb(
         motion: how targets move; its regimes are levels of process noise and a jump.  Of several motions of one state,
             or a ``Bank``, the first has these regimes, and each other motion is one more regime.
         sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
-        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"jumps"`` alone; ``"some"``; or ``"hard"``, also turns
-            far beyond its process noise, at some loss of accuracy with outliers.  None is ``"jumps"`` for a motion that
+        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"jumps"`` alone; ``"some"``; or
+            ``"hard"``, also turns far beyond its process noise, at some loss of accuracy with outliers.  None is ``"jumps"`` for a motion that
             measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six
             arguments that follow: ``presets.regimes.MANOEUVRES``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated

@@ -31,7 +31,14 @@ from torchfra.filters.gpb.hypotheses import (
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import LARGEST_FACTOR, Regimes, Surprise, Switching
-from torchfra.filters.gpb.slopes import Line, along, by_points_or_line, by_points_or_slope, elements_of, line_at_place
+from torchfra.filters.gpb.slopes import (
+    Line,
+    along,
+    by_points_or_line,
+    by_points_or_slope,
+    elements_of,
+    line_at_place,
+)
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record, Smoothed
@@ -185,7 +192,9 @@ class GPB(Filter[GPBState]):
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
-        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state, relaxation)  # (3)
+        predicted, surprise, widening = self.predict_regimes(
+            mixed, switching.log_weight, frame, state, relaxation
+        )  # (3)
         log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
         modes = log_mode + rarity, blocks_outlying
@@ -314,8 +323,8 @@ class GPB(Filter[GPBState]):
 
         A prior that is off and outliers are the same at first.  As a jump, a prior that is off is as rare as outliers,
         ``PRIOR_BURST`` of them: so one is taken for an outlier whatever its size, and so are two; and what it loses at
-        the next two measurements as it knows no velocity and no acceleration, it is given back.  That both are wrong is rarer still: merged
-        with an outlier after a good prior, it would take away what that one knows.
+        the next two measurements as it knows no velocity and no acceleration, it is given back.  That both are wrong is
+        rarer still: merged with an outlier after a good prior, it would take away what that one knows.
 
         Args:
             state: before the step.

@@ -280,8 +280,8 @@ class Regimes(Part):
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
         A jump and a burst of equal outliers are the same until the burst ends.  Besides its own density, which is about
-        that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is less
-        likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What it
+        that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is
+        less likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What it
         will lose at the next measurements, as it knows no velocity any more, it is given before.
 
         Args:
@@ -395,7 +395,9 @@ class Regimes(Part):
         """
         mean, rank = propagated.mean, nis.dim() - 2
         jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
-        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt()).unsqueeze(-1)
+        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt()).unsqueeze(
+            -1
+        )
         components = range(mean.shape[-1])
         accelerations = [i for i in components if motion.kinds[i] == "acceleration"]
         std = safe_sqrt(self.agile_root(propagated).square().sum(-1))
