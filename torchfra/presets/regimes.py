@@ -106,9 +106,9 @@ def gpb(
             or a ``Bank``, the first has these regimes, and each other motion is one more regime.
         sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
         manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"jumps"`` alone; ``"some"``; or
-            ``"hard"``, also turns far beyond its process noise, at some loss of accuracy with outliers.  None is ``"jumps"`` for a motion that
-            measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six
-            arguments that follow: ``presets.regimes.MANOEUVRES``.
+            ``"hard"``, also turns far beyond its process noise, at some loss of accuracy with outliers.  None is
+            ``"jumps"`` for a motion that measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets
+            the defaults of the six arguments that follow: ``presets.regimes.MANOEUVRES``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others

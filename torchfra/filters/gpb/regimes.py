@@ -281,8 +281,8 @@ class Regimes(Part):
 
         A jump and a burst of equal outliers are the same until the burst ends.  Besides its own density, which is about
         that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is
-        less likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What it
-        will lose at the next measurements, as it knows no velocity any more, it is given before.
+        less likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What
+        it will lose at the next measurements, as it knows no velocity any more, it is given before.
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
