@@ -194,8 +194,7 @@ def test_the_paper_s_filter_has_no_patience():
 
 
 @pytest.mark.parametrize(("motion", "sensor"), [
-    ("odometry", "position"), ("odometry", "radar"), ("velocity", "bearings"), ("velocity", "ranges"),
-    ("acceleration", "position"),
+    ("odometry", "position"), ("odometry", "radar"), ("velocity", "ranges"),
 ])  # fmt: skip
 def test_a_target_that_was_carried_away_is_found_with_five_measurements(motion, sensor):
     scenario = OpenCell("moved", motion, sensor, size=900.0, dt=2.0).scenario(steps=36)
