@@ -27,7 +27,7 @@ VALUES = {
     "outlier_shares": (0.6, 0.3, 0.1),
     "prior_outlier": 0.3,
     "prior_inflation": 50.0,
-    "burst": 1.05,
+    "burst": 1.1,
 }
 """None of them a default, so that the tests hold whatever those are."""
 
