@@ -193,6 +193,33 @@ def test_the_paper_s_filter_has_no_patience():
 # ---------------------------------------------------------------- what gpb promises
 
 
+@pytest.mark.parametrize(("motion", "sensor"), [
+    ("odometry", "position"), ("odometry", "radar"), ("velocity", "ranges"),
+])  # fmt: skip
+def test_a_target_that_was_carried_away_is_found_with_five_measurements(motion, sensor):
+    scenario = OpenCell("moved", motion, sensor, size=900.0, dt=2.0).scenario(steps=36)
+    tracks = scenario.simulate(6, SEED)
+    found = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt).mean
+    assert (found - tracks.truth)[..., :2].norm(dim=-1).nan_to_num(0.0).max() < 10
+
+
+@pytest.mark.parametrize("sensor", ["radar", "bearings"])
+def test_a_prior_as_far_off_as_a_sensor_is_left_with_three_measurements(sensor):
+    scenario = OpenCell("prior", sensor=sensor, doubt=3.0).scenario(steps=30)
+    tracks = scenario.simulate(8, SEED)
+    found = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, dt=scenario.dt).mean
+    assert (found - tracks.truth)[:, 2:, :2].norm(dim=-1).max() < 20
+
+
+def test_two_equal_outliers_at_the_beginning_are_no_prior_that_is_off():
+    scenario = OpenCell(motion="acceleration", dt=30.0).scenario(steps=30)
+    tracks = scenario.simulate(6, SEED)
+    z = tracks.z.clone()
+    z[:, :2] += 3e4
+    found = presets.gpb(scenario.motion, scenario.sensor)(z, tracks.prior, dt=scenario.dt).mean
+    assert (found - tracks.truth)[..., :2].norm(dim=-1).max() < 100
+
+
 @pytest.mark.slow
 def test_gpb_is_near_the_best_of_three_others_in_most_of_forty_random_cells_and_lost_in_none():
     ratios = []

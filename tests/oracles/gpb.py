@@ -15,7 +15,7 @@ import numpy as np
 
 from oracles.basics import Array, Model, Result, at, collect, difference, measurement_noise, present
 from oracles.cubature import Measured, draw, moments, third_degree
-from oracles.kalman import fit, update
+from oracles.kalman import fit
 from oracles.mixture import matched
 
 Propagate = Callable[[Array, Array, int], tuple[Array, Array, Array]]  # mean, P, k -> mean, F P F^T (n,n), Q (n,n)
@@ -24,7 +24,8 @@ Beliefs = dict[tuple[int, int], Belief]  # by outlier mode (0 without, 1 with ou
 
 MODES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, LARGEST, PRIOR_MARGIN, PATIENCE = 0.02, 0.01, 1e10, 4.0, math.log(1000.0)
+BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e10, 4.0, 2.0
+BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
 
 
 class Regimes(NamedTuple):
@@ -61,6 +62,7 @@ class OutlierModes(NamedTuple):
     same_offset: float = 0.0  # probability that an outlier after another has its offset; of linear sensors
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
     noise: tuple[float, float] | None = None  # what is learned of it: std of its log variance, and measurements kept
+    line: Any = None  # the measurement as a `Line`, for beliefs whose points are far off any
 
     def over(self, seconds: float) -> Array:
         """The transition (2,2) between two measurements."""
@@ -161,36 +163,57 @@ def widening(prediction: Belief, z: Array, model: Model, k: int) -> float:
 
 def jumped(
     predictions: Beliefs, mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array,
-    model: Model, k: int,
-) -> tuple[Beliefs, Array, Beliefs]:  # fmt: skip
+    model: Model, k: int, outlying: OutlierModes, transition: Array,
+) -> tuple[Beliefs, Array, Beliefs, list[float]]:  # fmt: skip
     """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) logs of how rare they are.
 
-    Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise before that.
+    Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise before that;
+    and how much less likely the measurement is as outliers.
     """
-    after, rarity, factors = {}, [], {}
+    after, rarity, factors, costs = {}, [], {}, []
     for q in MODES:
         mean, P = predictions[q, range(len(regimes.levels))[regimes.home]]
         m = read((mean, P), z, model, k)
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
-        square = fit(m.e, measurement_noise(model, k, present(z)))[0] / max(len(m.e), 1)
-        jump = (regimes.burst - 0.5) * -len(m.e) / 2 * math.log(max(square, 30.0))
-        rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [jump] * len(regimes.jumps))
+        costs.append(cost(m.e, z, model, k, outlying, transition, position.stop))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
             carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
             factors[q, r] = np.ones(len(mean)), level * min(max(factor * nis, 1.0), LARGEST)
             after[q, r] = carried_mean, J + factors[q, r][1] * Q
+        given = 0.0
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
             widen[position] = width = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
-            rates = range(position.stop, min(2 * position.stop, len(mean)))  # at least as fast as before
-            for i in rates:
-                widen[i] = min(width, max(1.0, np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
+            for order in (1, 2):  # velocity and acceleration: three times as large as before, at least
+                rates = range(order * position.stop, min((order + 1) * position.stop, len(mean)))
+                for i in (i for i in rates if P[i, i] > 0):
+                    widen[i] = min(width, max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
-    return after, np.array(rarity), factors
+            given = np.log(widen[position.stop :]).sum()
+        rare = given - (regimes.burst - 0.65) * costs[q] if costs[q] > 0 else 0.0
+        rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [rare] * len(regimes.jumps))
+    return after, np.array(rarity), factors, costs
+
+
+def cost(e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int) -> float:
+    """Log of how much less likely a measurement is as outliers that last than as stated."""
+    measured = present(z)
+    if not measured:
+        return 0.0
+    whole = np.zeros(len(z))
+    whole[measured] = np.linalg.solve(np.linalg.cholesky(measurement_noise(model, k, measured)), e)
+    rare = -math.log(max(transition[:, 1])) - math.log(q.shares[-1])
+    total = least = 0.0
+    for block in q.blocks:
+        count, square = sum(i in measured for i in block), (whole[block] ** 2).sum()
+        size = max(square / max(count, 1), 1.0)
+        total += min(square / 2, rare + count / 2 * (math.log(size) - EXPECTED))
+        least += rare + len(block) / 2 * (math.log(LEAST) - EXPECTED)
+    return max(total * min(1.0, dims / len(measured)), least * min(1.0, dims / len(z)))
 
 
 def paths(
@@ -213,24 +236,89 @@ def paths(
     return moved
 
 
+class Line(NamedTuple):
+    """A measurement as a line near the place where it was made, elements that are missing left out."""
+
+    measured: list[int]
+    point: Array
+    e: Array  # what is measured beyond it
+    H: Array
+    rest: Array  # covariance of what a line leaves out
+
+
+def line_at_place(belief: Belief, z: Array, model: Model, k: int) -> Line:
+    """The line at the place that a belief and a measurement have in common, by damped Gauss-Newton steps."""
+    mean, P = belief[0][:READS], belief[1][:READS, :READS]
+    points, *weights = third_degree(len(belief[0]))
+    rule, measured = (points[:READS], weights[0], weights[1]), present(z)
+    angles, R = np.asarray(model.angles, dtype=bool)[measured], measurement_noise(model, k, measured)
+
+    def line(point: Array, square: Array) -> Line:
+        zhat, gaps = deviations(point, np.diag(square), model, k, rule, measured)
+        wc = np.diag(rule[2])
+        H = gaps.T @ wc @ (draw(point, np.diag(square), rule) - point) @ np.diag(1 / square)
+        rest = gaps.T @ wc @ gaps - H @ np.diag(square) @ H.T
+        return Line(measured, point, difference(np.asarray(z)[measured], zhat, angles), H, rest)
+
+    point, square = mean, NEAR**2 * np.diag(P)
+    for _ in range(NEWTON):
+        seen = line(point, square)
+        left = max(1.0, fit(seen.e, R)[0] / len(z))
+        weighted = np.linalg.solve(left * R, seen.H).T
+        after = np.linalg.inv(np.linalg.inv(P) + weighted @ seen.H)
+        point = mean + after @ weighted @ (seen.e + seen.H @ (point - mean))
+    return line(point, np.diag(after))
+
+
+def along(line: Line, belief: Belief, block: list[int], R: Array) -> Measured:
+    """A block compared with a belief by a line."""
+    chosen = [line.measured.index(i) for i in block if i in line.measured]
+    mean, P = belief[0][:READS], belief[1][:READS, :READS]
+    H = line.H[chosen]
+    e = line.e[chosen] + H @ (line.point - mean)
+    return Measured(R + line.rest[np.ix_(chosen, chosen)] + H @ P @ H.T, P @ H.T, e, H)
+
+
 def updated(
-    belief: Belief, z: Array, block: list[int], model: Model, k: int, size: float, first: bool, off: float = 0.0
+    belief: Belief,
+    z: Array,
+    block: list[int],
+    model: Model,
+    k: int,
+    size: float,
+    first: bool,
+    off: float = 0.0,
+    line: Line | None = None,
 ) -> tuple[float, Array, Array]:
     """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
 
     What the points add to the noise counts for the first block that is measured alone.
     """
+    mean, P = belief
+    m = compared(belief, z, block, model, k, line)
+    measured = [i for i in block if not math.isnan(z[i])]
+    sloped = m.H @ P[:READS, :READS] @ m.H.T
+    R = measurement_noise(model, k, measured)
+    noise = size * R + (m.Pzz - R - sloped if first else 0.0)
+    e = m.e - off * np.linalg.cholesky(R).sum(1)
+    W = P[:, :READS] @ m.H.T @ np.linalg.inv(sloped + noise)
+    left = np.eye(len(mean))
+    left[:, :READS] -= W @ m.H
+    P = left @ P @ left.T + W @ noise @ W.T  # by Joseph: it may have been wide
+    return fit(e, sloped + noise)[1], mean + W @ e, (P + P.T) / 2
+
+
+def compared(belief: Belief, z: Array, block: list[int], model: Model, k: int, line: Line | None) -> Measured:
+    """A block compared with a belief by its points, or by the line where they are far off any."""
     alone = np.full(len(z), np.nan)
     alone[block] = z[block]
-    mean, P = belief
-    m = read(belief, alone, model, k)
-    measured = [i for i in block if not math.isnan(z[i])]
-    sloped = m.Pxz.T @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
+    m, measured = read(belief, alone, model, k), [i for i in block if not math.isnan(z[i])]
+    if line is None or not measured:
+        return m
     R = measurement_noise(model, k, measured)
-    Pzz = (m.Pzz - R if first else sloped) + size * R
-    Pxz = P[:, :READS] @ np.linalg.inv(P[:READS, :READS]) @ m.Pxz
-    e = m.e - off * np.linalg.cholesky(R).sum(1)
-    return fit(e, Pzz)[1], *update(mean, P, Pzz, Pxz, e)
+    whiten = np.linalg.inv(np.linalg.cholesky(R))
+    rest = m.Pzz - R - m.Pxz.T @ np.linalg.solve(belief[1][:READS, :READS], m.Pxz)
+    return along(line, belief, block, R) if np.diag(whiten @ rest @ whiten.T).max() > BENT else m
 
 
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
@@ -275,17 +363,17 @@ def without_outliers(
     total, noise = 0.0, []
     for block in q.blocks:
         first = is_first(block, z, q)
-        noise.append(about_noise(belief, z, block, model, k, first))
-        score, *after = updated(belief, z, block, model, k, 1.0, first)
+        noise.append(about_noise(belief, z, block, model, k, first, q.line))
+        score, *after = updated(belief, z, block, model, k, 1.0, first, line=q.line)
         belief, total = (after[0], after[1]), total + score
     return total, belief, noise
 
 
-def about_noise(belief: Belief, z: Array, block: list[int], model: Model, k: int, first: bool) -> Array:
+def about_noise(
+    belief: Belief, z: Array, block: list[int], model: Model, k: int, first: bool, line: Line | None
+) -> Array:
     """Derivative (2,) of an inlier's log density by the log of its noise's scale, and how sharp it is."""
-    alone = np.full(len(z), np.nan)
-    alone[block] = z[block]
-    m, P = read(belief, alone, model, k), belief[1][:READS, :READS]
+    m, P = compared(belief, z, block, model, k, line), belief[1][:READS, :READS]
     R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
     Pzz = m.Pzz if first else m.Pxz.T @ np.linalg.inv(P) @ m.Pxz + R
     S, root = np.linalg.inv(Pzz), np.linalg.cholesky(R)
@@ -311,11 +399,11 @@ def with_outliers(
     total, outlier, noise = 0.0, [], []
     for block, share, chance in zip(q.blocks, prior, again, strict=True):
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
-        furthest = max(q.sizes[-1], nis_per_element(belief, z, block, model, k, offsets[-1]))
+        furthest = max(q.sizes[-1], nis_per_element(belief, z, block, model, k, offsets[-1], q.line))
         chances = [1 - share] + [share * (1 - chance) * s for s in q.shares]
         first, sizes = is_first(block, z, q), [1.0, *q.sizes[:-1], furthest]
         parts = [
-            updated(belief, z, block, model, k, size, first, off)
+            updated(belief, z, block, model, k, size, first, off, q.line)
             for size, off in zip(sizes, [0.0, *offsets], strict=True)
         ]
         if not q.inform:
@@ -326,7 +414,7 @@ def with_outliers(
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
-        noise.append(weights[0] * about_noise(belief, z, block, model, k, first))
+        noise.append(weights[0] * about_noise(belief, z, block, model, k, first, q.line))
         belief = matched([(w, *part[1:]) for w, part in zip(weights, parts, strict=True)])
         outlier.append(sum(weights[1:]))
         total += score
@@ -341,13 +429,13 @@ def unchanged(change: Array, block: list[int], path: Belief, model: Model, k: in
     return fit(change[measured] - H @ mean, H @ P @ H.T + 2 * measurement_noise(model, k, measured))[1]
 
 
-def nis_per_element(belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float) -> float:
+def nis_per_element(
+    belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float, line: Line | None
+) -> float:
     """The square of a block's error per element, in units of its noise."""
-    alone = np.full(len(z), np.nan)
-    alone[block] = z[block]
     measured = [i for i in block if not math.isnan(z[i])]
     R = measurement_noise(model, k, measured)
-    e = read(belief, alone, model, k).e - off * np.linalg.cholesky(R).sum(1)
+    e = compared(belief, z, block, model, k, line).e - off * np.linalg.cholesky(R).sum(1)
     return fit(e, R)[0] / max(len(measured), 1)
 
 
@@ -391,8 +479,8 @@ class State(NamedTuple):
     last: Array  # (m,) the measurement
     elapsed: float = 0.0  # s since the last measurement
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
-    doubt: bool = False  # whether nothing has been measured yet
-    deferred: float = 0.0  # log of what the first measurement takes from an outlying prior and the second gives back
+    count: int = 0  # of the measurements
+    wider: float = 1.0  # than the inflated prior, at the first of them
 
 
 def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlier: float, factor: float) -> State:
@@ -402,7 +490,7 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
     log_regimes = np.log(np.array([share * regimes.first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
-    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise, True)
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise)
 
 
 class Hypothesis(NamedTuple):
@@ -422,11 +510,14 @@ def hypotheses(
     q: OutlierModes, k: int,
 ) -> list[Hypothesis]:  # fmt: skip
     """All of a step, before their weights are made to sum to one."""
-    found = []
+    found, last = [], max(r for _, r in predictions)
+    nothing = np.isnan(z).all()
+    lines = [None if nothing else line_at_place(predictions[before, last], z, model, k) for before in MODES]
     for before, r in predictions:
+        q = q._replace(line=lines[before])
         mode, prior = outlier_probabilities(transition, c.outlier, before)
         again = same_offset_probabilities(q, c.outlier, transition, c.last, z, before)
-        if np.isnan(z).all():
+        if nothing:
             mode = np.eye(2)[before]  # until a measurement says more
         score, belief, noise = without_outliers(predictions[before, r], z, q, model, k)
         weight = log_chance[before, r]
@@ -490,20 +581,30 @@ def step(
             log_pairs = np.log(switched(np.exp(c.log_regimes), *regimes.seconds(k)))
     mixed, shares = interacted(c.beliefs, log_pairs, motion)
     predictions = predicted(mixed, motions, regimes, k)
-    after_jumps, rarity, factors = jumped(predictions, mixed, motions, regimes, position, z, model, k)
+    over = q.over(seconds)
+    after_jumps, rarity, factors, costs = jumped(predictions, mixed, motions, regimes, position, z, model, k, q, over)
     predictions |= after_jumps
     moved = paths(mixed, predictions, motions, regimes, factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in MODES])
+    jumps = len(regimes.jumps)
+    if jumps and not nothing:  # as likely as all regimes together, but for how rare they are
+        share = regimes.transition[0, -jumps:] / regimes.transition[0, -jumps:].sum()
+        chance[:, -jumps:] = [[log_sum(row)] * jumps for row in chance] + np.log(share)
     chance[:, len(regimes.levels) :] += rarity
-    wider = 1.0
-    if c.doubt and not nothing:
+    wider, rare, begun = c.wider, [0.0, 0.0], 0.0
+    if c.count == 0 and not nothing:
         wider = widening(predictions[1, 0], z, model, k)
-        predictions |= {key: (mean, wider * P) for key, (mean, P) in predictions.items() if key[0]}
-    every = hypotheses(predictions, moved, chance, c, q.over(seconds), z, model, q, k)
-    deferred = min(math.log(wider), PATIENCE)
-    rare = [0.25 * math.log(wider) + deferred, 1.25 * math.log(wider)]  # a prior that is off, and an outlier besides
-    back = 0.0 if nothing else c.deferred
-    every = [h._replace(log_weight=h.log_weight - (rare[h.now] if h.before else -back)) for h in every]
+        predictions |= {
+            key: (mean, wider * P) for key, (mean, P) in predictions.items() if key[0] and key[1] < len(motion) - jumps
+        }
+        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.75) * costs[1]) for i in (1, 2)]
+    if c.count in (1, 2) and wider > 1 and not nothing:  # what a prior that is off does not know is no evidence
+        m = read(predictions[0, 0], z, model, k)
+        R = measurement_noise(model, k, present(z))
+        begun = 0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1])
+    every = hypotheses(predictions, moved, chance, c, over, z, model, q, k)
+    gains = {(0, 0): begun, (1, 0): 0.0, (0, 1): -rare[0], (1, 1): -rare[1]}
+    every = [h._replace(log_weight=h.log_weight + gains[h.now, h.before]) for h in every]
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
     after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
@@ -530,9 +631,9 @@ def step(
         output["noise"] = np.exp(known[:, 0])
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
-        return State(after, log_regimes, c.outlier, z, seconds, known, c.doubt, c.deferred), output, lagged
+        return State(after, log_regimes, c.outlier, z, seconds, known, c.count, c.wider), output, lagged
     return (
-        State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known, False, deferred),
+        State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known, c.count + 1, wider),
         output,
         lagged,
     )

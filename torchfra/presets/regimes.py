@@ -25,6 +25,10 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (),
         "durations": (1078, 25.27), "restart": (0.076, 0.924),
     },
+    "jumps": {
+        "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "durations": (1078, 25.27, 0.3594), "restart": (0.076, 0.914, 0.01),
+    },
     "some": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
@@ -44,6 +48,7 @@ models hold, among spikes and heavy tails, and in the scenarios of bearings."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
+    "jumps": MANOEUVRES["jumps"],
     "some": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
@@ -100,10 +105,10 @@ def gpb(
         motion: how targets move; its regimes are levels of process noise and a jump.  Of several motions of one state,
             or a ``Bank``, the first has these regimes, and each other motion is one more regime.
         sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
-        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"some"``; or ``"hard"``, also turns
-            far beyond its process noise, at some loss of accuracy with outliers.  None is ``"none"`` for a motion that
-            measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six
-            arguments that follow: ``presets.regimes.MANOEUVRES``.
+        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"jumps"`` alone; ``"some"``; or
+            ``"hard"``, also turns far beyond its process noise, at some loss of accuracy with outliers.  None is
+            ``"jumps"`` for a motion that measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets
+            the defaults of the six arguments that follow: ``presets.regimes.MANOEUVRES``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
@@ -167,7 +172,7 @@ def gpb(
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
     if manoeuvres is None:
-        manoeuvres = "none" if models.measures_itself else "some"
+        manoeuvres = "jumps" if models.measures_itself else "some"
     if manoeuvres not in MANOEUVRES:
         received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -31,7 +31,14 @@ from torchfra.filters.gpb.hypotheses import (
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import LARGEST_FACTOR, Regimes, Surprise, Switching
-from torchfra.filters.gpb.slopes import by_points_or_slope, elements_of
+from torchfra.filters.gpb.slopes import (
+    Line,
+    along,
+    by_points_or_line,
+    by_points_or_slope,
+    elements_of,
+    line_at_place,
+)
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.records import Record, Smoothed
@@ -43,6 +50,7 @@ from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
+from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
@@ -51,8 +59,8 @@ from torchfra.types import Alarm, Gaussian, Whitened
 
 PRIOR_MARGIN = 4.0
 """Factor on the covariance of an outlying prior beyond what the residual of the first measurement asks for."""
-PATIENCE = math.log(1000.0)
-"""Log of the factor by which an outlying prior is less likely until the second measurement shows it."""
+PRIOR_BURST = 2.0
+"""How many outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
 
 
 class Mixing(NamedTuple):
@@ -183,11 +191,13 @@ class GPB(Filter[GPBState]):
         noise, frame = self.noise_of(state, frame)
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
-        predicted, surprise, widening = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)  # (3)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
+        predicted, surprise, widening = self.predict_regimes(
+            mixed, switching.log_weight, frame, state, relaxation
+        )  # (3)
         log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
-        given_back = torch.where(measured, _deferred(state.widening), 0.0)
-        modes = log_mode + self.outlying_rarity(widening, given_back), blocks_outlying
+        rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
+        modes = log_mode + rarity, blocks_outlying
         change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
         updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
         posterior = updated.posterior()  # (5)
@@ -208,8 +218,8 @@ class GPB(Filter[GPBState]):
         )
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
-        doubt = torch.where(measured, 0.0, state.doubt)
-        widened = torch.where(measured, widening, state.widening)
+        doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
+        widened = torch.where(measured & (state.doubt > 0.5), widening, state.widening)
         now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
@@ -222,7 +232,8 @@ class GPB(Filter[GPBState]):
         ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
         by_belief = Surprise(*(batch_first(x, BEFORE) for x in surprise))
         seen = measured.to(widening).expand_as(widening)
-        past = GPBPast(*kept, by_belief, widening, given_back, seen, relaxation, ratio)
+        rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
+        past = GPBPast(*kept, by_belief, widening, rarity, seen, relaxation, ratio)
         expected = self.compare(self.expected(predicted), frame)
         root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood
@@ -255,7 +266,7 @@ class GPB(Filter[GPBState]):
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
     def predict_regimes(
-        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor
+        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, state: GPBState, relaxation: Tensor | None
     ) -> tuple[Hypotheses, Surprise, Tensor]:
         """Predictions of all regimes, and what they take from the measurement.
 
@@ -263,7 +274,8 @@ class GPB(Filter[GPBState]):
             mixed: ``(1, S, 2, ...)`` beliefs, of each motion and of separate levels.
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             frame: of the step.
-            doubt: ``(...)`` as in ``GPBState``.
+            state: before the step.
+            relaxation: from ``Outliers.relaxation``.
 
         Returns:
             Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction by the agile level; and the
@@ -274,9 +286,10 @@ class GPB(Filter[GPBState]):
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        surprise = Surprise(nis, self.regimes.rarity(compared.residual, frame.measured))
+        cost = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
+        surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion), cost)
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
-        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
+        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, state.doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
 
@@ -293,48 +306,80 @@ class GPB(Filter[GPBState]):
             frame: of the step.
             doubt: ``(...)`` as in ``GPBState``.
         """
+        doubtful = (doubt > 0.5) & (self.prior_inflation(predicted.mean[..., 0]) > 1)
+        some = doubtful.any()  # only at the first measurement; kernels too compare no belief later
+        if not is_traced(some) and not some:
+            return torch.ones_like(frame.measured[..., 0])
         residual, spread, _, _ = self.compare(self.read(predicted), frame)
         excess, size = residual.square().sum(-1) - frame.measured.sum(-1), spread.square().sum((-2, -1))
         # Bounded before it is divided: beyond the range of numbers the gradient of a quotient is NaN.
         factor = PRIOR_MARGIN * safe_divide(torch.minimum(excess, LARGEST_FACTOR * size), size)
-        doubtful = (doubt > 0.5) & (self.prior_inflation(residual[..., 0]) > 1)
         return torch.where(doubtful, factor.clamp(1.0, LARGEST_FACTOR), 1.0)
 
-    def outlying_rarity(self, widening: Tensor, given_back: Tensor) -> Tensor:
-        """Logs ``(2, 1, 2, ...)`` of factors on the probabilities of modes at the first two measurements, else 1.
+    def outlying_rarity(
+        self, state: GPBState, predicted: Hypotheses, cost: Tensor, widening: Tensor, frame: Frame
+    ) -> Tensor:
+        """Logs ``(2, 1, 2, ...)`` of factors on the probabilities of modes at the first three measurements, else 1.
 
-        A prior that is off and an outlier are the same at the first measurement.  So that one is taken for an outlier
-        whatever its size: the weight of a prior that is off falls as one over the root of its distance, and by
-        ``PATIENCE`` more, which the second measurement gives back.  That both are wrong is rarer still: merged with an
-        outlier after a good prior, it would take away what that one knows.
+        A prior that is off and outliers are the same at first.  As a jump, a prior that is off is as rare as outliers,
+        ``PRIOR_BURST`` of them: so one is taken for an outlier whatever its size, and so are two; and what it loses at
+        the next two measurements as it knows no velocity and no acceleration, it is given back.  That both are wrong is
+        rarer still: merged with an outlier after a good prior, it would take away what that one knows.
 
         Args:
+            state: before the step.
+            predicted: ``(1, R, 2, ...)``.
+            cost: ``(1, 1, 2, ...)`` as in ``Surprise``.
             widening: ``(...)`` from ``widening``.
-            given_back: ``(...)`` log of what the first measurement has taken, at the second; else 0.
+            frame: of the step.
         """
-        rarity = -0.25 * widening.log()
-        off = torch.stack([rarity - _deferred(widening), 5 * rarity])
-        return torch.stack([given_back.expand_as(off), off], 1).unsqueeze(1)
+        off, rarer = 3 * widening.log(), cost[0, 0, -1]
+        rarity = torch.stack([torch.minimum(k * off, (PRIOR_BURST + k - 1.75) * rarer) for k in (1, 2)])
+        later = (state.doubt <= 0.5) & (state.doubt > 0.2) & (state.widening > 1) & (frame.measured.sum(-1) > 0)
+        begun = torch.zeros_like(off)
+        some = later.any()
+        if is_traced(some) or some:
+            unknown, _ = innovation(self.compare(self.read(Gaussian(*(x[0, 0, 0] for x in predicted.belief))), frame))
+            begun = torch.where(later, unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), 0.0)
+        return torch.stack([torch.stack([begun, torch.zeros_like(begun)]), -rarity], 1).unsqueeze(1)
 
     def outlying_rows(self, widening: Tensor) -> Tensor:
-        """Factors ``(1, 1, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
 
-        Parameters, biases and angles keep theirs: a heading that is off by more than a turn means nothing.
+        Parameters, biases and angles keep theirs: a heading that is off by more than a turn means nothing.  So do
+        jumps, which are as wide as the measurement asks for by themselves.
         """
         kept = ("angle", "rate", "bias", "parameter")
         inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
         rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
-        return torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1)
+        both, jumps = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1), self.regimes.jump_count
+        others = len(self.regimes.motion_of) - jumps
+        return torch.cat([both] * others + [torch.ones_like(both)] * jumps, MOTION) if jumps else both
 
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
-        """Hypotheses after the measurement: see ``Outliers.update``."""
+        """Hypotheses after the measurement: see ``Outliers.update``.
+
+        If points of a belief are far off a line, as after a jump, the measurement is compared with it by the line where
+        the measurement places the target.
+        """
+
+        @cache
+        def line() -> Line:
+            last = self.read(Gaussian(*(x[:, -1:] for x in predicted.belief)))  # the widest
+            return line_at_place(lambda x: super(GPB, self).compare(x, frame), last)
+
+        def compare(belief: Gaussian, block: Sequence[int]) -> Whitened:
+            points = self.compare(belief, frame, block)
+            if self.sensor.linear:
+                return points
+            return by_points_or_line(points, lambda: elements_of(along(line(), belief), block))
+
         return self.outliers.update(
-            predicted, lambda x, block: self.compare(x, frame, block), self.sensor.reads, 1 - frame.measured, modes,
-            change, learn_noise=self.noise is not None,
-        )  # fmt: skip
+            predicted, compare, self.sensor.reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
+        )
 
     def compare_change(
         self, state: GPBState, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
@@ -399,7 +444,8 @@ class GPB(Filter[GPBState]):
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
         switching = self.regimes.switch(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
         mixed, _ = self.mix(before.belief, switching)
-        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt)
+        relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
+        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state, relaxation)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
@@ -499,8 +545,3 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
-
-
-def _deferred(widening: Tensor) -> Tensor:
-    """Log ``(...)`` of how much less likely an outlying prior is until the second measurement; 0 where it is not."""
-    return widening.log().clamp_max(PATIENCE)

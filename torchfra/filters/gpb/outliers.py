@@ -24,6 +24,12 @@ from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
+LEAST_OUTLIER = 30.0
+"""Mean square in units of the noise of the smallest outliers that a jump is told from."""
+
+EXPECTED = 0.7
+"""How much less likely an element is as predicted than with its noise alone: twice the log, where they vary alike."""
+
 
 class Outliers(Part):
     """Whether measurements are outliers: a Markov chain for each block of elements.
@@ -210,6 +216,31 @@ class Outliers(Part):
         without, faulty = self.outlier_durations(like).unbind(-1)  # type: ignore[misc]
         begins, lasts = relaxation * faulty / (without + faulty), 1 - relaxation * without / (without + faulty)
         return begins.unsqueeze(-1), lasts.unsqueeze(-1)
+
+    def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int) -> Tensor:
+        """Log ``(...)`` of how much less likely a measurement is as outliers that last than as stated.
+
+        Each block is whichever is likelier.  Of more elements than tell a place it is the share of so many.  It is at
+        least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0 without a measurement.
+
+        Args:
+            residual: ``(..., m)`` of a prediction, in units of the noise.
+            measured: ``(..., m)`` 1 where measured, 0 where missing.
+            relaxation: ``(...)`` from ``relaxation``, None without durations.
+            dims: of space.
+        """
+        begins, lasts = self._probabilities(measured, relaxation)
+        rare = -safe_log(torch.maximum(begins, lasts)[..., 0]) - safe_log(self.outlier_shares(measured)[..., -1])
+        total, least = torch.zeros_like(residual[..., 0]), torch.zeros_like(rare)
+        for block in self.blocks:
+            count = measured[..., list(block)].sum(-1)
+            square = residual[..., list(block)].square().sum(-1)
+            mean = safe_divide(square, count.clamp_min(1.0)).clamp_min(1.0)
+            total = total + torch.minimum(0.5 * square, rare + 0.5 * count * (mean.log() - EXPECTED))
+            least = least + rare + 0.5 * len(block) * (math.log(LEAST_OUTLIER) - EXPECTED)
+        elements = measured.sum(-1)
+        total = torch.maximum(total * (dims / elements.clamp_min(dims)), least * min(1.0, dims / measured.shape[-1]))
+        return torch.where(elements > 0, total, 0.0)
 
     def update(
         self,

@@ -24,9 +24,13 @@ from torchfra.types import Gaussian
 
 LARGEST_FACTOR = 1e10
 """Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
-JUMP_SIZE, MANOEUVRE_NIS = 30.0, 30.0
-"""Mean squares of a residual in units of the measurement noise, and of a normalised innovation, beyond which the weight
-of a jump, or a manoeuvre, falls with its size."""
+SOONER = 0.65
+"""By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
+are rather less likely than expected, by noise that is stated wrongly say, than more."""
+FASTER = 3.0
+"""Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
+MANOEUVRE_NIS = 30.0
+"""Normalised innovation squared beyond which the weight of a manoeuvre falls with its size."""
 
 
 class Surprise(NamedTuple):
@@ -36,6 +40,8 @@ class Surprise(NamedTuple):
     """``(1, 1, 2, ...)`` normalised innovation squared per element."""
     rarity: Tensor
     """``(1, 1, 2, ...)`` log of the factor on the weight of a jump: see ``Regimes.rarity``."""
+    cost: Tensor
+    """``(1, 1, 2, ...)`` log of how much less likely it is as outliers than as stated: see ``Outliers.cost``."""
 
 
 class Switching(NamedTuple):
@@ -155,7 +161,7 @@ class Regimes(Part):
         if self.manoeuvre_count:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
-        self.burst = Hyper(burst, constraints.greater_than_eq(0.5), name="burst")
+        self.burst = Hyper(burst, constraints.greater_than_eq(SOONER), name="burst")
         self.self_transition = self.durations = None
         if sojourn == "durations":
             self.durations = sojourn_times(stay, 1, sojourn)
@@ -270,35 +276,49 @@ class Regimes(Part):
         same = torch.eye(count, dtype=stay.dtype, device=stay.device)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
-    def rarity(self, residual: Tensor, measured: Tensor) -> Tensor:
+    def rarity(self, cost: Tensor, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
-        A jump and a burst of equal outliers are the same until the burst ends.  An outlier of ``r`` standard deviations
-        in ``m`` elements has about ``1 / r^m`` of the density of a measurement as stated.  The factor is that to the
-        power of ``burst - 1/2``: whatever its size, a jump is less likely than outliers at the last measurement of the
-        longest burst, and more likely at the next one.
+        A jump and a burst of equal outliers are the same until the burst ends.  Besides its own density, which is about
+        that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is
+        less likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What
+        it will lose at the next measurements, as it knows no velocity any more, it is given before.
 
         Args:
-            residual: ``(1, 1, 2, ..., m)`` of the prediction by the agile level, in units of the measurement noise.
-            measured: ``(..., m)`` 1 where measured, 0 where missing.
+            cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
+                ``Outliers.cost``.  It is 0 without a measurement.
+            propagated: ``(1, S, 2, ...)``, each belief by its motion.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
+            motion: as in ``predictions``.
         """
-        count = measured.sum(-1)
-        size = (residual.square().sum(-1) / count.clamp_min(1.0)).clamp_min(JUMP_SIZE)
-        rarity: Tensor = -0.5 * count * size.log() * (self.burst(residual[..., 0]) - 0.5)
-        return rarity
+        if not self.jump_count:
+            return -cost
+        wider = self._widths(propagated, nis, motion)[:, -1:].squeeze(-1).log()
+        still = 1 - self._chosen(range(motion.size)[motion.position], wider)
+        return torch.where(cost > 0, (still * wider).sum(-1) - cost * (self.burst(cost) - SOONER), 0.0)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 
         Their covariances scale with the innovation, so they would explain one of any size equally well.  The weight of
-        a jump is multiplied by its ``rarity``, and that of a manoeuvre falls as ``1 / nis^2`` beyond its limit.
+        a manoeuvre falls as ``1 / nis^2`` beyond its limit.  A jump may come with any measurement, whatever the time
+        since the last one, as outliers may: its weight is that of all regimes, times its ``rarity``, and its share of
+        the jumps that begin.
 
         Args:
             log_weight: of the regimes by the Markov chain alone.
             surprise: of the measurement.
         """
         manoeuvre = -2 * (surprise.nis / MANOEUVRE_NIS).clamp_min(1.0).log()
-        return log_weight + self._of_kinds(0.0, manoeuvre, surprise.rarity)
+        others = log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre))
+        if not self.jump_count:
+            return others
+        chain = log_weight.narrow(MOTION, -self.jump_count, self.jump_count)
+        restart = self.restart_distribution(log_weight[0])[-self.jump_count :]
+        share = safe_log(safe_divide(restart, restart.sum(0))).unsqueeze(0)
+        jumps = log_sum(log_weight, MOTION).unsqueeze(MOTION) + share + surprise.rarity
+        jumps = torch.where(surprise.rarity == 0, chain, jumps)  # without a measurement the chain goes on as it is
+        return torch.cat([others.narrow(MOTION, 0, len(self.motion_of) - self.jump_count), jumps], MOTION)
 
     # ------------------------------------------------------------ predictions
 
@@ -367,21 +387,26 @@ class Regimes(Part):
         return torch.where(stated.reshape(len(stated), *(1,) * (every.dim() - 2), -1, 1), 1.0, factors)
 
     def _widths(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
-        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and velocity in a jump.
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and its derivatives in a jump.
 
-        A receiver that was reset moves as before, a target that was carried elsewhere as fast in any direction: a
-        standard deviation of the velocity is at least the speed, if it is not multiplied by more than the position's.
+        A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
+        standard deviation of the velocity is at least ``FASTER`` times the speed, if it is not multiplied by more than
+        the position's; and so is one of the acceleration of its size.
         """
         mean, rank = propagated.mean, nis.dim() - 2
         jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
-        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
+        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt()).unsqueeze(
+            -1
+        )
         components = range(mean.shape[-1])
-        place, rates = (self._chosen(components[part], mean) for part in (motion.position, motion.velocity))
-        root = self.agile_root(propagated)
-        speed = safe_sqrt((rates * mean[:, :1]).square().sum(-1, keepdim=True))
-        faster = safe_divide(speed, safe_sqrt(root.square().sum(-1))).clamp_min(1.0)
-        widths = widths.unsqueeze(-1)
-        rows = 1 + (widths - 1) * place + (torch.minimum(widths, faster) - 1) * rates
+        accelerations = [i for i in components if motion.kinds[i] == "acceleration"]
+        std = safe_sqrt(self.agile_root(propagated).square().sum(-1))
+        rows = 1 + (widths - 1) * self._chosen(components[motion.position], mean)
+        for part in (components[motion.velocity], accelerations):
+            those = self._chosen(part, mean)
+            size = safe_sqrt((those * mean[:, :1]).square().sum(-1, keepdim=True))
+            larger = safe_divide(FASTER * size, std).clamp_min(1.0)
+            rows = rows + (torch.minimum(widths, larger) - 1) * those
         return rows.unsqueeze(-1)
 
     @staticmethod

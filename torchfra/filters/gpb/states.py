@@ -41,10 +41,10 @@ class GPBState(NamedTuple):
     duration: Tensor
     """``(..., B)`` seconds, as in ``Alarm``."""
     doubt: Tensor
-    """``(...)`` 1 until the first measurement, which may show that the prior is off, then 0; with targets whose first
-    measurement is uncertain the probability that there was none."""
+    """``(...)`` 1 until the first measurement, which may show that the prior is off, then halved by each; with targets
+    whose first measurement is uncertain its mean."""
     widening: Tensor
-    """``(...)`` factor of ``GPB.widening`` at the last measurement; 1 before the first."""
+    """``(...)`` factor of ``GPB.widening`` at the first measurement; 1 before."""
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
@@ -96,8 +96,8 @@ class GPBPast(NamedTuple):
     """``(..., 2)`` how far the measurement was from its prediction, without and with an outlier in the one before."""
     widening: Tensor
     """``(...)`` factor on the covariance of an outlying prior: see ``GPB.widening``."""
-    given_back: Tensor
-    """``(...)`` what ``GPB.outlying_rarity`` gives back in this step."""
+    rarity: Tensor
+    """``(..., 2, 2)`` logs of factors on the probabilities of outliers now and before: see ``GPB.outlying_rarity``."""
     measured: Tensor
     """``(...)`` 1 where the step has a measurement, else 0."""
     relaxation: Tensor | None = None
@@ -116,5 +116,5 @@ class GPBPast(NamedTuple):
     def of_next(self) -> GPBPast:
         """As in ``records.Past``: of the next step all that is no belief and no weight."""
         none: Any = None  # ``retreat`` reads no others
-        kept = self.surprise, self.widening, self.given_back, self.measured
+        kept = self.surprise, self.widening, self.rarity, self.measured
         return GPBPast(none, none, none, *kept, None, self.log_same_offset)
