@@ -87,7 +87,7 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     measured = frame.measured.sum() > 0
     mixed = Gaussian(*(x[None, None, None] for x in before.belief))  # one motion, no outliers before
     ahead, sure = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.zeros_like(before.log_weight)
-    every, _, _ = f.predict_regimes(mixed, ahead, frame, sure)  # an outlying prior is as inflated as it is said to be
+    every, _, _ = f.predict_regimes(mixed, ahead, frame, sure, None)  # an outlying prior is inflated as is said
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     whitened = f.compare(f.read(predicted), frame)  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)

@@ -193,7 +193,7 @@ class GPB(Filter[GPBState]):
         mixed, mixing = self.mix(before.belief, switching)  # (2)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
         predicted, surprise, widening = self.predict_regimes(
-            mixed, switching.log_weight, frame, state, relaxation
+            mixed, switching.log_weight, frame, state.doubt, relaxation
         )  # (3)
         log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
@@ -266,7 +266,7 @@ class GPB(Filter[GPBState]):
         return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
 
     def predict_regimes(
-        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, state: GPBState, relaxation: Tensor | None
+        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor, relaxation: Tensor | None
     ) -> tuple[Hypotheses, Surprise, Tensor]:
         """Predictions of all regimes, and what they take from the measurement.
 
@@ -274,7 +274,7 @@ class GPB(Filter[GPBState]):
             mixed: ``(1, S, 2, ...)`` beliefs, of each motion and of separate levels.
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             frame: of the step.
-            state: before the step.
+            doubt: ``(...)`` as in ``GPBState``.
             relaxation: from ``Outliers.relaxation``.
 
         Returns:
@@ -289,7 +289,7 @@ class GPB(Filter[GPBState]):
         cost = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
         surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion), cost)
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
-        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, state.doubt)
+        widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
 
@@ -445,7 +445,7 @@ class GPB(Filter[GPBState]):
         switching = self.regimes.switch(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
         mixed, _ = self.mix(before.belief, switching)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
-        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state, relaxation)
+        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 
