@@ -89,7 +89,8 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     ahead, sure = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.zeros_like(before.log_weight)
     every, _, _ = f.predict_regimes(mixed, ahead, frame, sure, None)  # an outlying prior is inflated as is said
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
-    whitened = f.compare(f.read(predicted), frame)  # of (R, N)
+    compare = f.comparison(Gaussian(*(x[-1:] for x in predicted)), frame)
+    whitened = compare(f.read(predicted), f.outliers.blocks[0])  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
     sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.measured).square()  # (C, R, N)

@@ -309,7 +309,7 @@ class GPB(Filter[GPBState]):
         doubtful = (doubt > 0.5) & (self.prior_inflation(predicted.mean[..., 0]) > 1)
         some = doubtful.any()  # only at the first measurement; kernels too compare no belief later
         if not is_traced(some) and not some:
-            return torch.ones_like(frame.measured[..., 0])
+            return torch.ones_like(predicted.mean[..., 0])
         residual, spread, _, _ = self.compare(self.read(predicted), frame)
         excess, size = residual.square().sum(-1) - frame.measured.sum(-1), spread.square().sum((-2, -1))
         # Bounded before it is divided: beyond the range of numbers the gradient of a quotient is NaN.
@@ -360,16 +360,22 @@ class GPB(Filter[GPBState]):
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
-        """Hypotheses after the measurement: see ``Outliers.update``.
+        """Hypotheses after the measurement: see ``Outliers.update``."""
+        compare = self.comparison(Gaussian(*(x[:, -1:] for x in predicted.belief)), frame)
+        return self.outliers.update(
+            predicted, compare, self.sensor.reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
+        )
 
-        If points of a belief are far off a line, as after a jump, the measurement is compared with it by the line where
-        the measurement places the target.
+    def comparison(self, widest: Gaussian, frame: Frame) -> Callable[[Gaussian, Sequence[int]], Whitened]:
+        """What compares a block of the measurement with predicted beliefs.
+
+        If points of a belief are far off a line, as after a jump, it is compared by the line where the measurement
+        places the target, of the ``widest`` belief.
         """
 
         @cache
         def line() -> Line:
-            last = self.read(Gaussian(*(x[:, -1:] for x in predicted.belief)))  # the widest
-            return line_at_place(lambda x: super(GPB, self).compare(x, frame), last)
+            return line_at_place(lambda x: super(GPB, self).compare(x, frame), self.read(widest))
 
         def compare(belief: Gaussian, block: Sequence[int]) -> Whitened:
             points = self.compare(belief, frame, block)
@@ -377,9 +383,7 @@ class GPB(Filter[GPBState]):
                 return points
             return by_points_or_line(points, lambda: elements_of(along(line(), belief), block))
 
-        return self.outliers.update(
-            predicted, compare, self.sensor.reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
-        )
+        return compare
 
     def compare_change(
         self, state: GPBState, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
