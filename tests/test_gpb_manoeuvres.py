@@ -96,7 +96,7 @@ def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
 
 
 def test_an_unknown_word_is_an_error():
-    with pytest.raises(ValueError, match="manoeuvres: expected one of none, some, hard, received 'wild'"):
+    with pytest.raises(ValueError, match="manoeuvres: expected one of none, jumps, some, hard, received 'wild'"):
         gpb("wild")
 
 

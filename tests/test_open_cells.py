@@ -199,8 +199,20 @@ def test_the_paper_s_filter_has_no_patience():
 def test_a_target_that_was_carried_away_is_found_with_five_measurements(motion, sensor):
     scenario = OpenCell("moved", motion, sensor, size=900.0, dt=2.0).scenario(steps=36)
     tracks = scenario.simulate(6, SEED)
-    found = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt).mean
+    f = presets.gpb(scenario.motion, scenario.sensor, burst=4)
+    found = f(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt).mean
     assert (found - tracks.truth)[..., :2].norm(dim=-1).nan_to_num(0.0).max() < 10
+
+
+def test_beside_odometry_thirty_equal_measurements_are_outliers_unless_another_number_is_said():
+    """A sensor that is wrong for long is likelier than a robot that was carried away."""
+    scenario = OpenCell("moved", "odometry", "position", size=900.0, dt=2.0).scenario(steps=120)
+    tracks = scenario.simulate(4, SEED)
+    found = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt).mean
+    off = (found - tracks.truth)[..., :2].norm(dim=-1)  # of the first five measurements after it there is no truth
+    for count, end in zip((off > 100).sum(-1).tolist(), off[:, -5:].amax(-1).tolist(), strict=True):
+        assert 23 <= count <= 29
+        assert end < 10
 
 
 @pytest.mark.parametrize("sensor", ["radar", "bearings"])

@@ -64,6 +64,9 @@ IN_SPACE: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
 
+MEASURED_BURST = 30.0
+"""Outliers in a row that are followed by no motion that measures itself: positions of a robot on a campus were wrong for
+up to so many."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
@@ -79,7 +82,7 @@ def gpb(
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
     restart: Values | None = None,
-    burst: Value = 4.0,
+    burst: Value | None = None,
     durations: Values | None = None,
     climbs: bool | None = None,
     outlier_transition: Values | None = None,
@@ -123,7 +126,8 @@ def gpb(
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.
         burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
-            longer is taken to have jumped.
+            longer is taken to have jumped.  None is 4, and ``MEASURED_BURST`` for a motion that measures itself, beside
+            which a sensor that is wrong for long is likelier than a target that was moved.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
             three or more motions also one for each other motion.
         climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
@@ -190,6 +194,8 @@ def gpb(
         del values["durations"]
     if separate_levels is None and as_numbers(values["noise_levels"], "noise_levels").shape[-1:].numel() <= 1:
         values["separate_levels"] = 0  # the only level
+    if burst is None:
+        burst = MEASURED_BURST if models.measures_itself else 4.0
     regimes = Regimes(count, **values, burst=burst, vertical=models.vertical if climbs else ())
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
