@@ -65,8 +65,8 @@ IN_SPACE: dict[str, dict[str, Any]] = {
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
 
 MEASURED_BURST = 30.0
-"""Outliers in a row that are followed by no motion that measures itself: positions of a robot on a campus were wrong for
-up to so many."""
+"""Outliers in a row that no motion that measures itself follows.  With 4 the error on one recorded day of a robot on a
+campus is 9.3 m for 4.0; with 30 and 60 all days are as without jumps."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
