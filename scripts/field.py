@@ -124,7 +124,7 @@ def problem(
     chain = torch.full((len(models), len(models)), 0.05 / max(len(models) - 1, 1), dtype=torch.float64)
     chain.fill_diagonal_(0.95 if bank else 1.0)
     dt = 0.1 + 2.9 * uniform(steps) if irregular else torch.ones(steps).double()
-    spread = torch.tensor([1.0, 1.0, 1.0, 1.0]).double()
+    spread = torch.ones(4, dtype=torch.float64)
     mean = torch.cat([normal(runs, 2) * 100, normal(runs, 2) * 10], 1)
     x, model, path = mean + spread * normal(runs, 4), torch.zeros(runs, dtype=torch.long), []
     for seconds in dt:

@@ -601,7 +601,7 @@ def step(
     if c.count in (1, 2) and wider > 1 and not nothing:  # what a prior that is off does not know is no evidence
         m = read(predictions[0, 0], z, model, k)
         R = measurement_noise(model, k, present(z))
-        begun = 0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1])
+        begun = min(0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1]), 3 * np.log(c.wider))
     every = hypotheses(predictions, moved, chance, c, over, z, model, q, k)
     gains = {(0, 0): begun, (1, 0): 0.0, (0, 1): -rare[0], (1, 1): -rare[1]}
     every = [h._replace(log_weight=h.log_weight + gains[h.now, h.before]) for h in every]

@@ -258,7 +258,10 @@ def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor) -
     if not sensor.linear or is_traced(root, z) or not bool((root.abs() > 1e-6 * _WIDEST).any()):
         return  # no sensor is that precise: the usual case costs one comparison
     with torch.no_grad():
-        wide = torch.linalg.vector_norm(sensor(root.mT), dim=-2).reshape(-1, sensor.size).amax(0)
+        spread = sensor(root.mT)
+        largest = spread.abs().amax(-2, keepdim=True).clamp_min(torch.finfo(spread.dtype).tiny)  # squares may overflow
+        wide = torch.linalg.vector_norm(spread / largest, dim=-2) * largest.squeeze(-2)
+        wide = wide.reshape(-1, sensor.size).amax(0)
         least = sensor.measurement_noise(z.to(root), std, noise).std.reshape(-1, sensor.size)
         ratio = wide / torch.where(least > 0, least, torch.inf).amin(0)
     if bool((ratio > _WIDEST).any()):

@@ -59,6 +59,9 @@ from torchfra.types import Alarm, Gaussian, Whitened
 
 PRIOR_MARGIN = 4.0
 """Factor on the covariance of an outlying prior beyond what the residual of the first measurement asks for."""
+FIRST, THIRD = 0.7, 0.2
+"""Doubts above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8, so that no
+rounding of a mean over hypotheses decides."""
 PRIOR_BURST = 2.0
 """How many outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
 
@@ -219,7 +222,7 @@ class GPB(Filter[GPBState]):
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
-        widened = torch.where(measured & (state.doubt > 0.5), widening, state.widening)
+        widened = torch.where(measured & (state.doubt > FIRST), widening, state.widening)
         now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
@@ -306,7 +309,7 @@ class GPB(Filter[GPBState]):
             frame: of the step.
             doubt: ``(...)`` as in ``GPBState``.
         """
-        doubtful = (doubt > 0.5) & (self.prior_inflation(predicted.mean[..., 0]) > 1)
+        doubtful = (doubt > FIRST) & (self.prior_inflation(predicted.mean[..., 0]) > 1)
         some = doubtful.any()  # only at the first measurement; kernels too compare no belief later
         if not is_traced(some) and not some:
             return torch.ones_like(predicted.mean[..., 0])
@@ -335,12 +338,14 @@ class GPB(Filter[GPBState]):
         """
         off, rarer = 3 * widening.log(), cost[0, 0, -1]
         rarity = torch.stack([torch.minimum(k * off, (PRIOR_BURST + k - 1.75) * rarer) for k in (1, 2)])
-        later = (state.doubt <= 0.5) & (state.doubt > 0.2) & (state.widening > 1) & (frame.measured.sum(-1) > 0)
+        later = (state.doubt <= FIRST) & (state.doubt > THIRD) & (frame.measured.sum(-1) > 0)
+        taken = 3 * state.widening.log()  # at most as much is given back: nothing for a prior that is right
         begun = torch.zeros_like(off)
         some = later.any()
         if is_traced(some) or some:
             unknown, _ = innovation(self.compare(self.read(Gaussian(*(x[0, 0, 0] for x in predicted.belief))), frame))
-            begun = torch.where(later, unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), 0.0)
+            given = torch.minimum(unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), taken)
+            begun = torch.where(later, given, 0.0)
         return torch.stack([torch.stack([begun, torch.zeros_like(begun)]), -rarity], 1).unsqueeze(1)
 
     def outlying_rows(self, widening: Tensor) -> Tensor:
