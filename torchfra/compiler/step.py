@@ -95,6 +95,8 @@ class _BothSides(TorchFunctionMode):
             return chosen
         mask, yes, no = args if func is torch.where else (args[1], args[0], args[2])
         other = torch.where(mask, no, yes)
+        if other.is_floating_point():  # what is infinite is not 0, but would make all that follows no number
+            other = torch.where(other.abs() == torch.inf, 0.5, other)
         return torch.where((chosen == 0) & (other == other), other, chosen)
 
 

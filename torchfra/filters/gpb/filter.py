@@ -60,8 +60,8 @@ from torchfra.types import Alarm, Gaussian, Whitened
 PRIOR_MARGIN = 4.0
 """Factor on the covariance of an outlying prior beyond what the residual of the first measurement asks for."""
 FIRST, THIRD = 0.7, 0.2
-"""Doubts above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8, so that no
-rounding of a mean over hypotheses decides."""
+"""Values of ``doubt`` above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8,
+so that no rounding of a mean over hypotheses decides."""
 PRIOR_BURST = 2.0
 """How many outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
 

@@ -25,7 +25,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian, Whitened
 
 LEAST_OUTLIER = 30.0
-"""Mean square in units of the noise of the smallest outliers that a jump is told from."""
+"""Mean square in units of the noise of the smallest outliers beside which a jump is seen."""
 
 EXPECTED = 0.7
 """How much less likely an element is as predicted than with its noise alone: twice the log, where they vary alike."""
@@ -218,7 +218,7 @@ class Outliers(Part):
         return begins.unsqueeze(-1), lasts.unsqueeze(-1)
 
     def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int) -> Tensor:
-        """Log ``(...)`` of how much less likely a measurement is as outliers that last than as stated.
+        """Log ``(...)`` of how much less likely a measurement is as outliers in bursts than as stated.
 
         Each block is whichever is likelier.  Of more elements than tell a place it is the share of so many.  It is at
         least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0 without a measurement.
@@ -230,7 +230,7 @@ class Outliers(Part):
             dims: of space.
         """
         begins, lasts = self._probabilities(measured, relaxation)
-        rare = -safe_log(torch.maximum(begins, lasts)[..., 0]) - safe_log(self.outlier_shares(measured)[..., -1])
+        rare = -safe_log(torch.maximum(begins, lasts)[..., 0]) - self.outlier_shares(measured)[..., -1].log()
         total, least = torch.zeros_like(residual[..., 0]), torch.zeros_like(rare)
         for block in self.blocks:
             count = measured[..., list(block)].sum(-1)

@@ -395,9 +395,8 @@ class Regimes(Part):
         """
         mean, rank = propagated.mean, nis.dim() - 2
         jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
-        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt()).unsqueeze(
-            -1
-        )
+        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
+        widths = widths.unsqueeze(-1)
         components = range(mean.shape[-1])
         accelerations = [i for i in components if motion.kinds[i] == "acceleration"]
         std = safe_sqrt(self.agile_root(propagated).square().sum(-1))
