@@ -479,7 +479,7 @@ class State(NamedTuple):
     last: Array  # (m,) the measurement
     elapsed: float = 0.0  # s since the last measurement
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
-    count: int = 0  # of the measurements
+    count: float = 0  # of the measurements; minus the binary log of a mean of 1/2^count where these differ
     wider: float = 1.0  # than the inflated prior, at the first of them
 
 
@@ -592,13 +592,13 @@ def step(
         chance[:, -jumps:] = [[log_sum(row)] * jumps for row in chance] + np.log(share)
     chance[:, len(regimes.levels) :] += rarity
     wider, rare, begun = c.wider, [0.0, 0.0], 0.0
-    if c.count == 0 and not nothing:
+    if c.count < -math.log2(0.7) and not nothing:
         wider = widening(predictions[1, 0], z, model, k)
         predictions |= {
             key: (mean, wider * P) for key, (mean, P) in predictions.items() if key[0] and key[1] < len(motion) - jumps
         }
         rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.75) * costs[1]) for i in (1, 2)]
-    if c.count in (1, 2) and wider > 1 and not nothing:  # what a prior that is off does not know is no evidence
+    if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:  # what a prior that is off does not know is no evidence
         m = read(predictions[0, 0], z, model, k)
         R = measurement_noise(model, k, present(z))
         begun = min(0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1]), 3 * np.log(c.wider))

@@ -104,6 +104,8 @@ def regimes(
         dirty = [w * np.exp(s.log_regimes[1]).sum() for w, s in parts]
         outlier = sum(w / sum(dirty) * s.outlier for w, (_, s) in zip(dirty, parts, strict=True))
         nothing = np.full_like(parts[0][1].last, np.nan)  # no measurement is one target's alone
-        return gpb.State(beliefs, np.log(chances), np.asarray(outlier), nothing)
+        count = -np.log2(sum(w * 0.5**s.count for w, s in parts))
+        wider = sum(w * s.wider for w, s in parts)
+        return gpb.State(beliefs, np.log(chances), np.asarray(outlier), nothing, count=count, wider=wider)
 
     return Target(gpb.start(mean, P, r, q, prior_outlier, prior_inflation), step, merge)

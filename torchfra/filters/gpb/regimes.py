@@ -29,6 +29,8 @@ SOONER = 0.65
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 FASTER = 3.0
 """Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
+NEVER = 1e-12
+"""Probability at a restart up to which a jump hardly ever begins, however far off a measurement is."""
 MANOEUVRE_NIS = 30.0
 """Normalised innovation squared beyond which the weight of a manoeuvre falls with its size."""
 
@@ -315,7 +317,7 @@ class Regimes(Part):
             return others
         chain = log_weight.narrow(MOTION, -self.jump_count, self.jump_count)
         restart = self.restart_distribution(log_weight[0])[-self.jump_count :]
-        share = safe_log(safe_divide(restart, restart.sum(0))).unsqueeze(0)
+        share = safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
         jumps = log_sum(log_weight, MOTION).unsqueeze(MOTION) + share + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, chain, jumps)  # without a measurement the chain goes on as it is
         return torch.cat([others.narrow(MOTION, 0, len(self.motion_of) - self.jump_count), jumps], MOTION)
