@@ -598,7 +598,8 @@ def step(
             key: (mean, wider * P) for key, (mean, P) in predictions.items() if key[0] and key[1] < len(motion) - jumps
         }
         rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.75) * costs[1]) for i in (1, 2)]
-    if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:  # what a prior that is off does not know is no evidence
+    if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:
+        # What a prior that is off does not know is no evidence.
         m = read(predictions[0, 0], z, model, k)
         R = measurement_noise(model, k, present(z))
         begun = min(0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1]), 3 * np.log(c.wider))
