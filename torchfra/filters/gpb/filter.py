@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -222,7 +221,8 @@ class GPB(Filter[GPBState]):
         if noise is not None and inliers is not None:
             noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
-        widened = torch.where(measured & (state.doubt > FIRST), widening, state.widening)
+        widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
+        widened = torch.where(measured, widened, state.widening)
         now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
         alarm = self.alarm(state, now, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
@@ -377,10 +377,12 @@ class GPB(Filter[GPBState]):
         If points of a belief are far off a line, as after a jump, it is compared by the line where the measurement
         places the target, of the ``widest`` belief.
         """
+        known: list[Line] = []  # for all blocks; of a cache torch.compile would make a graph of its own
 
-        @cache
         def line() -> Line:
-            return line_at_place(lambda x: super(GPB, self).compare(x, frame), self.read(widest))
+            if not known:
+                known.append(line_at_place(lambda x: super(GPB, self).compare(x, frame), self.read(widest)))
+            return known[0]
 
         def compare(belief: Gaussian, block: Sequence[int]) -> Whitened:
             points = self.compare(belief, frame, block)

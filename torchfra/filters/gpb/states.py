@@ -44,7 +44,7 @@ class GPBState(NamedTuple):
     """``(...)`` 1 until the first measurement, which may show that the prior is off, then halved by each; with targets
     whose first measurement is uncertain its mean."""
     widening: Tensor
-    """``(...)`` factor of ``GPB.widening`` at the first measurement; 1 before."""
+    """``(...)`` factor of ``GPB.widening`` at the first measurement; 1 before, and from the fourth on."""
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
