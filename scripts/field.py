@@ -1,7 +1,7 @@
 """Beside other libraries, in one command: the cells in which torchfra is not the first come first.
 
-    python scripts/field.py                     every job, some twenty minutes on two cores
-    python scripts/field.py --quick             the same jobs, smaller
+    python scripts/field.py                     every job
+    python scripts/field.py --quick             the same jobs, smaller: five minutes on two cores
     python scripts/field.py --jobs spikes,imm --json out/field.json --figure out/field.png
 
 Each library runs in a process of its own, which sleeps while others are timed; one that is not installed is named and
@@ -198,7 +198,7 @@ def linear(options: argparse.Namespace) -> list[Cell]:
     for batch in (1, 100) if options.quick else (1, 1000, 100_000):
         scenario = scenarios.as_stated()
         rows = beside_peers(scenario, scenario.simulate(batch, options.seed), timing(options))
-        cells.append(of_rows(f"Kalman filter, {batch} tracks of 100 steps", rows))
+        cells.append(of_rows(f"Kalman filter, {counted(batch)} of 100 steps", rows))
     return cells
 
 
@@ -216,7 +216,7 @@ def bearings(options: argparse.Namespace) -> list[Cell]:
     scenario, cells = scenarios.bearings_outliers(initial="truth"), []
     for batch in (1, 100) if options.quick else (1, 1000):
         rows = beside_peers(scenario, scenario.simulate(batch, options.seed), timing(options))
-        cells.append(of_rows(f"bearings, {batch} tracks of 100 steps", rows))
+        cells.append(of_rows(f"bearings, {counted(batch)} of 100 steps", rows))
     return cells
 
 
@@ -313,6 +313,11 @@ def likelihood(options: argparse.Namespace) -> list[Cell]:
     words = "likeliest local level, series of 100"
     times = {row["system"]: row["median"] for row in rows}
     return [cell(words, "1 + loss of log-likelihood", gaps), cell(words, "time", times)]
+
+
+def counted(tracks: int) -> str:
+    """A number of tracks in words."""
+    return "one track" if tracks == 1 else f"{tracks} tracks"
 
 
 def size(options: argparse.Namespace, runs: int) -> int:

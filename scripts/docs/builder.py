@@ -23,6 +23,7 @@ PAGES = {
     "scripts/results/README.md": "results", "torchfra/filters/README.md": "choosing",
     "scripts/results/papers.md": "results-papers",
     "scripts/results/regret.md": "results-regret",
+    "scripts/results/field.md": "results-field",
     "scripts/results/recordings.md": "results-recordings",
     "scripts/results/learned.md": "results-learned",
     "scripts/results/targets.md": "results-targets",
