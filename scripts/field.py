@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,23 +35,30 @@ from lists import check_list
 
 import torchfra
 from torchfra import Gaussian, presets, scenarios
+from torchfra.catalogue import scenario_filters
 from torchfra.cli.command import add_json_option, check_files, check_least, exit_status, make_parser
-from torchfra.linalg.triangular import apply
-from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn, RandomWalk
+from torchfra.evaluation import run
+from torchfra.motion import RandomWalk
 from torchfra.running.versions import write_results
+from torchfra.scenarios import Scenario, Tracks
+from torchfra.scenarios.open_cells import OpenCell
 from torchfra.sensors import Position
 from torchfra.tables import formed_table, significant
+from torchfra.types import Estimate
 
 OTHERS = Path(__file__).parent / "fields" / "others.py"
 CLOSE = 1.02
 """Ratio up to which torchfra is as good as the first."""
 ALONE = (
-    "robust and adaptive filters, learned through",
-    "batches of tracks with gaps, outliers and manoeuvres in one program, smoothed too",
-    "gradients of all hyperparameters through compiled steps",
+    "outliers and manoeuvres together, told by the measurements that follow",
+    "thresholds and fading factors that learn by gradient descent",
 )
 """What no other library here does: a list and no victory."""
-FILTERS = ["FilterPy", "FilterPy, gated", "kalbee, gated", "kalbee, adaptive", "kalbee, variational Bayes"]
+STAY = 0.95
+"""Probability that a motion of a bank goes on, in the tracks and in ``imm_srckf``."""
+ROBUST = ["rsrckf", "fra", "gpb"]
+GATED = ["FilterPy", "FilterPy, gated", "kalbee, gated", "kalbee, adaptive", "kalbee, variational Bayes"]
+BANKS = ["FilterPy, IMM", "FilterPy, IMM, gated", "kalbee, IMM"]
 
 
 class Cell(NamedTuple):
@@ -67,111 +75,48 @@ class Cell(NamedTuple):
         return min(self.ours.values()) / min(self.theirs.values())
 
 
-class Problem(NamedTuple):
-    """Tracks in a plane, and what filters are told of them."""
-
-    motion: Any
-    """One motion, or a bank."""
-    sensor: Position
-    prior: Gaussian
-    truth: torch.Tensor
-    z: torch.Tensor
-    dt: torch.Tensor
-    """``(T,)``."""
-    chain: torch.Tensor
-    """``(K, K)`` of the models."""
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """As ``fields.others.Job`` has it."""
-        models = self.motion[:] if isinstance(self.motion, Bank) else [self.motion]
-        noises = [m.process_noise(self.dt) for m in models]
-        values = {
-            "matrices": torch.stack([m.transition(self.dt) for m in models]),
-            "noises": torch.stack([q @ q.mT for q in noises]), "chain": self.chain,
-            "sensor": self.sensor(torch.eye(models[0].size).double()).mT,
-            "r": self.sensor.measurement_noise(self.z[0, 0]).std.square().diag(),
-            "means": self.prior.mean, "p": self.prior.covariance, "z": self.z,
-        }  # fmt: skip
-        return {name: x.detach().numpy() for name, x in values.items()}
-
-
-def problem(
-    runs: int, seed: int, *, steps: int = 200, outliers: str = "none", missing: float = 0.0, irregular: bool = False,
-    bank: bool = False,
-) -> Problem:  # fmt: skip
-    """Targets at constant velocity, or of a bank with turns, whose positions are measured to 1 m.
-
-    Args:
-        runs: how many.
-        seed: of all random numbers.
-        steps: measurements of each.
-        outliers: ``"spikes"`` of 30 to 1000 standard deviations, one in twenty measurements, or errors of ``"student"``
-            with two degrees of freedom.
-        missing: share of measurements that are not there.
-        irregular: whether time steps are drawn from 0.1 to 3 s instead of 1 s.
-        bank: whether targets turn, and filters have a bank.
-    """
-    g = torch.Generator().manual_seed(seed)
-
-    def normal(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=g, dtype=torch.float64)
-
-    def uniform(*shape: int) -> torch.Tensor:
-        return torch.rand(*shape, generator=g, dtype=torch.float64)
-
-    straight = ConstantVelocity(0.1)
-    models: list[Any] = [straight, *([CoordinatedTurn(0.1, 0.1), CoordinatedTurn(-0.1, 0.1)] if bank else [])]
-    chain = torch.full((len(models), len(models)), 0.05 / max(len(models) - 1, 1), dtype=torch.float64)
-    chain.fill_diagonal_(0.95 if bank else 1.0)
-    dt = 0.1 + 2.9 * uniform(steps) if irregular else torch.ones(steps).double()
-    spread = torch.ones(4, dtype=torch.float64)
-    mean = torch.cat([normal(runs, 2) * 100, normal(runs, 2) * 10], 1)
-    x, model, path = mean + spread * normal(runs, 4), torch.zeros(runs, dtype=torch.long), []
-    for seconds in dt:
-        model = torch.multinomial(chain[model], 1, generator=g)[:, 0]
-        pushes = normal(runs, 2)
-        moved = [apply(m.transition(seconds), x) + apply(m.process_noise(seconds), pushes) for m in models]
-        x = torch.stack(moved)[model, torch.arange(runs)]
-        path.append(x)
-    truth = torch.stack(path, 1)
-    errors = normal(runs, steps, 2)
-    if outliers == "student":
-        errors = errors / (-2 * uniform(runs, steps, 1).log() / 2).sqrt()  # a chi-square of two degrees is exponential
-    elif outliers == "spikes":
-        size = torch.exp(uniform(runs, steps, 1) * np.log(1000 / 30)) * 30
-        errors = torch.where(uniform(runs, steps, 1) < 0.05, size * errors, errors)
-    z = truth[..., :2] + errors
-    z = z.masked_fill(uniform(runs, steps, 1) < missing, torch.nan)
-    return Problem(
-        Bank(models) if bank else straight, Position(1.0), Gaussian(mean, spread.diag()), truth, z, dt, chain
-    )
+def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:
+    """Tracks in a plane, and what filters are told of them, as ``fields.others.Job`` has it."""
+    models = [scenario.motion] if scenario.bank is None else scenario.bank[:]
+    dt = torch.as_tensor(scenario.dt, dtype=torch.float64).expand(scenario.steps)
+    noises = [model.process_noise(dt) for model in models]
+    others = (1 - STAY) / max(len(models) - 1, 1)
+    values = {
+        "matrices": torch.stack([model.transition(dt) for model in models]),
+        "noises": torch.stack([root @ root.mT for root in noises]),
+        "chain": torch.full((len(models), len(models)), others).double().fill_diagonal_(STAY if len(models) > 1 else 1.0),
+        "sensor": scenario.sensor(torch.eye(scenario.motion.size).double()).mT,
+        "r": scenario.sensor.measurement_noise(tracks.z[0, 0]).std.square().diag(),
+        "means": tracks.prior.mean, "p": tracks.prior.covariance, "z": tracks.z,
+    }  # fmt: skip
+    return {name: x.detach().numpy() for name, x in values.items()}
 
 
 def compared(
-    name: str, problem: Problem, filters: Mapping[str, Any], others: Sequence[str], options: argparse.Namespace,
-    measures: Sequence[str] = ("error", "time"), smooth: bool = False,
+    job: str, scenario: Scenario, tracks: Tracks, filters: Sequence[str], others: Sequence[str],
+    options: argparse.Namespace, measures: Sequence[str] = ("error", "time"), smooth: bool = False,
 ) -> list[Cell]:  # fmt: skip
     """The cells of a job: filters of torchfra, compiled, and other libraries, on the same tracks."""
-    dt = problem.dt if len(problem.dt.unique()) > 1 else float(problem.dt[0])
-    made = {label: f.compile() for label, f in filters.items()}
-    runs = {
-        f"torchfra, {label}": lambda f=f: (f.smooth if smooth else f)(problem.z, problem.prior, dt=dt)
-        for label, f in made.items()
-    }
-    means = {label: run().mean.detach().numpy() for label, run in runs.items()}
-    systems: dict[str, System] = dict(calls(runs))
+    calls_of: dict[str, Callable[[], Estimate]] = {}
+    for name, f in scenario_filters(filters, scenario).items():
+        compiled = f.compile()
+        filtering = partial(run, compiled, scenario, tracks)
+        smoothing = partial(compiled.smooth, tracks.z, tracks.prior, dt=scenario.dt)
+        calls_of[f"torchfra, {name}"] = smoothing if smooth else filtering
+    means = {label: call().mean.numpy() for label, call in calls_of.items()}
+    systems: dict[str, System] = dict(calls(calls_of))
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        job = Path(folder) / "job.npz"
-        np.savez(job, **problem.arrays())
+        file = Path(folder) / "job.npz"
+        np.savez(file, **job_arrays(scenario, tracks))
         for i, other in enumerate([*others, *([str(options.own)] if options.own else [])]):
-            peer = started(other, job, Path(folder) / f"{i}.npy", stack)
+            peer = started(other, file, Path(folder) / f"{i}.npy", stack)
             if peer is not None:
                 systems[other], means[other] = peer, peer.means()
-        rows = timed(systems, options.passes, problem.z.shape[:2].numel()) if "time" in measures else []
-    truth = problem.truth[..., :2].numpy()
+        rows = timed(systems, options.passes, tracks.z.shape[:2].numel()) if "time" in measures else []
+    truth = tracks.truth[..., :2].numpy()
     error = {label: float(np.sqrt(np.square(x[..., :2] - truth).sum(-1).mean())) for label, x in means.items()}
     values = {"error": error, "time": {row["system"]: row["median"] for row in rows}}
-    return [cell(name, measure, values[measure]) for measure in measures]
+    return [cell(job, measure, values[measure]) for measure in measures]
 
 
 def started(name: str, job: Path, means: Path, stack: ExitStack) -> Peer | None:
@@ -233,44 +178,48 @@ def of_rows(job: str, rows: Sequence[Mapping[str, Any]]) -> Cell:
 
 def gaps(options: argparse.Namespace) -> list[Cell]:
     """Irregular times, and measurements that are missing."""
-    data = problem(size(options, 20), options.seed, missing=0.3, irregular=True)
-    filters = {"srckf": presets.srckf(data.motion, data.sensor)}
-    return compared("irregular times, 30 % missing", data, filters, ["FilterPy", "pykalman", "statsmodels"], options)
+    scenario, tracks = drawn(options, 20, spacing="mixed")
+    missing = torch.rand(tracks.z.shape[:2], generator=torch.Generator().manual_seed(options.seed)) < 0.3
+    tracks = tracks._replace(z=tracks.z.masked_fill(missing.unsqueeze(-1), torch.nan))
+    others = ["FilterPy", "pykalman", "statsmodels"]
+    return compared("irregular times, 30 % missing", scenario, tracks, ["srckf"], others, options)
 
 
 def smoothing(options: argparse.Namespace) -> list[Cell]:
     """Smoothers of linear models."""
-    data = problem(size(options, 20), options.seed)
     names = ["FilterPy", "pykalman", "statsmodels", "simdkalman", "dynamax", "torch-kf"]
-    filters = {"srckf": presets.srckf(data.motion, data.sensor)}
-    return compared("smoothing", data, filters, [f"{x}, smoother" for x in names], options, smooth=True)
+    others = [f"{name}, smoother" for name in names]
+    return compared("smoothing", *drawn(options, 20), ["srckf"], others, options, smooth=True)
 
 
 def spikes(options: argparse.Namespace) -> list[Cell]:
     """Spikes and heavy tails, for which users gate or adapt."""
     cells = []
-    for kind in ("spikes", "student"):
-        data = problem(size(options, 40), options.seed, outliers=kind)
-        filters = {name: getattr(presets, name)(data.motion, data.sensor) for name in ("rsrckf", "fra", "gpb")}
-        words = {"spikes": "spikes of 30 to 1000 std", "student": "Student's t, 2 degrees"}[kind]
-        cells += compared(words, data, filters, FILTERS, options, ["error"])
+    for words, cell in (
+        ("spikes of 300 std", {"kind": "spikes", "size": 300.0}),
+        ("spikes of 10 std", {"kind": "spikes"}),
+        ("Student's t, 2 degrees", {"kind": "heavy"}),
+    ):
+        cells += compared(words, *drawn(options, 40, **cell), ROBUST, GATED, options, ["error"])
     return cells
 
 
 def imm(options: argparse.Namespace) -> list[Cell]:
     """Targets that turn, with a bank whose motions and chain are told; and with spikes."""
     cells = []
-    for kind, more in (("none", ""), ("spikes", ", spikes of 30 to 1000 std")):
-        data = problem(size(options, 40), options.seed, outliers=kind, bank=True)
-        filters = {
-            "imm_srckf": presets.imm_srckf(data.motion, data.sensor, transition=data.chain),
-            "imm_fra": presets.imm_fra(data.motion, data.sensor, transition=data.chain),
-            "gpb": presets.gpb(data.motion, data.sensor),
-        }
-        others = ["FilterPy, IMM", "FilterPy, IMM, gated", "kalbee, IMM"]
-        measures = ["error", *(["time"] if kind == "none" else [])]
-        cells += compared(f"turning targets{more}", data, filters, others, options, measures)
+    for words, cell, measures in (
+        ("turning targets", {}, ["error", "time"]),
+        ("turning targets, spikes of 300 std", {"kind": "spikes", "size": 300.0}, ["error"]),
+    ):
+        drawn_tracks = drawn(options, 40, motion="bank", **cell)
+        cells += compared(words, *drawn_tracks, ["imm_srckf", "imm_fra", "gpb"], BANKS, options, measures)
     return cells
+
+
+def drawn(options: argparse.Namespace, runs: int, **cell: Any) -> tuple[Scenario, Tracks]:
+    """Tracks of positions of 200 steps: see ``scenarios.open_cells.OpenCell``."""
+    scenario = OpenCell(**cell).scenario(steps=200)
+    return scenario, scenario.simulate(max(runs // 10, 2) if options.quick else runs, options.seed)
 
 
 def gradient(options: argparse.Namespace) -> list[Cell]:
@@ -318,11 +267,6 @@ def likelihood(options: argparse.Namespace) -> list[Cell]:
 def counted(tracks: int) -> str:
     """A number of tracks in words."""
     return "one track" if tracks == 1 else f"{tracks} tracks"
-
-
-def size(options: argparse.Namespace, runs: int) -> int:
-    """Runs of a job."""
-    return max(runs // 10, 2) if options.quick else runs
 
 
 JOBS: dict[str, Callable[[argparse.Namespace], list[Cell]]] = {
