@@ -80,11 +80,12 @@ def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:
     models = [scenario.motion] if scenario.bank is None else scenario.bank[:]
     dt = torch.as_tensor(scenario.dt, dtype=torch.float64).expand(scenario.steps)
     noises = [model.process_noise(dt) for model in models]
-    others = (1 - STAY) / max(len(models) - 1, 1)
+    size = len(models), len(models)
+    chain = torch.full(size, (1 - STAY) / max(len(models) - 1, 1), dtype=torch.float64)
     values = {
         "matrices": torch.stack([model.transition(dt) for model in models]),
         "noises": torch.stack([root @ root.mT for root in noises]),
-        "chain": torch.full((len(models), len(models)), others).double().fill_diagonal_(STAY if len(models) > 1 else 1.0),
+        "chain": chain.fill_diagonal_(STAY if len(models) > 1 else 1.0),
         "sensor": scenario.sensor(torch.eye(scenario.motion.size).double()).mT,
         "r": scenario.sensor.measurement_noise(tracks.z[0, 0]).std.square().diag(),
         "means": tracks.prior.mean, "p": tracks.prior.covariance, "z": tracks.z,

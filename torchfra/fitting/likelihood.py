@@ -25,7 +25,8 @@ class LogLikelihood:
 
         likelihood = torchfra.fitting.LogLikelihood(f, z, learn=("q", "std"))
         value, gradient = likelihood(likelihood.start)
-        blackjax, PyMC, emcee: of value + the log density of a prior, at raw values
+
+    A sampler such as BlackJAX, PyMC or emcee adds the log density of its prior and that one's gradient.
 
     Args:
         filter: any preset of single targets; it stays as it is.
@@ -36,7 +37,7 @@ class LogLikelihood:
 
     Raises:
         ValueError: arguments that do not fit each other.
-        CompileError, NotImplementedError: ``compile=True`` and the filter cannot be compiled.
+        CompileError, NotImplementedError: the filter cannot be compiled, with ``compile=True``.
     """
 
     def __init__(

@@ -61,8 +61,11 @@ PRIOR_MARGIN = 4.0
 FIRST, THIRD = 0.7, 0.2
 """Values of ``doubt`` above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8,
 so that no rounding of a mean over hypotheses decides."""
-PRIOR_BURST = 2.0
-"""How many outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
+PRIOR_BURST, PRIOR_SOONER = 2.0, 0.75
+"""How many outliers in a row at the beginning are taken for outliers, with one more the prior is off; and by how many
+it is likelier then, as ``regimes.SOONER``."""
+PRIOR_STEEP = 3.0
+"""Power of the widening by which a prior that is off is rarer at most: nothing jumps where it begins to be off."""
 
 
 class Mixing(NamedTuple):
@@ -336,10 +339,11 @@ class GPB(Filter[GPBState]):
             widening: ``(...)`` from ``widening``.
             frame: of the step.
         """
-        off, rarer = 3 * widening.log(), cost[0, 0, -1]
-        rarity = torch.stack([torch.minimum(k * off, (PRIOR_BURST + k - 1.75) * rarer) for k in (1, 2)])
+        off, rarer = PRIOR_STEEP * widening.log(), cost[0, 0, -1]
+        count = PRIOR_BURST - PRIOR_SOONER  # of outliers; one more where there is an outlier now, too
+        rarity = torch.stack([torch.minimum((1 + k) * off, (count + k) * rarer) for k in (0, 1)])
         later = (state.doubt <= FIRST) & (state.doubt > THIRD) & (frame.measured.sum(-1) > 0)
-        taken = 3 * state.widening.log()  # at most as much is given back: nothing for a prior that is right
+        taken = PRIOR_STEEP * state.widening.log()  # at most as much is given back: nothing for a prior that is right
         begun = torch.zeros_like(off)
         some = later.any()
         if is_traced(some) or some:
