@@ -7,7 +7,7 @@
 Each library runs in a process of its own, which sleeps while others are timed; one that is not installed is named and
 left out (``pip install 'torchfra[bench]'``; the environment variable TORCHFRA_PEERS_PYTHON may name the Python that has
 them).  A cell is a job and what is compared: the time of a call, a pass of each in turn, or the error of the position.
-A filter of your own joins with ``--own FILE``, which has ``peer(job)``: see ``scripts/fields/others.py``.
+A filter of your own joins with ``--own FILE``, which has ``peer(job)``: see ``scripts/peers_field.py``.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from benchmarks.layer import layer
 from benchmarks.linear import long_tracks
 from benchmarks.timing import Here, System, calls, timed
 from benchmarks.tracks import beside_peers
-from fields.others import Job
 from lists import check_list
+from peers_field import Job
 
 import torchfra
 from torchfra import Gaussian, presets, scenarios
@@ -46,7 +46,7 @@ from torchfra.sensors import Position
 from torchfra.tables import formed_table, significant
 from torchfra.types import Estimate
 
-OTHERS = Path(__file__).parent / "fields" / "others.py"
+OTHERS = Path(__file__).with_name("peers_field.py")
 CLOSE = 1.02
 """Ratio up to which torchfra is as good as the first."""
 ALONE = (
@@ -76,7 +76,7 @@ class Cell(NamedTuple):
 
 
 def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:
-    """Tracks in a plane, and what filters are told of them, as ``fields.others.Job`` has it."""
+    """Tracks in a plane, and what filters are told of them, as ``peers_field.Job`` has it."""
     models = [scenario.motion] if scenario.bank is None else scenario.bank[:]
     dt = torch.as_tensor(scenario.dt, dtype=torch.float64).expand(scenario.steps)
     noises = [model.process_noise(dt) for model in models]
@@ -220,7 +220,7 @@ def imm(options: argparse.Namespace) -> list[Cell]:
 def drawn(options: argparse.Namespace, runs: int, **cell: Any) -> tuple[Scenario, Tracks]:
     """Tracks of positions of 200 steps: see ``scenarios.open_cells.OpenCell``."""
     scenario = OpenCell(**cell).scenario(steps=200)
-    return scenario, scenario.simulate(max(runs // 10, 2) if options.quick else runs, options.seed)
+    return scenario, scenario.simulate(runs // 4 if options.quick else runs, options.seed)
 
 
 def gradient(options: argparse.Namespace) -> list[Cell]:

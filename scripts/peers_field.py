@@ -1,6 +1,6 @@
 """Estimates of other libraries on the jobs of scripts/field.py: a process that times one for each line it reads.
 
-    python scripts/fields/others.py filterpy-kf job.npz --means all.npy
+    python scripts/peers_field.py FilterPy job.npz --means all.npy
 
 Without torch, but for torch-kf.  A library joins with a function from a job to a call that gives all means.
 """
@@ -10,13 +10,9 @@ from __future__ import annotations
 import runpy
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from peers import Run, serve
 
 GATE = 0.999

@@ -1,1 +1,0 @@
-"""Jobs and peers of scripts/field.py."""
