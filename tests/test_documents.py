@@ -80,6 +80,7 @@ HELP_ONLY = {
         for name in (
             "certainty",
             "clean_check",
+            "field",
             "gradients",
             "layer",
             "learning",
