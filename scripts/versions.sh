@@ -13,20 +13,22 @@ tests=(
 gigabytes=8 # of one environment, with what is unpacked on the way
 patience=180 # seconds for one, of which it takes twenty where the registry is quick; who is slow once is not asked again
 
+chosen=() quick=()
 for argument; do
   case $argument in
     -h | --help)
-      echo "usage: bash scripts/versions.sh [PYTHON:TORCH ...]"
+      echo "usage: bash scripts/versions.sh [--quick] [PYTHON:TORCH ...]"
       echo "Tries the package under other Pythons and torches that this machine and its registry have,"
-      echo "such as 3.12:2.7.1 or 3.11:newest; without arguments ${tried[*]}."
+      echo "such as 3.12:2.7.1 or 3.11:newest; without arguments ${tried[*]}.  --quick leaves out slow tests."
       echo "An environment takes $gigabytes GB in TMPDIR as long as it is tried.  Settings of uv, such as UV_INDEX_URL, hold."
       exit
       ;;
-    [0-9]*.[0-9]*:newest | [0-9]*.[0-9]*:[0-9]*.[0-9]*) ;;
+    --quick) quick=(-m "not slow") ;;
+    [0-9]*.[0-9]*:newest | [0-9]*.[0-9]*:[0-9]*.[0-9]*) chosen+=("$argument") ;;
     *) echo "versions: expected PYTHON:TORCH such as 3.12:2.7.1 or 3.11:newest, received $argument" >&2; exit 2 ;;
   esac
 done
-[ $# = 0 ] || tried=("$@")
+[ ${#chosen[@]} = 0 ] || tried=("${chosen[@]}")
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 unset PYTHONPATH VIRTUAL_ENV
 work=$(mktemp -d)
@@ -87,7 +89,7 @@ try() {
   (
     cd "$work/tree"
     OMP_NUM_THREADS=1 timeout 600 "$work/venv/bin/python" -m pytest -p no:cacheprovider -n auto --dist worksteal \
-      "${files[@]/%/.py}"
+      "${quick[@]}" "${files[@]/%/.py}"
   ) || status=$?
   if [ $status = 0 ]; then why=passed; else why="failed (pytest: $status)" failed=1; fi
   said+=("Python $python, torch $torch: $why, $((SECONDS - begin)) s")

@@ -89,6 +89,7 @@ def test_positions_that_are_hundreds_of_metres_off_after_a_long_gap_raise_the_al
     close(alarm.offset[0, fault, 1], torch.linspace(720, 840, 24, **F64), tolerance=0.05)
 
 
+@pytest.mark.slow
 def test_a_step_has_the_alarm_that_a_whole_track_has_and_compiled_too():
     case = with_a_fault(cases.position)
     f = presets.gpb(ConstantVelocity(0.5), case.sensor, **CHAINS[0])

@@ -85,6 +85,7 @@ def test_gpb_smoothed_or_settled_is_a_kalman_filter_too():
         assert of_gpb < 1.02 * of_plain
 
 
+@pytest.mark.slow
 def test_ellipses_of_gpb_that_promise_95_percent_cover_93_to_97():
     scenario, of = tracks(MODELS[2])
     gpb, of = presets.gpb(scenario.motion, scenario.sensor), half(of)

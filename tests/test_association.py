@@ -203,6 +203,7 @@ def test_gradients_are_those_of_finite_differences(diffuse, exact):
     assert torch.autograd.gradcheck(probabilities, (ratio[inside].requires_grad_(), miss))
 
 
+@pytest.mark.slow
 def test_vmap_and_torch_compile_give_the_same():
     rng = np.random.default_rng(6)
     ratios = torch.stack([log_ratio(random_scan(rng, 3, 4)[0], 0.9, np.ones(4)) for _ in range(6)])

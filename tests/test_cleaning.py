@@ -79,6 +79,7 @@ def test_the_noise_is_found_and_said(cleaned):
         assert len(one.found.notes) == one.raw.shape[1] - 2  # of the height, where there is one
 
 
+@pytest.mark.slow
 def test_a_result_prints_as_one_line(cleaned):
     of = cleaned[1][0]
     outliers = (of.flag == "outlier").sum()
@@ -724,6 +725,7 @@ def drifting(seed, period, count=200):
     return Recording("drifter", time, truth + 20.0 * rng.standard_normal(truth.shape), None, {}), truth
 
 
+@pytest.mark.slow
 def test_a_drifter_among_those_that_may_rest_is_cleaned_as_alone_beside_one_with_rarer_fixes():
     (one, _), (rarer, _) = drifting(1, 300.0), drifting(2, 600.0)
     (alone,), (beside, _) = clean_tracks([one]), clean_tracks([one, rarer])

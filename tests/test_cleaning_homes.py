@@ -22,6 +22,7 @@ def deer(rng, steps=700, forgotten=1.5 * HOUR, size=250.0):
     return time, place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgotten", [HOUR, 3 * HOUR])
 def test_the_path_stays_at_the_fixes_of_who_returns_within_hours(forgotten):
     rng = np.random.default_rng(0)
@@ -31,6 +32,7 @@ def test_the_path_stays_at_the_fixes_of_who_returns_within_hours(forgotten):
     assert np.sqrt(np.median(((cleaned.position - fixes) ** 2).sum(1))) < 2
 
 
+@pytest.mark.slow
 def test_white_noise_about_a_drifting_home_is_still_smoothed():
     rng = np.random.default_rng(1)
     time, place = deer(rng, forgotten=60 * HOUR)

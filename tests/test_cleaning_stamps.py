@@ -110,6 +110,7 @@ def sailed():
     return several, truth, clean_tracks(several), clean_tracks(several[:2], repair=False)
 
 
+@pytest.mark.slow
 def test_a_ship_whose_stamps_are_wrong_comes_nearer_the_truth(sailed):
     _, truth, mended, plain = sailed
     off = [np.sqrt(np.square(one.position - truth).sum(1).mean()) for one in (mended[0], plain[0])]

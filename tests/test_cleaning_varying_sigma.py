@@ -1,6 +1,7 @@
 """Where the noise of fixes grows along a track, cleaning finds by how much."""
 
 import numpy as np
+import pytest
 
 from torchfra.cleaning import Cleaned, clean_tracks
 from torchfra.readers.recording import Recording
@@ -21,6 +22,7 @@ def notes(one: Cleaned) -> list[str]:
     return [note for note in one.found.notes if note.startswith("Sigma varies")]
 
 
+@pytest.mark.slow
 def test_noise_that_grows_with_the_range_is_found_and_no_good_fix_is_rejected():
     noise = np.hypot(30.0, 0.0026 * DISTANCE)  # 0.15 degrees
     for one in cleaned(noise):
@@ -32,6 +34,7 @@ def test_noise_that_grows_with_the_range_is_found_and_no_good_fix_is_rejected():
         assert high > 0.6 * noise[-1]
 
 
+@pytest.mark.slow
 def test_standard_deviations_of_estimates_grow_with_the_noise():
     for one in cleaned(0.003 * DISTANCE):
         std = np.sqrt(one.covariance[:, 0, 0])

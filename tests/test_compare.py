@@ -213,6 +213,7 @@ def test_the_command_takes_functions_of_a_file(mine, capsys):
     assert "mine.py:mine" in said
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks", "rough_figures")
 def test_the_command_takes_registered_names_and_writes_tables_and_figures_for_print(mine, capsys):
     files = ["--table", "t.tex", "--print", "p.pdf"]

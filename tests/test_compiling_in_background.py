@@ -65,6 +65,7 @@ def test_it_answers_interpreted_first_and_compiled_later(tracks, gate):
     assert not torch.equal(later.mean, expected.mean)  # another order of sums
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 @torch.no_grad()
 def test_the_backward_pass_is_made_while_the_filter_compiles(dtype, scenario, monkeypatch):
@@ -190,6 +191,7 @@ def test_a_fork_waits_for_a_thread_that_another_has_started_since():
     assert {*done} == {"first", "second"}
 
 
+@pytest.mark.slow
 def test_a_process_that_ends_while_it_compiles_ends_well():
     """Torch aborts one whose threads are stopped in the midst of it."""
     code = """

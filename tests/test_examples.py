@@ -170,6 +170,7 @@ def test_two_processes_learn_what_one_learns(capsys, tmp_path):
     assert len(alone) == 4
 
 
+@pytest.mark.slow
 def test_a_filter_of_three_functions_smooths_lags_learns_and_compiles(capsys):
     load("13_own_filter").main()
     text = capsys.readouterr().out
@@ -181,6 +182,7 @@ def test_a_filter_of_three_functions_smooths_lags_learns_and_compiles(capsys):
     assert float(text.split()[-1]) < 1e-9
 
 
+@pytest.mark.slow
 def test_faults_that_last_are_found_and_leave_the_robot_in_its_place(capsys):
     load("14_faults_that_last").main(["--runs", "6", "--steps", "200"])
     text = capsys.readouterr().out
@@ -204,6 +206,7 @@ def test_a_ride_is_cleaned_of_its_noise_and_its_outliers_by_one_call(capsys, tmp
     assert (tmp_path / "ride.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_who_knows_the_road_knows_better_where_cars_are(capsys):
     load("16_on_a_road").main(["--runs", "6"])
     text = capsys.readouterr().out
@@ -213,6 +216,7 @@ def test_who_knows_the_road_knows_better_where_cars_are(capsys):
     assert 0.7 < numbers(r"dimension +([\d.]+)", text)[-1] < 1.7
 
 
+@pytest.mark.slow
 def test_every_sensor_of_the_harbour_brings_the_boats_nearer(capsys):
     load("17_a_harbour").main(["--seed", "0"])
     text = capsys.readouterr().out

@@ -40,6 +40,7 @@ def alone(monkeypatch):
     monkeypatch.setattr(field, "started", missing)
 
 
+@pytest.mark.slow
 def test_a_filter_of_ones_own_joins_and_has_the_same_errors_where_models_hold(alone, tmp_path, capsys):
     own, results = tmp_path / "mine.py", tmp_path / "field.json"
     own.write_text(OWN)

@@ -82,6 +82,7 @@ class Climbing(ConstantVelocity):
         return rows.unsqueeze(-1) * super().process_noise(dt)
 
 
+@pytest.mark.slow
 def test_a_climb_is_a_motion_of_its_own_beside_the_calm_one_smoothed_and_compiled_too():
     factor, (calm, stated, jump), (a, b, c) = 0.01, (60.0, 30.0, 0.5), (0.5, 0.4, 0.1)
     few = {"jump_factors": (9.0,), "outlier_sizes": (100.0,), "outlier_shares": (1.0,)}  # for the compiler's time
@@ -124,6 +125,7 @@ def test_a_target_in_the_plane_does_not_climb():
         presets.gpb(ConstantVelocity(1.0), Position(5.0), climbs=True)
 
 
+@pytest.mark.slow
 def test_a_climb_that_only_a_coarse_elevation_shows_is_followed():
     std = tensor([10.0, 0.01, 0.05, 1.0])  # ranges and rates speak against noise in all directions
     radar = Stacked(RangeBearing(std[:3], dims=3), RangeRates([[0.0, 0.0, 0.0]], 1.0))

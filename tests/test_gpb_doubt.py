@@ -90,6 +90,7 @@ def test_a_prior_that_is_off_by_any_distance_is_left_within_three_measurements(a
     assert (found[2:] < 1.5 * 2**0.5).all()  # of a fix alone it is the root of 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES[:-1])
 @pytest.mark.parametrize("step", [0, 1, 2])
 def test_an_outlier_after_a_confident_prior_costs_no_more_than_one_later(size, step):

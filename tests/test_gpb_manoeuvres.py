@@ -38,6 +38,7 @@ def gpb(manoeuvres, motion=None, **options):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outliers", [0.0, 0.05])
 def test_a_hard_turn_of_one_motion_is_not_taken_for_outliers(outliers):
     truth, z = turn(outliers)
@@ -47,6 +48,7 @@ def test_a_hard_turn_of_one_motion_is_not_taken_for_outliers(outliers):
         assert found[:, 60:].median() < 2 * STD
 
 
+@pytest.mark.slow
 def test_smoothed_a_hard_turn_is_nearer_than_filtered():
     truth, z = turn()
     smoothed = gpb("hard").smooth(z, PRIOR)

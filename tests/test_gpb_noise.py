@@ -30,6 +30,7 @@ def rmse(estimate, tracks):
     return metrics.rmse(estimate.mean, tracks.truth, slice(0, 2)).mean().item()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.5, 2.0])
 def test_noise_that_is_stated_twice_off_is_found(stated):
     cell = scenarios.as_stated("velocity", index=0.1, std=stated)
@@ -57,6 +58,7 @@ def test_what_is_not_measured_says_nothing_about_the_noise():
     assert noise[-1, 0] != noise[4, 0]
 
 
+@pytest.mark.slow
 def test_a_track_is_its_steps_and_smooths_and_compiles_alike():
     f, z = learned(), seen()
     whole, state = f(z, PRIOR), f.init(tree.map_tensors(lambda x: x.expand(3, *x.shape), PRIOR))
@@ -93,6 +95,7 @@ def test_a_forecast_has_the_noise_that_was_learned():
     assert_close(each[1] - each[0], torch.full((2,), (4**kept - 1) * 4.0, dtype=torch.float64))
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_finite_differences_and_finite_at_extreme_outliers():
     z = seen(1)[0, :5].nan_to_num(nan=100.0)
 

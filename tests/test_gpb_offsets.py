@@ -50,6 +50,7 @@ def test_one_motion_with_levels_manoeuvres_and_jumps(inform, offset):
     same(f(tensor(case.z), PRIOR), expected)
 
 
+@pytest.mark.slow
 def test_a_bank_and_elements_that_are_outliers_each_by_itself():
     case, motions = with_bursts(position()), bank()
     case.model = case.model._replace(SR=np.diag([5.0, 4.0]))
@@ -123,6 +124,7 @@ def test_the_gradient_of_the_probability_is_that_of_small_differences():
     assert (slope / unit).item() == pytest.approx((up - down) / 2e-6, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_compiled_it_says_the_same():
     z, prior = burst()
     f = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=0.4, outliers_update=False, **FEWER)

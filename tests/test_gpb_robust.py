@@ -202,6 +202,7 @@ def check(motion, sensor, case, since, recovered=RECOVERED):
     return e, truth, usual
 
 
+@pytest.mark.slow
 @every_pair
 def test_nothing_is_wrong(sensor, motion):
     e, truth, usual = check(motion, sensor, nothing, 0)
@@ -298,6 +299,7 @@ def test_a_poor_start_is_none_of_a_parameter_that_acts_exponentially():
     assert (errors[0] < 2 * errors[1]).all()
 
 
+@pytest.mark.slow
 def test_a_walker_far_from_all_anchors_is_not_lost_where_ranges_state_more_noise_and_it_is_learned():
     scenario = scenarios.ranges_outliers()
     tracks = scenario.simulate(6, seed=11)

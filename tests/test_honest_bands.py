@@ -62,6 +62,7 @@ def nees(one, truth):
     return float(np.einsum("ti,tij,tj->t", error, np.linalg.inv(one.covariance[:, :2, :2]), error).mean() / 2)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_said(cleaned):
     of_targets = {name: np.mean([nees(*of) for of in several]) for name, several in cleaned.items()}
     assert 0.8 < np.mean(list(of_targets.values())) < 1.3

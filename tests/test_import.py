@@ -60,6 +60,7 @@ def imported():
     return [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("loaded:")]
 
 
+@pytest.mark.slow
 def test_importing_the_package_imports_nothing_but_its_version(imported):
     assert imported[0] == ["torchfra.version", "torchfra"]
 

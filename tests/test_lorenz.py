@@ -78,6 +78,7 @@ def test_where_models_are_linear_the_parts_together_are_the_filter():
     torch.testing.assert_close((weight.unsqueeze(-1) * means).sum(0), f(z, prior, dt=1.0).mean, rtol=0.02, atol=0.02)
 
 
+@pytest.mark.slow
 def test_from_a_point_where_paths_part_a_sum_predicts_better_than_one_belief():
     setting = SETTINGS["one step ahead"]
     motion, sensor = models(setting, 1000.0)

@@ -291,6 +291,7 @@ def test_the_table_and_the_json_have_a_line_for_each_filter(tmp_path, capsys):
     assert "| OKF, published, KF 808 | 674 | 0.834 |" in printed
 
 
+@pytest.mark.slow
 def test_each_problem_has_a_table(tmp_path, capsys):
     out = tmp_path / "r.json"
     options = [*SMALL, "--problems", "close,toy", "--filters", "fit radar", "--iterations", "0", "--json", str(out)]

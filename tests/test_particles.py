@@ -53,6 +53,7 @@ def test_a_bank_and_several_blocks_are_refused():
         run("ranges", 1, 10)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_the_script_writes_all_cells(tmp_path, capsys):
     arguments = ["--runs", "1", "--particles", "3", "--json", str(tmp_path / "p.json")]

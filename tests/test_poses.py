@@ -31,6 +31,7 @@ def found(example, mice):
     return example.poses.clean(mice[0], compile=True)
 
 
+@pytest.mark.slow
 def test_it_says_how_far_off_a_keypoint_may_be_and_which_were_wrong(mice, found):
     data, truth = mice
     assert found.position.dims == data.position.dims
@@ -143,6 +144,7 @@ def test_an_estimator_of_scikit_learn_finds_values_and_smooths(scikit):
     assert found.score(X) > clone(smoother).set_params(std=5.0, q=300.0).fit(X).score(X)
 
 
+@pytest.mark.slow
 def test_it_is_a_part_of_a_pipeline(scikit):
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler

@@ -175,6 +175,7 @@ def test_words_where_numbers_belong_are_an_error_that_names_the_argument(bad):
             preset(models, sensor, **{**others, name: bad})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_numbers_of_numpy_are_numbers(kind):
     for preset, name in NUMBERS:

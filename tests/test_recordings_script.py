@@ -82,6 +82,7 @@ def test_a_bias_is_in_covariances_and_changes_no_estimate(tmp_path):
         assert 0 < found.figures[name] < plain.figures[name]
 
 
+@pytest.mark.slow
 def test_positions_that_are_wrong_for_minutes_do_not_move_the_robot_of_interacting_models(tmp_path):
     yaw = torch.zeros(1).double()
     for _ in range(50):
@@ -285,6 +286,7 @@ def test_a_network_that_has_learned_nothing_weighs_both_alike():
     assert campus.Weight(heard)(heard).eq(0.5).all()
 
 
+@pytest.mark.slow
 def test_a_mixture_has_the_moments_of_both_estimates_and_their_mean_level(tmp_path, small):
     small("ITERATIONS", 0)  # weights of a half
     track = nclt.read(day(tmp_path))
@@ -300,6 +302,7 @@ def test_a_mixture_has_the_moments_of_both_estimates_and_their_mean_level(tmp_pa
     torch.testing.assert_close(mixed.level, (of[0].level + of[1].level) / 2)
 
 
+@pytest.mark.slow
 def test_the_table_has_what_networks_weigh_that_have_learned_on_another_day(tmp_path, small, capsys):
     small("ITERATIONS", 20)
     out = tmp_path / "r.json"
@@ -500,6 +503,7 @@ def harbour(folder, steps=40, change=lambda detections, boats: None):
     return folder / "sea_detections.json.gz"
 
 
+@pytest.mark.slow
 def test_the_boat_is_followed_and_the_buoy_is_not(tmp_path):
     scene = autoferry.read(harbour(tmp_path))
     assert scene.name == "sea"

@@ -274,6 +274,7 @@ def test_gradients_through_a_choice_are_the_same(make, tracks):
     close(*gradients)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_branch_is_computed_where_the_branch_is(make, tracks, monkeypatch):
     shares, source = [], Scan.source
 

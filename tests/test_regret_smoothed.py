@@ -46,6 +46,7 @@ def test_each_kind_of_estimate_looks_as_far_ahead_as_it_says(result):
         assert result["smoothing"][name]["smoothed"]["nees"] == pytest.approx(nees)
 
 
+@pytest.mark.slow
 def test_the_table_has_a_line_for_each_filter(result):
     lines = smoothed.table({"2-std": result}).splitlines()
     assert len(lines) >= 3

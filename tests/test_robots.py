@@ -259,6 +259,7 @@ def drive(seed, seconds=300.0, rate=10.0):
     return time, torch.stack(pose).numpy(), u + std * rng.normal(size=u.shape)
 
 
+@pytest.mark.slow
 def test_every_reading_counts_over_97_s_without_a_fix_and_a_gap_in_them_is_an_error():
     time, pose, u = drive(0)
     kept = ~((time[:-1] > 100) & (time[:-1] < 197))

@@ -38,6 +38,7 @@ def test_it_learns_the_named_values_and_says_the_error_before_and_after(tmp_path
     assert all(a != b for a, b in zip(raw, fixed.parameters(), strict=True))
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_to_the_same_values(tmp_path, monkeypatch):
     whole, fresh = learn(tmp_path / "whole.pt"), simple.fresh
 

@@ -154,6 +154,7 @@ def test_values_may_differ_by_track():
         torch.testing.assert_close(together.mean[i], alone.mean, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_gradients_are_exact():
     f = presets.gpb(ConstantAcceleration(0.1), Position(STD), learn=("noise_levels", "durations"))
     z = measured("position", 3)[:1, :4]

@@ -33,6 +33,7 @@ def smoothed():
     return [truth for _, truth in several], clean_tracks([recording for recording, _ in several])
 
 
+@pytest.mark.slow
 def test_where_a_receiver_has_smoothed_the_stated_accuracy_stays(smoothed):
     truths, cleaned = smoothed
     for truth, one in zip(truths, cleaned, strict=True):

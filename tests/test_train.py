@@ -90,6 +90,7 @@ def test_a_run_writes_its_settings_its_log_its_values_and_a_figure(unbroken):
     assert result["tasks"][0]["before"]["rmse_position"] > 0
 
 
+@pytest.mark.slow
 def test_the_learned_values_load_into_a_fixed_filter(unbroken):
     scenario = scenarios.growth()
     f = presets.fra(scenario.motion, scenario.sensor)

@@ -72,6 +72,7 @@ def test_tasks_with_the_same_models_have_one_filter():
     assert first is second is not other
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
 def test_models_with_other_values_share_a_filter_and_are_run_with_their_own():
     tasks = [

@@ -86,8 +86,14 @@ def test_an_argument_that_is_no_pair_of_versions_is_refused(tmp_path, argument):
     assert done.stderr == f"versions: expected PYTHON:TORCH such as 3.12:2.7.1 or 3.11:newest, received {argument}\n"
 
 
+def test_quick_leaves_out_slow_tests(tmp_path):
+    done = versions(tmp_path, "--quick", "3.98:2.99.1")
+    assert done.returncode == 0, done.stderr
+    assert "-m not slow tests/" in done.stdout
+
+
 def test_help_says_what_is_tried(tmp_path):
     done = versions(tmp_path, "--help")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "usage: bash scripts/versions.sh [PYTHON:TORCH ...]" in done.stdout
+    assert "usage: bash scripts/versions.sh [--quick] [PYTHON:TORCH ...]" in done.stdout
     assert "3.10:2.4.1" in done.stdout
