@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import peers_targets
 import torch
 from benchmarks.elsewhere import LEARNERS, Peer
 from benchmarks.elsewhere import PEERS as BEARINGS
@@ -30,6 +31,7 @@ from benchmarks.layer import layer
 from benchmarks.linear import long_tracks
 from benchmarks.timing import Here, System, calls, timed
 from benchmarks.tracks import beside_peers
+from learned import lorenz
 from lists import check_list
 from peers_field import Job
 
@@ -38,12 +40,13 @@ from torchfra import Gaussian, presets, scenarios
 from torchfra.catalogue import scenario_filters
 from torchfra.cli.command import add_json_option, check_files, check_least, exit_status, make_parser
 from torchfra.evaluation import run
-from torchfra.motion import RandomWalk
+from torchfra.motion import ConstantVelocity, RandomWalk
 from torchfra.running.versions import write_results
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.scenarios.open_cells import OpenCell
-from torchfra.sensors import Position
+from torchfra.sensors import Position, RangeBearing
 from torchfra.tables import formed_table, significant
+from torchfra.testing.case import drawn as drawn_of_models
 from torchfra.types import Estimate
 
 OTHERS = Path(__file__).with_name("peers_field.py")
@@ -58,6 +61,7 @@ STAY = 0.95
 """Probability that a motion of a bank goes on, in the tracks and in ``imm_srckf``."""
 ROBUST = ["rsrckf", "fra", "gpb"]
 GATED = ["FilterPy", "FilterPy, gated", "kalbee, gated", "kalbee, adaptive", "kalbee, variational Bayes"]
+NONLINEAR = ["FilterPy, extended", "FilterPy, unscented", "FilterPy, unscented, Julier's points"]
 BANKS = ["FilterPy, IMM", "FilterPy, IMM, gated", "kalbee, IMM"]
 
 
@@ -75,27 +79,30 @@ class Cell(NamedTuple):
         return min(self.ours.values()) / min(self.theirs.values())
 
 
-def job_arrays(scenario: Scenario, tracks: Tracks) -> dict[str, np.ndarray]:
-    """Tracks in a plane, and what filters are told of them, as ``peers_field.Job`` has it."""
+def job_arrays(scenario: Scenario, tracks: Tracks, model: str) -> dict[str, np.ndarray]:
+    """Tracks, and what filters are told of them, as ``peers_field.Job`` has it."""
     models = [scenario.motion] if scenario.bank is None else scenario.bank[:]
+    n = scenario.motion.size
     dt = torch.as_tensor(scenario.dt, dtype=torch.float64).expand(scenario.steps)
     noises = [model.process_noise(dt) for model in models]
     size = len(models), len(models)
     chain = torch.full(size, (1 - STAY) / max(len(models) - 1, 1), dtype=torch.float64)
     values = {
-        "matrices": torch.stack([model.transition(dt) for model in models]),
+        "matrices": torch.stack([
+            of.transition(dt) if of.linear else dt[:, None, None] * torch.eye(n).double() for of in models
+        ]),
         "noises": torch.stack([root @ root.mT for root in noises]),
         "chain": chain.fill_diagonal_(STAY if len(models) > 1 else 1.0),
-        "sensor": scenario.sensor(torch.eye(scenario.motion.size).double()).mT,
+        "sensor": scenario.sensor(torch.eye(n).double()).mT,
         "r": scenario.sensor.measurement_noise(tracks.z[0, 0]).std.square().diag(),
         "means": tracks.prior.mean, "p": tracks.prior.covariance, "z": tracks.z,
     }  # fmt: skip
-    return {name: x.detach().numpy() for name, x in values.items()}
+    return {name: x.detach().numpy() for name, x in values.items()} | {"model": np.array(model)}
 
 
 def compared(
     job: str, scenario: Scenario, tracks: Tracks, filters: Sequence[str], others: Sequence[str],
-    options: argparse.Namespace, measures: Sequence[str] = ("error", "time"), smooth: bool = False,
+    options: argparse.Namespace, measures: Sequence[str] = ("error", "time"), smooth: bool = False, model: str = "",
 ) -> list[Cell]:  # fmt: skip
     """The cells of a job: filters of torchfra, compiled, and other libraries, on the same tracks."""
     calls_of: dict[str, Callable[[], Estimate]] = {}
@@ -108,14 +115,15 @@ def compared(
     systems: dict[str, System] = dict(calls(calls_of))
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         file = Path(folder) / "job.npz"
-        np.savez(file, **job_arrays(scenario, tracks))
+        np.savez(file, **job_arrays(scenario, tracks, model))
         for i, other in enumerate([*others, *([str(options.own)] if options.own else [])]):
             peer = started(other, file, Path(folder) / f"{i}.npy", stack)
             if peer is not None:
                 systems[other], means[other] = peer, peer.means()
         rows = timed(systems, options.passes, tracks.z.shape[:2].numel()) if "time" in measures else []
-    truth = tracks.truth[..., :2].numpy()
-    error = {label: float(np.sqrt(np.square(x[..., :2] - truth).sum(-1).mean())) for label, x in means.items()}
+    place = slice(0, scenario.sensor.size)
+    truth = tracks.truth[..., place].numpy()
+    error = {label: float(np.sqrt(np.square(x[..., place] - truth).sum(-1).mean())) for label, x in means.items()}
     values = {"error": error, "time": {row["system"]: row["median"] for row in rows}}
     return [cell(job, measure, values[measure]) for measure in measures]
 
@@ -217,6 +225,43 @@ def imm(options: argparse.Namespace) -> list[Cell]:
     return cells
 
 
+def nonlinear(options: argparse.Namespace) -> list[Cell]:
+    """Ranges and bearings of targets that pass a radar, and Lorenz's attractor: extended and unscented filters."""
+    runs, cells = 10 if options.quick else 40, []
+    motion, sensor, steps = ConstantVelocity(0.1), RangeBearing(torch.tensor([5.0, 0.03]).double()), 100
+    g = torch.Generator().manual_seed(options.seed)
+    start = torch.tensor([-300.0, 150, 8, -2]).double() + 10 * torch.randn(runs, 4, generator=g).double()
+    one = torch.tensor(1.0, dtype=torch.float64)
+    truth, z = drawn_of_models(motion, sensor, start, one, None, steps, g, process_noise=True)
+    passing = Tracks(truth, z, None, Gaussian(start.mean(0).expand(runs, 4), 10 * torch.eye(4).double()))
+    setting = lorenz.Setting()
+    path, seen, known = lorenz.simulate(setting, 1.0, runs, options.seed)
+    attractor = Tracks(path, seen, None, known._replace(scale_tril=1e-3 * torch.eye(3).double()))
+    for words, model, models, dt, tracks in (
+        ("ranges and bearings of a passing target", "radar", (motion, sensor), 1.0, passing),
+        ("Lorenz's attractor", "lorenz", lorenz.models(setting, 1.0), lorenz.DT, attractor),
+    ):
+        scenario = Scenario(model, *models, tracks.prior, dt, tracks.z.shape[1], lambda *_: passing, {})  # drawn above
+        names = ["ekf", "ukf", "srckf", "ghckf"]
+        cells += compared(words, scenario, tracks, names, NONLINEAR, options, model=model)
+    return cells
+
+
+def clutter(options: argparse.Namespace) -> list[Cell]:
+    """Targets whose number is not known among false measurements: GOSPA, and time of a scan."""
+    size = ["--targets", "3", "--clutter", "10", "--scans", "30"] if options.quick else []
+    given = ["--runs", "2" if options.quick else "5", "--seed", str(options.seed)]
+    given += ["--trackers", "imm,gpb,stonesoup-jpda"]
+    rows = peers_targets.simulation(peers_targets.checked(peers_targets.parser(), size + given))
+    by_name = {row["tracker"]: row for row in rows}
+    other = {"Stone Soup, JPDA": by_name.pop("stonesoup-jpda")} if "stonesoup-jpda" in by_name else {}
+    by_name = {f"torchfra, {name}": row for name, row in by_name.items()} | other
+    return [
+        cell("targets among false measurements", words, {name: factor * row[key] for name, row in by_name.items()})
+        for words, key, factor in (("GOSPA", "gospa_m", 1.0), ("time", "ms_per_scan", 1000.0))
+    ]
+
+
 def drawn(options: argparse.Namespace, runs: int, **cell: Any) -> tuple[Scenario, Tracks]:
     """Tracks of positions of 200 steps: see ``scenarios.open_cells.OpenCell``."""
     scenario = OpenCell(**cell).scenario(steps=200)
@@ -278,6 +323,8 @@ JOBS: dict[str, Callable[[argparse.Namespace], list[Cell]]] = {
     "smoothing": smoothing,
     "spikes": spikes,
     "imm": imm,
+    "nonlinear": nonlinear,
+    "clutter": clutter,
     "gradient": gradient,
     "likelihood": likelihood,
 }
@@ -287,10 +334,10 @@ def table(cells: Sequence[Cell], form: str = "text") -> str:
     """Cells as text, the lost ones first."""
     rows = []
     for one in sorted(cells, key=lambda one: -one.ratio):
-        unit = {"error": " m", "time": " us"}.get(one.measure, "")
+        unit = {"error": " m", "GOSPA": " m", "time": " us"}.get(one.measure, "")
         best = [min(systems.items(), key=lambda item: item[1]) for systems in (one.ours, one.theirs)]
         said = [f"{name.removeprefix('torchfra, ')} {significant(x)}{unit}" for name, x in best]
-        rows.append([one.job, one.measure, f"{one.ratio:.2f}", *said])
+        rows.append([one.job, one.measure, f"{one.ratio:.2f}" if one.ratio >= 0.01 else f"{one.ratio:.1g}", *said])
     return formed_table(form, ["job", "measure", "ratio", "torchfra", "best other"], rows, "Ratios below 1 are ahead.")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import runpy
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ GATE = 0.999
 
 
 class Job(NamedTuple):
-    """Linear targets in a plane, of which positions are measured."""
+    """Targets in a plane, of which positions are measured, or what ``MODELS`` has in place of either."""
 
     matrices: np.ndarray
     """``(K, T, n, n)`` transition to each step by each of the models."""
@@ -38,6 +39,8 @@ class Job(NamedTuple):
     """``(n, n)`` their covariance."""
     z: np.ndarray
     """``(B, T, m)``; NaN is missing."""
+    model: np.ndarray
+    """No dimensions: ``""`` for linear models, or a name of ``MODELS``."""
 
 
 def in_turn(track: Callable[[np.ndarray, np.ndarray], np.ndarray], job: Job) -> Run:
@@ -105,6 +108,93 @@ def filterpy_imm(job: Job, gate: float = 1.0) -> Run:
         return np.array(kept)
 
     return in_turn(track, job)
+
+
+class Model(NamedTuple):
+    """What is not linear in a job."""
+
+    move: Callable[[np.ndarray, np.ndarray], np.ndarray] | None
+    """From a state and the matrix of a step, here ``dt`` times one, to the next state; None for the matrix."""
+    measure: Callable[[np.ndarray], np.ndarray] | None
+    """From a state to a measurement; None for the matrix."""
+    difference: Callable[[np.ndarray, np.ndarray], np.ndarray] = np.subtract
+    """Of two measurements."""
+    mean: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    """From measurements ``(points, m)`` and weights to their mean; None for the plain one."""
+
+
+def lorenz(x: np.ndarray, dt: np.ndarray) -> np.ndarray:
+    """Lorenz's attractor after ``dt``, by a Taylor series of five terms."""
+    flow = np.array([[-10.0, 10.0, 0.0], [28.0, -1.0, -x[0]], [0.0, x[0], -8.0 / 3.0]]) * dt[0, 0]
+    term, after = x, x
+    for j in range(1, 6):
+        term = flow @ term / j
+        after = after + term
+    return after
+
+
+def turned(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The difference of ranges and bearings from +y clockwise, of bearings the short way round."""
+    away = one - other
+    away[1] = (away[1] + np.pi) % (2 * np.pi) - np.pi
+    return away
+
+
+def mean_direction(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The mean of ranges and bearings, of bearings that of their directions."""
+    return np.array(
+        [weights @ points[:, 0], np.arctan2(weights @ np.sin(points[:, 1]), weights @ np.cos(points[:, 1]))]
+    )
+
+
+MODELS = {
+    "radar": Model(None, lambda x: np.array([np.hypot(x[0], x[1]), np.arctan2(x[0], x[1])]), turned, mean_direction),
+    "lorenz": Model(lorenz, None),
+}
+
+
+def jacobian(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+    """Central differences, whose error is that of rounding."""
+    steps = 1e-5 * np.maximum(1.0, np.abs(x))
+    columns = [(function(x + step) - function(x - step)) / (2 * step.sum()) for step in np.diag(steps)]
+    return np.array(columns).T
+
+
+def filterpy_nonlinear(job: Job, kind: str) -> Run:
+    """The unscented filter of FilterPy, with points as van der Merwe's or Julier's, or its extended filter."""
+    from filterpy.kalman import ExtendedKalmanFilter, JulierSigmaPoints, MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+    m, n = job.sensor.shape
+    model = MODELS[str(job.model)]
+
+    def measure(x: np.ndarray) -> np.ndarray:
+        return model.measure(x) if model.measure else job.sensor @ x
+
+    def move(x: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        return model.move(x, dt) if model.move else dt @ x
+
+    def extended(mean: np.ndarray, z: np.ndarray) -> np.ndarray:
+        f, kept = ExtendedKalmanFilter(n, m), []
+        f.x, f.P, f.R = mean.copy(), job.p, job.r
+        for z_k, matrix, q in zip(z, job.matrices[0], job.noises[0], strict=True):
+            slope = jacobian(partial(move, dt=matrix), f.x)
+            f.x, f.P = move(f.x, matrix), slope @ f.P @ slope.T + q
+            f.update(z_k, lambda x: jacobian(measure, x), measure, residual=model.difference)
+            kept.append(f.x.copy())
+        return np.array(kept)
+
+    def unscented(mean: np.ndarray, z: np.ndarray) -> np.ndarray:
+        points = JulierSigmaPoints(n, 3.0 - n) if kind == "Julier" else MerweScaledSigmaPoints(n, 0.1, 2.0, 3.0 - n)
+        f = UnscentedKalmanFilter(n, m, 1.0, measure, None, points, z_mean_fn=model.mean, residual_z=model.difference)
+        f.x, f.P, f.R, kept = mean.copy(), job.p.copy(), job.r, []
+        for z_k, matrix, q in zip(z, job.matrices[0], job.noises[0], strict=True):
+            f.Q = q
+            f.predict(fx=lambda x, dt, matrix=matrix: move(x, matrix))
+            f.update(z_k)
+            kept.append(f.x.copy())
+        return np.array(kept)
+
+    return in_turn(extended if kind == "extended" else unscented, job)
 
 
 def pykalman_kf(job: Job, smooth: bool = False) -> Run:
@@ -228,6 +318,9 @@ def kalbee(job: Job, kind: str) -> Run:
 PEERS: dict[str, Callable[[Job], Run]] = {
     "FilterPy": filterpy_kf,
     "FilterPy, gated": lambda job: filterpy_kf(job, GATE),
+    "FilterPy, extended": lambda job: filterpy_nonlinear(job, "extended"),
+    "FilterPy, unscented": lambda job: filterpy_nonlinear(job, "van der Merwe"),
+    "FilterPy, unscented, Julier's points": lambda job: filterpy_nonlinear(job, "Julier"),
     "FilterPy, smoother": lambda job: filterpy_kf(job, smooth=True),
     "FilterPy, IMM": filterpy_imm,
     "FilterPy, IMM, gated": lambda job: filterpy_imm(job, GATE),

@@ -3,7 +3,13 @@
 import json
 
 import field
+import numpy as np
+import peers_field
 import pytest
+import torch
+from learned import lorenz
+
+from torchfra.sensors import RangeBearing
 
 OWN = '''
 import numpy as np
@@ -69,3 +75,19 @@ def test_cells_that_are_lost_come_first_and_are_red(tmp_path):
     assert lines[2].split()[:3] == ["fast", "time", "0.25"]
     field.draw(cells, tmp_path / "ratios.png")
     assert (tmp_path / "ratios.png").stat().st_size > 5000
+
+
+def test_what_is_not_linear_is_told_to_other_libraries_as_it_is():
+    x = torch.tensor([3.0, -4.0, 5.0, 0.5], dtype=torch.float64)
+    seen = RangeBearing((1.0, 0.1))(x)
+    np.testing.assert_allclose(peers_field.MODELS["radar"].measure(x.numpy()), seen, rtol=1e-12)
+    after = lorenz.Lorenz()(x[:3], torch.tensor(lorenz.DT, dtype=torch.float64))
+    np.testing.assert_allclose(peers_field.MODELS["lorenz"].move(x[:3].numpy(), lorenz.DT * np.eye(3)), after, rtol=1e-12)
+    west = np.array([[1.0, 3.1], [1.0, -3.1]])
+    assert abs(peers_field.mean_direction(west, np.array([0.5, 0.5]))[1]) == pytest.approx(np.pi)
+    assert peers_field.turned(west[0], west[1])[1] == pytest.approx(6.2 - 2 * np.pi)
+
+
+def test_slopes_of_other_libraries_are_those_of_the_functions():
+    slope = peers_field.jacobian(lambda x: np.array([x[0] ** 2, x[0] * x[1]]), np.array([3.0, -2.0]))
+    np.testing.assert_allclose(slope, [[6.0, 0.0], [-2.0, 3.0]], atol=1e-8)
