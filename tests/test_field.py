@@ -82,7 +82,9 @@ def test_what_is_not_linear_is_told_to_other_libraries_as_it_is():
     seen = RangeBearing((1.0, 0.1))(x)
     np.testing.assert_allclose(peers_field.MODELS["radar"].measure(x.numpy()), seen, rtol=1e-12)
     after = lorenz.Lorenz()(x[:3], torch.tensor(lorenz.DT, dtype=torch.float64))
-    np.testing.assert_allclose(peers_field.MODELS["lorenz"].move(x[:3].numpy(), lorenz.DT * np.eye(3)), after, rtol=1e-12)
+    np.testing.assert_allclose(
+        peers_field.MODELS["lorenz"].move(x[:3].numpy(), lorenz.DT * np.eye(3)), after, rtol=1e-12
+    )
     west = np.array([[1.0, 3.1], [1.0, -3.1]])
     assert abs(peers_field.mean_direction(west, np.array([0.5, 0.5]))[1]) == pytest.approx(np.pi)
     assert peers_field.turned(west[0], west[1])[1] == pytest.approx(6.2 - 2 * np.pi)
