@@ -228,12 +228,13 @@ def imm(options: argparse.Namespace) -> list[Cell]:
 def nonlinear(options: argparse.Namespace) -> list[Cell]:
     """Ranges and bearings of targets that pass a radar, and Lorenz's attractor: extended and unscented filters."""
     runs, cells = 10 if options.quick else 40, []
-    motion, sensor, steps = ConstantVelocity(0.1), RangeBearing(torch.tensor([5.0, 0.03]).double()), 100
+    motion, sensor, steps = ConstantVelocity(0.1), RangeBearing((5.0, 0.03)), 100
     g = torch.Generator().manual_seed(options.seed)
-    start = torch.tensor([-300.0, 150, 8, -2]).double() + 10 * torch.randn(runs, 4, generator=g).double()
+    middle = torch.tensor([-300.0, 150, 8, -2], dtype=torch.float64)
+    start = middle + 10 * torch.randn(runs, 4, generator=g).double()
     one = torch.tensor(1.0, dtype=torch.float64)
     truth, z = drawn_of_models(motion, sensor, start, one, None, steps, g, process_noise=True)
-    passing = Tracks(truth, z, None, Gaussian(start.mean(0).expand(runs, 4), 10 * torch.eye(4).double()))
+    passing = Tracks(truth, z, None, Gaussian(middle.expand(runs, 4), 10 * torch.eye(4).double()))
     setting = lorenz.Setting()
     path, seen, known = lorenz.simulate(setting, 1.0, runs, options.seed)
     attractor = Tracks(path, seen, None, known._replace(scale_tril=1e-3 * torch.eye(3).double()))
@@ -241,10 +242,15 @@ def nonlinear(options: argparse.Namespace) -> list[Cell]:
         ("ranges and bearings of a passing target", "radar", (motion, sensor), 1.0, passing),
         ("Lorenz's attractor", "lorenz", lorenz.models(setting, 1.0), lorenz.DT, attractor),
     ):
-        scenario = Scenario(model, *models, tracks.prior, dt, tracks.z.shape[1], lambda *_: passing, {})  # drawn above
+        scenario = Scenario(model, *models, tracks.prior, dt, tracks.z.shape[1], _drawn_already, {})
         names = ["ekf", "ukf", "srckf", "ghckf"]
         cells += compared(words, scenario, tracks, names, NONLINEAR, options, model=model)
     return cells
+
+
+def _drawn_already(*_: Any) -> Tracks:
+    """In place of a scenario's simulation, where tracks come from elsewhere."""
+    raise NotImplementedError
 
 
 def clutter(options: argparse.Namespace) -> list[Cell]:

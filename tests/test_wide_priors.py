@@ -8,7 +8,7 @@ import torch
 from torchfra import Gaussian, presets, tree
 from torchfra.gaussian.arguments import LostDigits
 from torchfra.linalg.triangular import eliminated, rounding
-from torchfra.motion import ConstantVelocity, Motion, WhiteJerk
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion, WhiteJerk
 from torchfra.sensors import Position, RangeBearing, Sensor
 
 
@@ -133,6 +133,21 @@ def test_points_too_near_the_centre_for_the_precision_are_refused():
         with pytest.raises(ValueError, match=r"rule: expected weights whose sum leaves four digits in torch.float32"):
             run(z, prior)
     assert not f(z.double(), Gaussian(*(x.double() for x in prior))).failed.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gpb", "imm", "imm_fra", "vsimm_srckf"])
+def test_moments_of_accelerations_that_are_not_known_yet_lose_digits_beside_a_prior_that_is_warned_of(name):
+    models = [ConstantAcceleration(0.01), ConstantAcceleration(1.0)]
+    several = {"neighbours": ((1,), (0,)), "first": (0, 1)} if name.startswith("vsimm") else {}
+    f = getattr(presets, name)(models if "imm" in name else models[0], Position(0.1), **several)
+    z = tracks(*CASES["constant velocity"])
+    _, _, *filtered = lost(f, z, 1e5 * torch.eye(6).double())
+    assert max(filtered) <= 1e-3
+    for run in (f, f.smooth):
+        with pytest.warns(LostDigits, match="prior: expected standard deviations below 1e.07 times"):
+            run(z.float(), Gaussian(torch.zeros(6), 1e7 * torch.eye(6)))
+    f(z, Gaussian(torch.zeros(6).double(), 1e7 * torch.eye(6).double()))  # in double precision
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -112,6 +112,8 @@ class Filter(Part, Generic[S]):
     """Whether it detects a faulty sensor: ``watch``, and ``alarm`` in the ``info`` of its steps."""
     zero_dt = True
     """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
+    matches_moments = False
+    """Whether a step ends with one belief that has the moments of several."""
     mixes = False
     """Whether ``advance`` takes a ``mix``, a function that replaces the belief from which the step starts, as a filter
     inside of ``IMM`` must."""
@@ -402,7 +404,8 @@ class Filter(Part, Generic[S]):
 
         Warns:
             RuntimeWarning: ``z`` or ``dt`` in single precision has lost its digits before, as northings and Unix times;
-                or the prior is 1e12 times as wide as a linear sensor's noise.
+                or the prior is 1e12 times as wide as a linear sensor's noise; 1e7 times in single precision, where
+                moments are matched (``gpb``, ``imm``) and two measurements do not tell the state, as of accelerations.
 
         Raises:
             ValueError: a shape or a value that does not fit.
@@ -604,7 +607,7 @@ class Filter(Part, Generic[S]):
         batch = batch if self.scans else broadcast_with_values(self, batch)
         warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
         if name == "prior":
-            warn_of_width(prior, measurements, self.sensor)
+            warn_of_width(prior, measurements, self.sensor, mixture=self.matches_moments)
         return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:

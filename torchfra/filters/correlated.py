@@ -99,6 +99,11 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         return self.inner.alarms
 
     @property
+    def matches_moments(self) -> bool:  # type: ignore[override]
+        """Whether ``inner`` ends a step with one belief of several."""
+        return self.inner.matches_moments
+
+    @property
     def zero_dt(self) -> bool:  # type: ignore[override]
         """Whether ``dt`` may be 0 in ``inner``."""
         return self.inner.zero_dt

@@ -93,6 +93,7 @@ class IMM(Filter[IMMState]):
     """
 
     keeps_past = True
+    matches_moments = True
 
     transition: Hyper | None
     """None if ``self_transition`` or ``durations`` alone was given."""

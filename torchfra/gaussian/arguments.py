@@ -250,12 +250,24 @@ _WIDEST = 1e12
 
 Products and sums of columns keep those of each, but a reflection in double precision leaves 2e-16 of a row's largest.
 """
+_WIDEST_MIXED = 1e7
+"""The same where moments are matched in single precision before measurements have told all components.
+
+What is not known yet is a column of the root in each belief, and where these differ by rounding, 6e-8 of their length
+is taken for spread.
+"""
 
 
-def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor) -> None:
-    """Warns of a prior so wide that no number holds it beside what a linear sensor measures."""
+def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor, *, mixture: bool) -> None:
+    """Warns of a prior so wide that no number holds it beside what a linear sensor measures.
+
+    With ``mixture`` the filter matches the moments of several beliefs at each step.  Those after two measurements are
+    narrow where two tell the state.
+    """
     root, (z, _, _, std, noise) = prior.scale_tril.detach(), measurements
-    if not sensor.linear or is_traced(root, z) or not bool((root.abs() > 1e-6 * _WIDEST).any()):
+    mixed = mixture and root.dtype is torch.float32 and root.shape[-1] > 2 * sensor.size
+    widest = _WIDEST_MIXED if mixed else _WIDEST
+    if not sensor.linear or is_traced(root, z) or not bool((root.abs() > 1e-6 * widest).any()):
         return  # no sensor is that precise: the usual case costs one comparison
     with torch.no_grad():
         spread = sensor(root.mT)
@@ -264,8 +276,8 @@ def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor) -
         wide = wide.reshape(-1, sensor.size).amax(0)
         least = sensor.measurement_noise(z.to(root), std, noise).std.reshape(-1, sensor.size)
         ratio = wide / torch.where(least > 0, least, torch.inf).amin(0)
-    if bool((ratio > _WIDEST).any()):
-        expected = f"standard deviations below {_WIDEST:.0e} times those of the measurement noise"
+    if bool((ratio > widest).any()):
+        expected = f"standard deviations below {widest:.0e} times those of the measurement noise"
         received = f"{float(ratio.max()):.1e} times that of element {int(ratio.argmax())}"
         warnings.warn(f"prior: expected {expected}, received {received}: digits are lost", LostDigits, stacklevel=2)
 

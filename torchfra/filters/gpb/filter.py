@@ -132,7 +132,7 @@ class GPB(Filter[GPBState]):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
-    keeps_past = alarms = True
+    keeps_past = alarms = matches_moments = True
 
     def __init__(
         self,
