@@ -5,7 +5,7 @@ for argument; do
   case $argument in
     -h | --help)
       echo "usage: bash scripts/test.sh [--quick | --all] [ARGUMENT ...]    arguments go to pytest"
-      echo "What has to pass before a commit, in five minutes on two cores; --quick: a core, in half a minute; --all: every test."
+      echo "What has to pass before a commit, in ten minutes on two cores; --quick: a core, in half a minute; --all: every test."
       exit ;;
     --quick | --all)
       [ -z "$what" ] || { echo "test: expected one of --quick and --all, received both or one twice" >&2; exit 2; }
