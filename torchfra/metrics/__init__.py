@@ -8,17 +8,22 @@ filters estimate in::
 
 from torchfra.metrics.bounds import cramer_rao, outlier_information
 from torchfra.metrics.errors import diverged, error, nees, rmse, track_rmse
+from torchfra.metrics.identities import HOTA, IDF1, hota, idf1
 from torchfra.metrics.lives import Lives, lives
 from torchfra.metrics.sets import GOSPA, OSPA, gospa, ospa, swaps
 
 __all__ = [
     "GOSPA",
+    "HOTA",
+    "IDF1",
     "OSPA",
     "Lives",
     "cramer_rao",
     "diverged",
     "error",
     "gospa",
+    "hota",
+    "idf1",
     "lives",
     "nees",
     "ospa",

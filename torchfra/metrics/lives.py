@@ -66,6 +66,23 @@ def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) 
     for the matching and the switches; Li, Huang & Nevatia (2009) for fragmentation; Gorji, Tharmarasa & Kirubarajan
     (2011), "Performance Measures for Multiple Target Tracking Problems", for the lengths and false tracks.
     """
+    estimates, targets, batch = tracks_and_targets(mean, truth, states, cutoff)
+    follower = np.full(targets.shape[:-1], -1)
+    for i, (e, t) in enumerate(zip(estimates, targets, strict=True)):
+        follower[i] = _followers(e, t, cutoff)
+    there = [torch.from_numpy(~np.isnan(x).any(-1)) for x in (targets, estimates)]
+    counts = _counts(torch.from_numpy(follower), *there)
+    return Lives(*(x.reshape(*batch, x.shape[-1]).to(mean.device) for x in counts))
+
+
+def tracks_and_targets(
+    mean: Tensor, truth: Tensor, states: slice, cutoff: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, ...]]:
+    """The compared components of estimates ``(B, N, T, d)`` and targets ``(B, M, T, d)``, and the batch.
+
+    Raises:
+        ValueError: a cutoff that is not above 0, an infinite one, or shapes that do not match.
+    """
     if not 0 < cutoff < torch.inf:
         raise ValueError(f"cutoff: expected finite metres above 0, received {cutoff}")
     batch, fits = mean.shape[:-3], min(mean.dim(), truth.dim()) >= 3 and mean.shape[-2] == truth.shape[-2]
@@ -78,12 +95,7 @@ def lives(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) 
         x[..., states].detach().double().cpu().reshape(math.prod(batch), *x[..., states].shape[-3:]).numpy()
         for x in (mean, truth)
     )
-    follower = np.full(targets.shape[:-1], -1)
-    for i, (e, t) in enumerate(zip(estimates, targets, strict=True)):
-        follower[i] = _followers(e, t, cutoff)
-    there = [torch.from_numpy(~np.isnan(x).any(-1)) for x in (targets, estimates)]
-    counts = _counts(torch.from_numpy(follower), *there)
-    return Lives(*(x.reshape(*batch, x.shape[-1]).to(mean.device) for x in counts))
+    return estimates, targets, batch
 
 
 def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cutoff: float) -> NDArray[np.int64]:
