@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 
 from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.cleaning.outputs.view import corners
-from torchfra.evaluation import MappedRun
-from torchfra.evaluation.results import infinite
 from torchfra.plotting.labels import SIZE, Array, at_ends, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, plain_ticks, without_box, words
+
+if TYPE_CHECKING:
+    from torchfra.evaluation import MappedRun
 
 _ROW = 0.27
 """Height of a filter's row, inches."""
@@ -71,9 +72,11 @@ def comparison(
 
 def _draw_runs(axes: Axes, results: Mapping[str, Mapping[str, Any]], limit: float, colours: Mapping[str, str]) -> None:
     """A row for each filter, the best on top: median, 5 to 95 % and worst of its runs, and how many diverged."""
-    names = sorted(results, key=lambda name: infinite(results[name]["median_track_rmse"]), reverse=True)
     keys = ("p05_track_rmse", "median_track_rmse", "p95_track_rmse", "worst_track")
-    values = np.array([[infinite(results[name][key]) for key in keys] for name in names])
+    errors = {name: np.array([of[key] for key in keys], dtype=np.float64) for name, of in results.items()}
+    errors = {name: np.where(np.isnan(of), np.inf, of) for name, of in errors.items()}
+    names = sorted(results, key=lambda name: errors[name][1], reverse=True)
+    values = np.stack([errors[name] for name in names])
     low, high = _limits(values, limit)
     inside = np.clip(values, low, high)
     for row, (name, (least, median, most, worst)) in enumerate(zip(names, inside, strict=True)):

@@ -16,7 +16,6 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from torchfra.catalogue import FILTERS
 from torchfra.cleaning.outputs.colours import APART
 from torchfra.running.atomic_write import write
 from torchfra.running.pictures import picture_format
@@ -82,6 +81,8 @@ def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
 
     Lines after those have the same colours in the same order, but are broken.
     """
+    from torchfra.catalogue import FILTERS  # filters of all kinds, which pictures of one track need none of
+
     styles = {}
     for i, name in enumerate(names):
         bold = name in FILTERS and FILTERS[name].emphasised
