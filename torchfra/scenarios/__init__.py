@@ -8,6 +8,7 @@ from torchfra.scenarios.bounds import Bound, bound
 from torchfra.scenarios.clutter import clutter_crossing, clutter_straight, noise_change
 from torchfra.scenarios.clutter_many import clutter_many
 from torchfra.scenarios.growth import growth
+from torchfra.scenarios.harbour import Harbour, harbour
 from torchfra.scenarios.law import Law
 from torchfra.scenarios.open_cells import OpenCell, draw_cell, open_cell
 from torchfra.scenarios.ranges import ranges_outliers
@@ -18,6 +19,7 @@ from torchfra.scenarios.weave import level_then_weave
 
 __all__ = [
     "Bound",
+    "Harbour",
     "Law",
     "OpenCell",
     "Scenario",
@@ -33,6 +35,7 @@ __all__ = [
     "clutter_straight",
     "draw_cell",
     "growth",
+    "harbour",
     "level_then_weave",
     "noise_change",
     "of_tracks",
