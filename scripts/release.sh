@@ -2,16 +2,17 @@
 # A release: builds wheel and source archive into out/dist, checks both in an environment of their own, and sets the tag.
 # Nothing is uploaded.  Before it, --prepare VERSION gives the files that version, to be looked at and committed.
 set -euo pipefail
-dry= next=
+dry= next= packages=
 case "$#,${1-}" in
   0,) ;;
   1,-h | 1,--help)
-    echo "usage: bash scripts/release.sh [--dry-run | --prepare VERSION]"
-    echo "--dry-run: all but the tag; --prepare: names the version where it is written, and what is unreleased by it"
+    echo "usage: bash scripts/release.sh [--packages | --dry-run | --prepare VERSION]"
+    echo "--packages: builds and checks alone, of any commit; --dry-run: all but the tag; --prepare: names the version where it is written, and what is unreleased by it"
     exit ;;
+  1,--packages) dry=1 packages=1 ;;
   1,--dry-run) dry=1 ;;
   2,--prepare) next=$2 ;;
-  *) echo "release: expected --dry-run, --prepare VERSION or nothing, received $*" >&2; exit 2 ;;
+  *) echo "release: expected --packages, --dry-run, --prepare VERSION or nothing, received $*" >&2; exit 2 ;;
 esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' torchfra/version.py)
@@ -32,9 +33,9 @@ if [ -n "$next" ]; then
   echo "torchfra $next: look at CHANGELOG.md, CITATION.cff and torchfra/version.py, commit them, and release without --prepare"
   exit
 fi
-grep -qF "## [$version]" CHANGELOG.md || refuse "CHANGELOG.md: expected a heading [$version], there is none: --prepare $version"
+[ -n "$packages" ] || grep -qF "## [$version]" CHANGELOG.md || refuse "CHANGELOG.md: expected a heading [$version], there is none: --prepare $version"
 grep -qx "version: $version" CITATION.cff || refuse "CITATION.cff: expected version $version"
-git rev-parse -q --verify "refs/tags/v$version" > /dev/null && refuse "there is a tag v$version already"
+[ -n "$packages" ] || ! git rev-parse -q --verify "refs/tags/v$version" > /dev/null || refuse "there is a tag v$version already"
 
 source scripts/setup.sh release
 rm -rf out/dist

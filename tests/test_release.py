@@ -83,11 +83,21 @@ def test_the_changes_of_this_tree_become_those_of_a_version_from_which_a_release
     assert "there is a tag v7.8.9 already" in refusal(clone, "--dry-run")  # the last that is asked before the work
 
 
+def test_packages_are_built_of_a_commit_that_is_no_release(clone):
+    """As between two releases: the version has no heading of its own, or a tag already."""
+    (clone / "CHANGELOG.md").write_text("# Changelog\n\n## [Unreleased]\n")
+    (clone / "scripts/setup.sh").write_text('echo "$1 would be installed" >&2; exit 3\n')
+    commit(clone)
+    git(clone, "tag", f"v{version()}")
+    assert "expected a heading" in refusal(clone, "--dry-run")
+    assert refusal(clone, "--packages") == "release would be installed\n"
+
+
 @pytest.mark.parametrize(("words", "message"), [
     (["--prepare", "next"], "--prepare: expected a version such as 1.2.0, received next"),
     (["--prepare", "0.1.0"], "there is a heading [0.1.0] already"),
     (["--prepare", "7.8.9"], "expected changes below [Unreleased], there are none"),
-    (["--prepare"], "expected --dry-run, --prepare VERSION or nothing, received --prepare"),
+    (["--prepare"], "expected --packages, --dry-run, --prepare VERSION or nothing, received --prepare"),
 ])  # fmt: skip
 def test_a_version_that_cannot_be_prepared_is_refused_and_files_stay(clone, words, message):
     (clone / "CHANGELOG.md").write_text("# Changelog\n\n## [Unreleased]\n\n## [0.1.0] - 2026-01-01\n\n- All.\n")

@@ -39,7 +39,8 @@ class Origins:
                 self._forwards.setdefault(torch.autograd._get_sequence_nr(), line)  # type: ignore[attr-defined]
                 return line
             node = torch._C._current_autograd_node()
-            of = node and self._forwards.get(node._sequence_nr() + 1)  # its own number, counted on before it ran
+            # its own number, counted on before it ran
+            of = None if node is None else self._forwards.get(node._sequence_nr() + 1)
         except AttributeError:  # they are private: versions may differ, and comments say less
             return line
         return f"gradient of {of}" if of else line
