@@ -34,3 +34,27 @@ def test_noise_makes_nobody_much_faster_who_walks(lasting):
         noise[k] = kept * noise[k - 1] + np.sqrt(1 - kept**2) * noise[k]
     path = 1.4 * time[:, None] * (0.6, 0.8)
     assert kind_of(Recording("walk", time, path + 15.0 * noise, None, {}))[1].fastest < 15.0
+
+
+def wandering(speed, seconds, noise, seed, count=400, rate=30):
+    """A target whose velocity forgets itself within some seconds: truth and fixes ``(count, 2)``."""
+    rng, kept = np.random.default_rng(seed), np.exp(-1 / (rate * seconds))
+    velocity = np.zeros((count, 2))
+    for k in range(1, count):
+        velocity[k] = kept * velocity[k - 1] + speed * np.sqrt(1 - kept**2) * rng.standard_normal(2)
+    path = 300 + np.cumsum(velocity, 0) / rate
+    return np.arange(count) / rate, path, np.round(path + noise * rng.standard_normal(path.shape), 1)
+
+
+@pytest.mark.parametrize(("speed", "seconds", "noise"), [(80.0, 0.4, 1.0), (20.0, 0.5, 3.0)])
+def test_pixels_of_a_video_are_cleaned_as_well_for_metres_as_for_millimetres(speed, seconds, noise):
+    time, path, z = wandering(speed, seconds, noise, seed=3)
+    z[::40] += 150.0
+    several = clean_tracks([Recording("mouse", time, z * unit, None, {}) for unit in (1e-3, 1.0)])
+    errors = []
+    for cleaned, unit in zip(several, (1e-3, 1.0), strict=True):
+        errors.append(np.square(cleaned.position / unit - path).mean() ** 0.5)
+        assert np.array_equal(np.flatnonzero(cleaned.flag == "outlier"), np.arange(0, 400, 40))
+        assert 0.7 * noise < cleaned.found.sigma / unit < 1.5 * noise
+    assert errors[1] < 1.15 * errors[0]
+    assert max(errors) < 0.75 * noise

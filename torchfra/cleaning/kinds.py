@@ -12,8 +12,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.process_noise import LONGEST
+from torchfra.cleaning.second_differences import second_differences, spread
 from torchfra.readers.recording import Recording
 from torchfra.readers.sanity import speed_across
+from torchfra.readers.smoothing import differences
 
 
 class Kind(NamedTuple):
@@ -61,6 +63,9 @@ _CHANGES, _LEAST_CHANGE = 4.3, 6.0
 _HARDEST = 2.8
 """Hardest acceleration of an unknown target at 1 m/s, m/s^2; it grows with the fourth root of the speed, from 3 m/s^2
 of who walks to 10 m/s^2 of who flies."""
+_HARDER, _GROWS, _DIFFERENCES = 4.0, 1.5, 20
+"""How many times as hard as its usual acceleration the hardest one is; how many times as large second differences over
+twice the time are at least, so that they are no noise; and the fewest of these."""
 
 
 def check_kind(name: str) -> None:
@@ -95,8 +100,26 @@ def kind_of(recording: Recording) -> tuple[str, Kind]:
         return word, KINDS[word]
     around, turn = _speed_and_turn(recording)
     speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording), around)
-    hardest = min(max(_HARDEST * speed**0.25, turn, 3.0), 10.0)
+    hardest = max(min(max(_HARDEST * speed**0.25, turn, 3.0), 10.0), _HARDER * _acceleration(recording))
     return UNKNOWN, Kind(hardest, 2.0, max(_CHANGES * speed, _LEAST_CHANGE))
+
+
+def _acceleration(recording: Recording) -> float:
+    """The usual acceleration per axis, m/s^2, as far as noise does not hide it; 0 where it does.
+
+    It is what second differences over twice the time have more than those over the time itself: white noise has the
+    same in both.  So lengths in a unit that nobody has said, as pixels, have accelerations of their own.
+    """
+    there = np.isfinite(recording.position[:, :2]).all(1)
+    time, position = recording.time[there], recording.position[there, :2]
+    most, before = 0.0, (0.0, 0.0)
+    while len(time) >= _DIFFERENCES + 2:
+        seen = float(np.median(1 / np.linalg.norm(differences(time, 2), axis=1)))  # of 1 m/s^2
+        size = spread(second_differences(time, position), 0.5)
+        if size > _GROWS * before[0] > 0:
+            most = max(most, math.sqrt((size**2 - before[0] ** 2) / (seen**2 - before[1] ** 2)))
+        time, position, before = time[::2], position[::2], (size, seen)
+    return most
 
 
 def _speed_of_rare_moves(recording: Recording) -> float:
