@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import json
 import os
+import struct
 import zipfile
 
 import numpy as np
@@ -23,6 +24,12 @@ from train.training import Training
 
 SMALL = ["batch=2", "iterations=2", "validation_runs=1", "test_runs=0", "compile=false"]
 SCENARIO = make_scenario("bearings-outliers")
+
+
+def signature(data):
+    """The data as ``pack`` ends them: its last two bytes say how long the comment of the archive is."""
+    body = data[:-2] + struct.pack("<H", state_files._LENGTH)
+    return body + state_files._digest(body)
 
 
 def made(preset=presets.fra, **options):
@@ -104,6 +111,31 @@ def test_a_changed_bit_of_what_torch_saved_never_changes_a_value(tmp_path):
         else:
             assert all(torch.equal(found[key], value) for key, value in f.state_dict().items())
     assert refused > 50
+
+
+@pytest.mark.parametrize("signed", [True, False])
+def test_what_would_take_a_hundred_times_the_memory_of_its_file_is_refused(signed, tmp_path):
+    torch.save({"a": torch.zeros(100_000)}, tmp_path / "a.pt")
+    with (
+        zipfile.ZipFile(tmp_path / "a.pt") as plain,
+        zipfile.ZipFile(tmp_path / "b.pt", "w", zipfile.ZIP_DEFLATED) as small,
+    ):
+        for part in plain.infolist():
+            small.writestr(part.filename, plain.read(part))
+    data = (tmp_path / "b.pt").read_bytes()
+    assert len(data) < 4000
+    (tmp_path / "b.pt").write_bytes(signature(data) if signed else data)
+    with pytest.raises(ValueError, match=r"^it is damaged \(400\d\d\d bytes in a file of \d{4}\)$"):
+        state_files.read(tmp_path / "b.pt")
+
+
+def test_a_digest_does_not_make_an_archive_of_something_else(tmp_path):
+    """Such as of a format whose numbers may claim any size."""
+    torch.save({"a": torch.zeros(4)}, tmp_path / "a.pt", _use_new_zipfile_serialization=False)
+    data = (tmp_path / "a.pt").read_bytes()
+    (tmp_path / "a.pt").write_bytes(signature(data + b"PK"))
+    with pytest.raises(ValueError, match=r"^it is damaged, or torch\.save did not write it$"):
+        state_files.read(tmp_path / "a.pt")
 
 
 # ---------------------------------------------------------------- values
