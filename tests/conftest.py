@@ -128,8 +128,8 @@ def seeded():
 def prepared(monkeypatch):
     """How often tracks had to be checked and prepared."""
     seen = []
-    forward = Compiled.over_steps
-    monkeypatch.setattr(Compiled, "over_steps", lambda *given: seen.append(1) or forward(*given))
+    forward = Compiled.scan
+    monkeypatch.setattr(Compiled, "scan", lambda *given: seen.append(1) or forward(*given))
     return seen
 
 

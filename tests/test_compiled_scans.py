@@ -15,10 +15,10 @@ from test_gpb import FEWER
 
 from torchfra import learnable, presets
 from torchfra.association import Clutter, Euclidean, associate
-from torchfra.filters import engine
 from torchfra.linalg.tracing import elementary
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
+from torchfra.steps import engine
 from torchfra.testing import check_filter
 from torchfra.types import Gaussian
 
@@ -74,7 +74,7 @@ def test_smoothed_results_and_gradients_are_those_of_the_eager_filter(lag, monke
     f = learnable(presets.jpda(motion, Position(2.0), clutter=Clutter(1e4, rate=2.0), lost=0.2), ("q",))
     fast = copy.deepcopy(f).compile()
     said = [f.smooth(z, prior, dt=dt, lag=lag)]
-    monkeypatch.setattr(engine, "backward_pass", None)
+    monkeypatch.setattr(engine, "backward", None)
     said.append(fast.smooth(z, prior, dt=dt, lag=lag))
     close(*(x[:4] for x in said))
     close(

@@ -68,9 +68,9 @@ def test_step_by_step_it_is_the_same_and_beliefs_are_the_targets():
     f, z = presets.gpb(MOTION, Correlated(Position(1.5), 3.0, 20.0)), measured()
     estimate, state = f(z, PRIOR, dt=DT), f.init(PRIOR)
     for k, dt in enumerate(DT):
-        state, _, alarm = f.watch(state, z[k], dt=dt)
+        state, innovation = f.step(state, z[k], dt=dt)
         close(state.belief.mean, estimate.mean[k])
-    close(alarm.probability, estimate.info.alarm.probability[-1])
+    close(innovation.alarm.probability, estimate.info.alarm.probability[-1])
 
 
 def test_a_forecast_of_a_measurement_has_the_error_that_is_known_to_last():

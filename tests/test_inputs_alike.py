@@ -64,10 +64,10 @@ def test_steps_streams_and_targets_from_any_kind_of_numbers_are_the_same(of):
     def results(of, prior, rows):
         f = presets.gpb(MOTION, SENSOR)
         state, lagged = f.init(prior), FixedLag(f, 1)
-        watched, late, tracker = state, lagged.init(prior), Tracker(f, prior)
+        stated, late, tracker = state, lagged.init(prior), Tracker(f, prior)
         for time, row in enumerate(rows):
             state, _ = f.step(state, of(row), dt=of([2])[0])
-            watched, _, _ = f.watch(watched, of(row), std=of([3, 3]))
+            stated, _ = f.step(stated, of(row), std=of([3, 3]))
             late, _ = lagged.step(late, of(row))
             tracker.update(time + 1, of(row))
         manager = Targets(presets.jpda(MOTION, SENSOR, clutter=Clutter(extent=[1e3, 1e3], rate=1.0)))
@@ -76,7 +76,7 @@ def test_steps_streams_and_targets_from_any_kind_of_numbers_are_the_same(of):
             targets = manager.step(targets, of(rows), dt=2)
         scans = manager(of([rows] * 4), dt=of([2] * 4))
         ahead = f.predict(state, of([2])[0]).belief
-        return [*state.belief, *watched.belief, *late.lagged, *tracker.belief, *ahead, *targets.belief, *scans[:2]]
+        return [*state.belief, *stated.belief, *late.lagged, *tracker.belief, *ahead, *targets.belief, *scans[:2]]
 
     given = results(of, Gaussian(of([0, 0, 0, 0]), of(np.diag([5, 5, 10, 10]).tolist())), ROWS)
     plain = results(lambda rows: torch.tensor(rows).double(), PRIOR, ROWS)

@@ -8,7 +8,7 @@ import torch
 from torchfra.compiler import forms
 from torchfra.compiler.engine import Compiled
 from torchfra.compiler.forms import flattener, unflattener
-from torchfra.filters.engine import INTERPRETED
+from torchfra.steps.engine import INTERPRETED
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
 
@@ -28,7 +28,7 @@ def stream(f, tracks, dtype=torch.float64, **more):
     said = []
     for z, u in zip(tracks.z[0].to(dtype), tracks.u.to(dtype), strict=True):
         state, innovation = f.step(state, z, u=u, **more)
-        said += [*flatten(state), *innovation]
+        said += flatten((state, innovation))
     return said
 
 

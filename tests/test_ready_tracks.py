@@ -11,7 +11,7 @@ from conftest import STEPS
 from short_tracks import SMALL_GPB, alone
 
 from torchfra.compiler import program
-from torchfra.filters.engine import INTERPRETED
+from torchfra.steps.engine import INTERPRETED
 from torchfra.tree import flatten
 from torchfra.types import Cause, Gaussian
 

@@ -14,6 +14,7 @@ from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Stacked
+from torchfra.steps.checks import check_step
 from torchfra.targets import SPRT, Deletion, Existence, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.types import Gaussian
@@ -59,7 +60,8 @@ def test_clusters_one_by_one_are_the_whole_scan_at_once():
     state = f.init(Gaussian(mean, torch.diag(torch.tensor([3.0, 3.0, 1.0, 1.0]).double()).expand(12, 4, 4)))
     z = torch.cat([mean[1:, :2] + 2, 60 * torch.rand(8, 2, generator=rng).double()])
     z[3] = math.nan
-    whole, record = f.advance(state, f._frame(state, Measurements(z)))
+    frame = f._frames(check_step(f, state, Measurements(z)), 1)[0][0]
+    whole, record = f.advance(state, frame)
     scene = torch.zeros(12, dtype=torch.int64)
     parts, log_missed, density, association, groups = filter_scan(
         f, state, scene, SceneScan(z[None], torch.ones(1).double(), None)

@@ -170,6 +170,8 @@ class Innovation(NamedTuple):
     """``(...)`` normalised innovation squared, of the elements that were measured."""
     log_likelihood: Tensor
     """``(...)`` log density of the elements that were measured."""
+    alarm: Alarm | None = None
+    """Whether the sensor is faulty; None of filters that do not detect it."""
 
 
 class Cause(IntEnum):

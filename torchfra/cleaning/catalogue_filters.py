@@ -13,10 +13,10 @@ from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.flags import GATE
 from torchfra.cleaning.kinds import UNKNOWN
 from torchfra.filters import GPB, Filter
-from torchfra.filters.records import SmoothInfo
 from torchfra.motion.bank import Bank, aircraft, people, ships, vehicles
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.sensors.position import Position
+from torchfra.steps.records import SmoothInfo
 from torchfra.types import CompileError, Estimate, Gaussian
 
 LONGEST_GAP = 60.0

@@ -19,6 +19,7 @@ from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.step import Step, carried, ports, pullback
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
+from torchfra.steps.loop import finish
 from torchfra.tree import flatten, map_tensors, unflatten
 from torchfra.types import Gaussian
 
@@ -90,7 +91,7 @@ class Boundary:
         steps = map_tensors(partial(self._two_steps, book), step.record)
         with refusals_of(type(module).__name__), elementary(), torch.set_grad_enabled(bool(differentiable)):
             begun = [as_entries(book, x) for x in flatten(module.begin(Gaussian(prior[0], tria(prior[1]))))]
-            made = module.estimate_of(unflatten(step.state, iter(after)), steps)
+            made = finish(module, unflatten(step.state, iter(after)), steps)
         return Traced(book, inputs, prior, begun, after, steps, made)
 
     def _two_steps(self, book: Expressions, like: Tensor) -> Tensor:

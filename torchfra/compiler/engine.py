@@ -25,6 +25,9 @@ from torchfra.gaussian.arguments import check_seconds
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.tracing import has_tangents, is_traced
 from torchfra.numbers import NUMBERS
+from torchfra.steps.checks import check_step
+from torchfra.steps.engine import INTERPRETED, Engine
+from torchfra.steps.loop import Options, finish, observe, observe_apart, start
 from torchfra.tree import flatten, map_tensors, unflatten
 from torchfra.types import Estimate, Gaussian
 
@@ -34,7 +37,7 @@ _FORMS = 64
 """How many forms of a single step are remembered."""
 
 
-class Compiled:
+class Compiled(Engine):
     """Kernels of a filter, one set for each form of call; they are made when first needed.
 
     Hyperparameters, parameters, ``kernel_numbers`` and data are read when a kernel runs.  All else is part of it: when
@@ -42,16 +45,15 @@ class Compiled:
     (A list or dictionary that changes inside is not noticed.)
     """
 
-    def __init__(self, otherwise: Any) -> None:
-        """``otherwise`` is the engine that runs what kernels do not take."""
-        self.otherwise, self._versions, self.calls = otherwise, list[Version](), one_operation.Calls()
+    def __init__(self) -> None:
+        self._versions, self.calls = list[Version](), one_operation.Calls()
 
-    def __reduce__(self) -> tuple[type[Compiled], tuple[Any]]:
-        return Compiled, (self.otherwise,)  # kernels are no part of a copy
+    def __reduce__(self) -> tuple[type[Compiled], tuple[()]]:
+        return Compiled, ()  # kernels are no part of a copy
 
     def another(self) -> Compiled:
         """An engine of the same kind for another filter: kernels are of one."""
-        return Compiled(self.otherwise)
+        return Compiled()
 
     def _now(self, f: nn.Module) -> Version:
         """The kernels that hold for the filter as it is; the version used last comes first."""
@@ -81,44 +83,35 @@ class Compiled:
         return method(f, *arguments, **options)
 
     def forward(
-        self, f: Any, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None,
-        past: bool,
-    ) -> tuple[Estimate, Any, Any]:  # fmt: skip
+        self, f: Any, measurements: Measurements, prior: Gaussian, options: Options
+    ) -> tuple[Estimate, Any, Any]:
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
-            interpreted: tuple[Estimate, Any, Any] = self.otherwise.forward(
-                f, measurements, prior, checkpoint, truncate, past
-            )
-            return interpreted
-        cut = checkpoint or truncate
-        done = self._ready(f, measurements, prior, past, cut)
+            return super().forward(f, measurements, prior, options)
+        done = self._ready(f, measurements, prior, options)
         if done is None:
-            begun, rank = f.first_state(measurements, prior)
-            done = self.over_steps(f, begun, measurements, rank, checkpoint, truncate, past)
-            self._get_ready(f, begun, measurements, prior, past, cut)
+            begun, rank = start(f, measurements, prior)
+            done = self.scan(f, begun, measurements, rank, options)
+            self._get_ready(f, begun, measurements, prior, options)
         if isinstance(done, Estimate):
             return done, None, None
         state, kept = done
-        return f.estimate_of(state, kept), state, kept.past
+        return finish(f, state, kept), state, kept.past
 
-    def _ready(self, f: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None) -> Any:
-        """The estimate, or what ``over_steps`` gives from a prior; None unless a call of this form is known.
-
-        ``cut``: steps after which gradients end or steps are computed again, if there are any.
+    def _ready(self, f: Any, measurements: Measurements, prior: Gaussian, options: Options) -> Any:
+        """The estimate, or what ``scan`` gives from a prior; None unless a call of this form is known.
 
         Raises:
             ValueError: the time steps or the noise have a bad value.
         """
         if not self._versions or not isinstance(prior, Gaussian) or has_tangents():
             return None
-        now, form = self._now(f), form_of(measurements, past, cut is None and not hooked())
+        now, form = self._now(f), form_of(measurements, options.past, _plain(options))
         return now.tracks(f, form, prior, measurements, now.read)
 
-    def _get_ready(
-        self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, past: bool, cut: int | None
-    ) -> None:
+    def _get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, options: Options) -> None:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
-        plain = cut is None and not hooked()
+        plain, past = _plain(options), options.past
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
         if is_long(z.shape[:-2], z.shape[-2]):
             return  # which runs in pieces
@@ -128,16 +121,11 @@ class Compiled:
             now, task, data = self._task(f, state, measurements, past)
             now.get_tracks_ready(form, task, prior, state, data, past, plain)
 
-    def over_steps(
-        self, f: Any, state: Any, measurements: Measurements, rank: int, checkpoint: int | None, truncate: int | None,
-        past: bool,
-    ) -> tuple[Any, Any]:  # fmt: skip
+    def scan(self, f: Any, state: Any, measurements: Measurements, rank: int, options: Options) -> tuple[Any, Any]:
         """The state after whole tracks that have been checked, and what is kept of each step."""
         if not self.takes(measurements.z):
-            interpreted: tuple[Any, Any] = self.otherwise.over_steps(
-                f, state, measurements, rank, checkpoint, truncate, past
-            )
-            return interpreted
+            return super().scan(f, state, measurements, rank, options)
+        past = options.past
         now, task, data = self._task(f, state, measurements, past)
         first = task.kernels.is_new and task.device.type == "cpu" and not f.scans
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
@@ -146,7 +134,7 @@ class Compiled:
             elif f.viewed is f and is_short(measurements.z.shape[:-1].numel()):
                 task.kernels.meanwhile = Making(target=self._make_boundary, args=(task,))
         steps, rank = measurements.z.shape[-2 - f.scans], len(task.batch)
-        state, kept = now.run(task, steps, state, data, checkpoint, truncate)
+        state, kept = now.run(task, steps, state, data, options.checkpoint, options.truncate)
         # The batch is that of scenes: time comes behind the targets of each.
         return state, map_tensors(lambda x: x.movedim(rank, rank + 1), kept) if f.scans else kept
 
@@ -159,12 +147,13 @@ class Compiled:
 
     def backward(
         self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
-        checkpoint: int | None, lag: int | None, truncate: int | None,
+        lag: int | None, options: Options,
     ) -> Any:  # fmt: skip
         """The backward pass over a ``past``, time behind ``rank`` batch dimensions."""
         if not self.takes(measurements.z):
-            return self.otherwise.backward(f, past, measurements, rank, frames, checkpoint, lag, truncate)
+            return super().backward(f, past, measurements, rank, frames, lag, options)
         measurements = f.for_each_target(measurements) if f.scans else measurements
+        truncate = options.truncate
         source = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
             return self._back(f, backward_inputs(f, past, source, measurements, rank))
@@ -193,7 +182,7 @@ class Compiled:
         state = map_tensors(lambda x: torch.zeros((*(1,) * rank, *x.shape), dtype=step.dtype), step.state)
         with suppress(Exception), torch.no_grad():
             kept = unflatten(step.record, iter(record))
-            estimate = f.estimate_of(state, kept)
+            estimate = finish(f, state, kept)
             past = f.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, kept.past)
             back = self._task_back(f, backward_inputs(f, past, None, measurements, rank))[1]
             back.kernels.forwards(torch.Size([2]), task.device)
@@ -209,29 +198,27 @@ class Compiled:
     ) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
         if not self.takes(measurements.z):
-            interpreted: tuple[Any, Any] = self.otherwise.once(f, function, state, measurements)
-            return interpreted
+            return super().once(f, function, state, measurements)
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
         with building():
             task = now.task(traced.Advance(function, _complete(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
 
-    def step(self, f: Any, state: Any, measurements: Measurements, watched: bool = False) -> tuple[Any, Any]:
-        """The state after one measurement, and its innovation; ``watched``: with the alarm and a copy of the belief.
+    def step(self, f: Any, state: Any, measurements: Measurements, apart: bool = False) -> tuple[Any, Any]:
+        """The state after one measurement, and its innovation: see ``Engine``.
 
         Shapes are checked unless a call of the same shapes has passed before.
         """
         if not self.takes(measurements.z):
-            interpreted: tuple[Any, Any] = self.otherwise.step(f, state, measurements, watched)
-            return interpreted
+            return super().step(f, state, measurements, apart)
         z, dt, u, std, noise = measurements
         if not isinstance(dt, (Tensor, *NUMBERS)):
-            f._frame(state, measurements)
+            check_step(f, state, measurements)
         now, belief = self._now(f), getattr(state, "belief", None)
         like = belief.mean if isinstance(belief, Gaussian) else z  # the state says the precision
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, like.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
-        kind = _complete(f, measurements), watched
+        kind = _complete(f, measurements), apart
         done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
@@ -244,9 +231,9 @@ class Compiled:
         form = (type(state), kind, *((x.shape, x.dtype) if isinstance(x, Tensor) else type(x) for x in tensors))
         task = now.steps.get(form)
         if task is None:
-            f._frame(state, measurements)
-            complete, watched = kind
-            advance = traced.Advance(traced.watch if watched else traced.observe, complete)
+            check_step(f, state, measurements)
+            complete, apart = kind
+            advance = traced.Advance(observe_apart if apart else observe, complete)
             with building():
                 if len(now.steps) == _FORMS:
                     now.steps.clear()
@@ -255,6 +242,11 @@ class Compiled:
             check_changing(data, f.zero_dt)
         now.get_ready(task, state, data, kind)
         return now.run(task, 1, state, data)
+
+
+def _plain(options: Options) -> bool:
+    """Whether gradients flow through all steps, and none is computed again."""
+    return not (options.checkpoint or options.truncate or hooked())
 
 
 def _complete(f: Any, measurements: Measurements) -> bool:
@@ -270,29 +262,30 @@ def _seconds(dt: float, dtype: torch.dtype, zero_dt: bool) -> Tensor:
     return seconds
 
 
-class InBackground:
+class InBackground(Engine):
     """Runs a call of a new form interpreted, while a thread makes its kernels; later calls of that form run compiled.
 
     The thread makes the same call, on copies of its arguments.  A call with gradients waits for its kernels.
-
-    Args:
-        otherwise: the engine that answers meanwhile, and runs what kernels do not take.
     """
 
-    def __init__(self, otherwise: Any) -> None:
-        self.otherwise, self._compiled = otherwise, Compiled(otherwise)
-        self.call, self.calls = self._compiled.call, self._compiled.calls
+    def __init__(self) -> None:
+        self._compiled = Compiled()
+        self.calls = self._compiled.calls
         self._made: dict[Hashable, Future[Any]] = {}
 
-    def __reduce__(self) -> tuple[type[InBackground], tuple[Any]]:
-        return InBackground, (self.otherwise,)  # kernels are no part of a copy
+    def __reduce__(self) -> tuple[type[InBackground], tuple[()]]:
+        return InBackground, ()  # kernels are no part of a copy
 
     def another(self) -> InBackground:
         """An engine of the same kind for another filter: kernels are of one."""
-        return InBackground(self.otherwise)
+        return InBackground()
+
+    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
+        """As ``Compiled`` does."""
+        return self._compiled.call(method, f, *arguments, **options)
 
     def _run(self, name: str, f: Any, *arguments: Any) -> Any:
-        """The result of the method of this name; see ``filters.engine.Engine``.
+        """The result of the method of this name; see ``steps.engine.Engine``.
 
         Raises:
             CompileError, NotImplementedError: kernels for an earlier call like this one could not be made.
@@ -305,12 +298,12 @@ class InBackground:
         if made is None:
             made = self._made[form] = self._start(name, f, map_tensors(Tensor.clone, arguments))
         if not made.done():
-            return getattr(self.otherwise, name)(f, *arguments)
+            return getattr(INTERPRETED, name)(f, *arguments)
         made.result()
         return getattr(self._compiled, name)(f, *arguments)
 
     step, once = partialmethod(_run, "step"), partialmethod(_run, "once")
-    over_steps = partialmethod(_run, "over_steps")
+    scan = partialmethod(_run, "scan")
     forward, backward = partialmethod(_run, "forward"), partialmethod(_run, "backward")
 
     def _start(self, name: str, f: Any, arguments: tuple[Any, ...]) -> Future[Any]:

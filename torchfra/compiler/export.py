@@ -21,6 +21,7 @@ from torchfra.hyper import hypers, one_of
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
 from torchfra.numbers import is_integer
+from torchfra.steps.loop import observe
 from torchfra.tree import flatten, paths
 from torchfra.types import Gaussian
 from torchfra.version import __version__
@@ -188,8 +189,8 @@ def _check(f: Any, name: str, u: int, inputs: Collection[str], dtype: torch.dtyp
 
 
 def _advance(f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Output]:
-    state, innovation = traced.Advance(traced.observe)(f, state, data)
-    return state, Output(*state.belief, *innovation)
+    state, innovation = traced.Advance(observe)(f, state, data)
+    return state, Output(*state.belief, *innovation[:4])
 
 
 def _begin(f: Any, dtype: torch.dtype) -> tuple[Scan, list[Field]]:

@@ -21,6 +21,7 @@ from torch.library import custom_op
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import elementary
+from torchfra.steps.engine import INTERPRETED
 from torchfra.tree import flatten, map_tensors
 from torchfra.types import Estimate, Gaussian
 
@@ -95,7 +96,7 @@ class Call(nn.Module):
             known: size of ``u``.
         """
         alone: Any = copy.copy(self.filter)
-        alone.engine = alone.engine.otherwise
+        alone.engine = INTERPRETED
         n, m, one = alone.motion.size, alone.sensor.size, torch.ones(1, dtype=dtype, device=device)
         rest = {"u": one.expand(1, known), "std": one.expand(1, m), "noise": one.expand(1, m).diag_embed()}
         tensors = (one.expand(1, m), one.expand(n), one.expand(n).diag(), one, *(rest[name] for name in self.names))

@@ -14,6 +14,8 @@ from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
 from torchfra.hyper import spoilt
+from torchfra.steps.loop import one_step
+from torchfra.steps.records import kept
 from torchfra.types import Gaussian
 
 
@@ -49,23 +51,11 @@ class Advance:
 
 def keep(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
     """A step of ``forward``: the next state, and what is kept of the step."""
-    state, kept = keep_past(f, state, frame)
-    return state, kept._replace(past=None)
+    state, of_step = keep_past(f, state, frame)
+    return state, of_step._replace(past=None)
 
 
 def keep_past(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
     """The same with what the backward pass needs."""
-    state, record = f.one_step(state, frame)
-    return state, f.kept_of(record, frame.measurement_noise.log_norm)
-
-
-def observe(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
-    """A step of ``step``: the next state, and the innovation."""
-    state, record = f.one_step(state, frame)
-    return state, f.innovation_of(record, frame)
-
-
-def watch(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
-    """The same with the alarm, None for a filter without alarms, and the belief."""
-    state, record = f.one_step(state, frame)
-    return state, (f.innovation_of(record, frame), record.info.alarm if f.alarms else None, state.belief)
+    state, record = one_step(f, state, frame)
+    return state, kept(record, frame.measurement_noise.log_norm)

@@ -68,7 +68,9 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Task] = {}
-        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)  # of complete scans, watched
+        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(
+            ReadySteps
+        )  # of complete scans, with a copy of the belief
         self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))

@@ -15,11 +15,11 @@ from torchfra.evaluation.fixes import fixes
 from torchfra.evaluation.results import Result
 from torchfra.evaluation.running_metrics import RunningMetrics
 from torchfra.filters.base import Filter
-from torchfra.filters.engine import INTERPRETED
 from torchfra.numbers import as_number
 from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario, Tracks
+from torchfra.steps.engine import INTERPRETED
 from torchfra.types import Estimate
 
 MOST_RUNS = 10**9

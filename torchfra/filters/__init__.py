@@ -11,10 +11,10 @@ from torchfra.filters.gpb import GPB, GPBInfo, GPBState, Outliers, Regimes
 from torchfra.filters.imm import IMM, IMMInfo, IMMState
 from torchfra.filters.likely_models import LikelyModels
 from torchfra.filters.protection import protection_level
-from torchfra.filters.records import Record, Smoothed, SmoothInfo
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.scan import JPDAInfo, JPDAState
 from torchfra.filters.srckf import SRCKF, Info, State
+from torchfra.steps.records import Record, Smoothed, SmoothInfo
 
 __all__ = [
     "FRA",

@@ -11,10 +11,7 @@ from torch import Tensor, nn
 from typing_extensions import Self, TypeVar
 
 from torchfra.adaptive.fading import Fading
-from torchfra.filters.checks import check_lengths, check_models, check_state, check_step, needed_inputs
-from torchfra.filters.engine import INTERPRETED, Engine
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
-from torchfra.filters.records import Kept, Past, Record, Smoothed
 from torchfra.filters.several_sensors import SensorsInTurn, SensorViews
 from torchfra.filters.whole_tracks import WholeTracks
 from torchfra.gaussian.arguments import (
@@ -38,14 +35,18 @@ from torchfra.gaussian.inputs import (
 from torchfra.gaussian.model import Propagated, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import smooth_step
-from torchfra.gaussian.update import density, innovation
+from torchfra.gaussian.update import innovation
 from torchfra.hyper import Part
 from torchfra.linalg.batches import broadcast_shapes
-from torchfra.linalg.safe import safe_square
 from torchfra.linalg.triangular import tria
+from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.types import Alarm, Estimate, Gaussian, Innovation, Prediction, Whitened
+from torchfra.steps.checks import check_lengths, check_models, check_state, check_step, needed_inputs
+from torchfra.steps.engine import INTERPRETED, Engine
+from torchfra.steps.loop import Options, one_step
+from torchfra.steps.records import Past, Record, Smoothed
+from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 """Mixes the beliefs of interacting models before a step."""
@@ -108,12 +109,8 @@ class Filter(Part, Generic[S]):
 
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
-    alarms = False
-    """Whether it detects a faulty sensor: ``watch``, and ``alarm`` in the ``info`` of its steps."""
     zero_dt = True
     """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
-    matches_moments = False
-    """Whether a step ends with one belief that has the moments of several."""
     mixes = False
     """Whether ``advance`` takes a ``mix``, a function that replaces the belief from which the step starts, as a filter
     inside of ``IMM`` must."""
@@ -121,8 +118,6 @@ class Filter(Part, Generic[S]):
     """Whether the backward pass needs more of a step than an estimate holds of it."""
     one_sensor: str | None = None
     """Why the filter takes no other sensor than its own; None where it does."""
-    annealed: tuple[str, ...] = ()
-    """Attributes that are plain numbers and may change between calls, such as a temperature that is lowered."""
     originals: tuple[Sensor, ...] = ()
     """The sensors that the filter's own sensor is a copy of: they count as its own."""
     engine: Engine
@@ -204,12 +199,8 @@ class Filter(Part, Generic[S]):
 
     def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(H, ..., n)`` of the state after a step without a measurement, and logs of their weights."""
-        _, record = self.one_step(state, frame)
+        _, record = one_step(self, state, frame)
         return one_hypothesis(self.finish(state, record.belief, None)[0])
-
-    def weights_if_measured(self, state: Any, log_weights: Tensor, frame: Frame) -> Tensor:
-        """Logs of the weights of ``predict_hypotheses`` if a measurement comes that is as expected."""
-        return log_weights
 
     def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
@@ -236,7 +227,8 @@ class Filter(Part, Generic[S]):
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
         """Where the backward pass begins: its state at the last step, and the smoothed estimate there."""
-        repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if self._may_repair else None
+        repairs = self.motion_rule.signed and not self.motion.linear
+        repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if repairs else None
         return past.belief, Smoothed(past.belief, repaired=repaired)
 
     # ------------------------------------------------------------ to write a filter with
@@ -272,11 +264,6 @@ class Filter(Part, Generic[S]):
         """The motion whose transition and process noise are in the frames."""
         return self.motion
 
-    @property
-    def _may_repair(self) -> bool:
-        """Whether a step of the backward pass may have to repair a covariance."""
-        return self.motion_rule.signed and not self.motion.linear
-
     # ------------------------------------------------------------ to use a filter
 
     @in_full_precision
@@ -291,7 +278,7 @@ class Filter(Part, Generic[S]):
             ValueError: a shape that does not fit.
         """
         n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
-        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank())
+        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank)
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         begun: S = self.viewed.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
         return begun
@@ -320,46 +307,18 @@ class Filter(Part, Generic[S]):
             sensor: the sensor that has measured, if it is not the filter's own: see ``with_sensor``.
 
         Returns:
-            The next state, whose ``belief`` is the estimate, and the innovation.  ``belief.failed`` says which tracks
-            have failed; a new ``init`` begins them again.
+            The next state, whose ``belief`` is the estimate, and the innovation, with the alarm of a filter that
+            detects a faulty sensor.  ``belief.failed`` says which tracks have failed; a new ``init`` begins them again.
+            For another sensor than the filter's own the alarm is of this measurement only; ``stream.Tracker`` remembers
+            each sensor.
 
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        stepped: tuple[S, Innovation] = self._step(state, measurements_of(z, dt, u, std, noise), sensor, watched=False)
-        return stepped
-
-    @in_full_precision
-    def watch(
-        self,
-        state: S,
-        z: Tensor,
-        *,
-        dt: Time = 1.0,
-        u: Tensor | None = None,
-        std: Tensor | None = None,
-        noise: Tensor | None = None,
-        sensor: Sensor | None = None,
-    ) -> tuple[S, Innovation, Alarm | None]:
-        """``step``, with its arguments, and whether the sensor is faulty.
-
-        For another sensor than the filter's own only this measurement counts; ``stream.Tracker`` remembers each sensor.
-
-        Returns:
-            The next state, the innovation, and the alarm; None for a filter without alarms (``alarms``).
-
-        Raises:
-            ValueError: a shape or a value that does not fit.
-        """
-        after, (innovation, alarm, _) = self._step(state, measurements_of(z, dt, u, std, noise), sensor, watched=True)
-        return after, innovation, alarm
-
-    def _step(self, state: S, measurements: Measurements, sensor: Sensor | None, *, watched: bool) -> tuple[Any, Any]:
-        """One step of the filter around the sensor that has measured: see ``Engine.step``."""
-        f = self if sensor is None else self.with_sensor(sensor)  # a call less: a compiled step takes microseconds
+        f, measurements = self if sensor is None else self.with_sensor(sensor), measurements_of(z, dt, u, std, noise)
         if measurements.u is not None:
             measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
-        stepped: tuple[Any, Any] = f.engine.step(f, state, measurements, watched)
+        stepped: tuple[S, Innovation] = f.engine.step(f, state, measurements)
         return stepped
 
     @by_its_engine
@@ -413,7 +372,8 @@ class Filter(Part, Generic[S]):
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
         turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
-        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), measurements_of(z, dt, u, std, noise)
+        whole = WholeTracks(self, turns, Options(checkpoint, truncate))
+        measurements = measurements_of(z, dt, u, std, noise)
         if not past:
             return whole.estimate(measurements, belief_of(prior))
         self.check_smooths(several=turns is not None)
@@ -468,8 +428,8 @@ class Filter(Part, Generic[S]):
         turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
         self.check_smooths(several=turns is not None)
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
-        whole, measurements = WholeTracks(self, turns, checkpoint, truncate), measurements_of(z, dt, u, std, noise)
-        return whole.smoothed(measurements, belief_of(prior), lag, estimate)
+        whole = WholeTracks(self, turns, Options(checkpoint, truncate))
+        return whole.smoothed(measurements_of(z, dt, u, std, noise), belief_of(prior), lag, estimate)
 
     @in_full_precision
     def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
@@ -497,22 +457,14 @@ class Filter(Part, Generic[S]):
         check_state(f, state)
         mean = state.belief.mean
         nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
-        return forecast(f, state, f._frame(state, measurements_of(nothing, dt, u)))
+        track = check_step(f, state, measurements_of(nothing, dt, u))
+        (frame,), _ = f._frames(track, mean.dim() - 1)
+        return forecast(f, state, frame)
 
     @property
     def viewed(self) -> Any:
         """The filter that this one is a view of; the filter itself, unless ``with_sensor`` has made it."""
         return self.__dict__.get("_viewed", self)
-
-    @property
-    def one_step(self) -> Callable[..., tuple[Any, Record]]:
-        """``advance``; of a view from a state with an empty memory, and to one with the memory of the state before."""
-        return self.advance if "_viewed" not in self.__dict__ else self._step_elsewhere
-
-    def _step_elsewhere(self, state: S, frame: Frame, *mix: Mix) -> tuple[S, Record]:
-        """A step of another sensor than the filter's own, whose memory it neither uses nor changes."""
-        after, record = self.advance(self.without_memory(state), frame, *mix)
-        return self.with_memory_of(after, state), record
 
     def with_sensor(self, sensor: Sensor | None) -> Self:
         """A view of this filter around another sensor; motion, hyperparameters and states are those of this filter.
@@ -568,32 +520,12 @@ class Filter(Part, Generic[S]):
 
             if not is_installed():
                 missing()
-            self.engine = Compiled(INTERPRETED) if wait else InBackground(INTERPRETED)
+            self.engine = Compiled() if wait else InBackground()
         return self
 
-    # ------------------------------------------------------------ to run a filter, for engines
+    # ------------------------------------------------------------ for engines
 
-    def first_state(
-        self, measurements: Measurements, prior: Gaussian, batch: torch.Size | None = None
-    ) -> tuple[S, int]:
-        """The state before the first measurement, and its number of batch dimensions.
-
-        Without a ``batch`` the arguments are checked.
-        """
-        batch = self._batch(measurements, prior) if batch is None else batch
-        batch = batch + prior.mean.shape[-1 - self.scans : -1]
-        mean, root = (x.to(measurements.z) for x in prior)
-        return self.init(Gaussian(mean.expand((*batch, self.motion.size)), root)), len(batch)
-
-    def estimate_of(self, state: S, kept: Kept) -> Estimate:
-        """The estimate of whole tracks, from the last state and the kept parts of all steps."""
-        belief, info = self.finish(state, kept.belief, kept.info)
-        return Estimate(*belief, kept.nis, kept.log_likelihood, info)
-
-    def _frame(self, state: Any, measurements: Measurements) -> Frame:
-        """Checks the arguments of a single step, and makes its frame."""
-        return self._frames(check_step(self, state, measurements), state.belief.mean.dim() - 1)[0][0]
-
+    @property
     def _rank(self) -> int:
         """Least number of batch dimensions."""
         return max(batch_rank(self), int(self.scans))
@@ -603,29 +535,14 @@ class Filter(Part, Generic[S]):
         batch = check(
             measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt
         )
-        batch = torch.Size((1,) * (self._rank() - self.scans - len(batch))) + batch
+        batch = torch.Size((1,) * (self._rank - self.scans - len(batch))) + batch
         batch = batch if self.scans else broadcast_with_values(self, batch)
         warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
         if name == "prior":
-            warn_of_width(prior, measurements, self.sensor, mixture=self.matches_moments)
+            mixture = isinstance(self.motion, Bank) and not self.scans
+            warn_of_width(prior, measurements, self.sensor, mixture=mixture)
         return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
         return make_frames(measurements, self.frame_motion, self.sensor, rank)
-
-    def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
-        """Normalised innovation squared and log density ``(...)``, constants and the units of the noise included."""
-        log_density = density(record.root, record.normalised) if record.density is None else record.density
-        return safe_square(record.normalised).sum(-1), log_norm + log_density
-
-    def kept_of(self, record: Record, log_norm: Tensor) -> Kept:
-        """The parts of a step, or of several that are stacked, that an estimate and the backward pass need."""
-        return Kept(record.belief, *self._scores(record, log_norm), record.info, record.past)
-
-    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
-        """The innovation of a step, in the units of the measurement."""
-        noise = frame.measurement_noise
-        assert record.residual is not None
-        residual, root = noise.colour(record.residual.unsqueeze(-1)).squeeze(-1), noise.colour(record.root)
-        return Innovation(residual, root, *self._scores(record, noise.log_norm))

@@ -13,7 +13,6 @@ from torch import Tensor, nn
 
 from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
-from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame, Time
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.augmented import Augmented
@@ -23,6 +22,8 @@ from torchfra.motion.correlated import GaussMarkov
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.composed import Biased
 from torchfra.sensors.correlated import errors_of, have_errors, stationary, without_errors
+from torchfra.steps.loop import one_step
+from torchfra.steps.records import Record, Smoothed
 from torchfra.types import Gaussian
 
 P = TypeVar("P", bound=Callable[..., Any])
@@ -35,6 +36,12 @@ class WithCorrelatedErrorsState(NamedTuple):
     """The estimate of the target alone."""
     inner: Any
     """State of the inner filter, with the errors."""
+
+    @property
+    def duration(self) -> Tensor | None:
+        """Seconds for which the sensor has been faulty, if the inner filter counts them: see ``Alarm``."""
+        seconds: Tensor | None = getattr(self.inner, "duration", None)
+        return seconds
 
 
 class WithCorrelatedErrorsPast(NamedTuple):
@@ -94,16 +101,6 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         return list(first.parts)[1:]
 
     @property
-    def alarms(self) -> bool:  # type: ignore[override]
-        """Whether ``inner`` detects a faulty sensor."""
-        return self.inner.alarms
-
-    @property
-    def matches_moments(self) -> bool:  # type: ignore[override]
-        """Whether ``inner`` ends a step with one belief of several."""
-        return self.inner.matches_moments
-
-    @property
     def zero_dt(self) -> bool:  # type: ignore[override]
         """Whether ``dt`` may be 0 in ``inner``."""
         return self.inner.zero_dt
@@ -134,7 +131,7 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
 
     def advance(self, state: WithCorrelatedErrorsState, frame: Frame) -> tuple[WithCorrelatedErrorsState, Record]:
         """One step of the inner filter."""
-        inner, record = self.inner.one_step(state.inner, frame)
+        inner, record = one_step(self.inner, state.inner, frame)
         past = WithCorrelatedErrorsPast(record.belief, record.info, record.past)
         record = record._replace(belief=self.of_target(record.belief), info=self.of_target(record.info), past=past)
         return WithCorrelatedErrorsState(self.of_target(inner.belief), inner), record

@@ -9,14 +9,14 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.base import Filter, in_full_precision
-from torchfra.filters.checks import check_lengths
-from torchfra.filters.engine import backward_pass
-from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.several_sensors import joined
 from torchfra.gaussian.arguments import measurements_of
 from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.hyper import Part, spoilt
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_lengths, check_step
+from torchfra.steps.loop import Options, backward, one_step
+from torchfra.steps.records import Record, Smoothed, innovation
 from torchfra.types import Gaussian, Innovation
 
 
@@ -102,13 +102,13 @@ class FixedLag(Part):
         window = (*state.window, step)[-self.lag - 1 :]
         smoothed, rank = smooth_window(self.filter, inner, window), inner.belief.mean.dim() - 1
         first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), smoothed)
-        return FixedLagState(inner, window, first), f.innovation_of(record, step.frame)
+        return FixedLagState(inner, window, first), innovation(record, step.frame.measurement_noise, scans=f.scans)
 
 
 def step_kept(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
-    frame = f._frame(state, measurements)
-    state, record = f.one_step(spoilt(f, state), frame)
+    (frame,), _ = f._frames(check_step(f, state, measurements), state.belief.mean.dim() - 1)
+    state, record = one_step(f, spoilt(f, state), frame)
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 
@@ -119,4 +119,4 @@ def smooth_window(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smooth
     belief, info, steps = joined(steps, rank)
     past = f.past(*f.finish(inner, belief, info), inner, steps)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-    return backward_pass(f, [*earlier, now.undecided()], [step.frame for step in window], rank, None, None)
+    return backward(f, [*earlier, now.undecided()], [step.frame for step in window], rank, None, Options())

@@ -27,7 +27,7 @@ def forecast(f: Any, state: Any, frame: Frame) -> Forecast:
     """The prediction of a filter for a step.
 
     Args:
-        f: the filter; ``predict_hypotheses``, ``weights_if_measured`` and ``predict_innovation`` are called.
+        f: the filter; ``predict_hypotheses`` and ``predict_innovation`` are called.
         state: before the step.
         frame: of the step, without a measurement.
     """
@@ -37,7 +37,8 @@ def forecast(f: Any, state: Any, frame: Frame) -> Forecast:
     noise = f.sensor.measurement_noise(z)
     frame = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=noise)
     # The innovation of a measurement at the mean: the mean of z - h(x) over the hypotheses, and its root.
-    log_weights = f.weights_if_measured(state, log_weights, frame)
+    if len(log_weights) > 1:  # a measurement that is as expected shows no jump
+        _, log_weights = f.predict_hypotheses(state, frame)
     residual, root = _moments(f.predict_innovation(state, beliefs, frame), log_weights)
     offset = noise.colour(residual.unsqueeze(-1)).squeeze(-1)
     return Forecast(belief, Gaussian(z - offset, noise.colour(root)))

@@ -17,9 +17,7 @@ from torch.nn.functional import logsigmoid
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.checks import check_parts
 from torchfra.filters.forecast import one_hypothesis
-from torchfra.filters.records import Past, Record
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
@@ -33,6 +31,8 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
 from torchfra.robust.weights import Huber, Weights
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_parts
+from torchfra.steps.records import Past, Record
 from torchfra.types import Gaussian, Prediction, Whitened
 
 Branches = tuple[Gaussian, Gaussian, Gaussian]

@@ -23,7 +23,6 @@ from torchfra.filters.interaction import (
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
-from torchfra.filters.records import Record, Smoothed
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
@@ -31,6 +30,7 @@ from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
+from torchfra.steps.records import Record, Smoothed
 from torchfra.types import Gaussian
 
 
@@ -93,7 +93,6 @@ class IMM(Filter[IMMState]):
     """
 
     keeps_past = True
-    matches_moments = True
 
     transition: Hyper | None
     """None if ``self_transition`` or ``durations`` alone was given."""
@@ -168,12 +167,14 @@ class IMM(Filter[IMMState]):
 
     def advance(self, state: IMMState, frame: Frame) -> tuple[IMMState, Record]:
         """One step: interaction, then a cycle of the models' filters."""
-        predicted, interact, frame, active = self.mixing(state, frame)
-        inner, log_weights, record = cycle(self.inner, state.inner, predicted, interact, frame)
+        predicted, interact, each, active = self.mixing(state, frame)
+        inner, log_weights, record = cycle(self.inner, state.inner, predicted, interact, each)
         info = IMMInfo(log_weights.exp())
         if active is not None:
             info = IMMInfo((info.probabilities.unsqueeze(-2) @ active).squeeze(-2), active.sum(-2) > 0)
-        record = record._replace(info=info, past=record.past._replace(active=active))
+        assert record.density is not None
+        density = record.density + frame.measurement_noise.log_norm
+        record = record._replace(info=info, density=density, past=record.past._replace(active=active))
         return IMMState(record.belief, inner, log_weights, active), record
 
     def mixing(self, state: IMMState, frame: Frame) -> tuple[Tensor, Mix, Frame, Tensor | None]:

@@ -13,7 +13,6 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.filters.base import Mix
 from torchfra.filters.model_smoothing import ModelsStep
-from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import (
     largest,
@@ -31,6 +30,8 @@ from torchfra.gaussian.update import density
 from torchfra.linalg.safe import safe_log, safe_log1p
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
+from torchfra.steps.loop import one_step
+from torchfra.steps.records import Record
 from torchfra.types import Gaussian
 
 PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
@@ -49,10 +50,10 @@ def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame
 
     Returns:
         The filter's state, the logs ``(..., K)`` of the models' posterior probabilities, and the record of the step
-        for all models together.
+        for all models together, with the density of the innovation in units of the measurement noise.
     """
     motion = inner.motion
-    state, record = inner.one_step(state, frame, interact)
+    state, record = one_step(inner, state, frame, interact)
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     # A robust filter weighs models by its evidence: otherwise one outlier would decide between them.

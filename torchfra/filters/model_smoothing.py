@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.records import Smoothed
 from torchfra.gaussian.future import future
 from torchfra.gaussian.inputs import BackwardStep
 from torchfra.gaussian.mixture import models_first, moment_match, repeated, without_failed
 from torchfra.gaussian.model import adapted, canonical
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
+from torchfra.steps.records import Smoothed
 from torchfra.types import Gaussian
 
 

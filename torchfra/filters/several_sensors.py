@@ -12,13 +12,14 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from torchfra import tree
-from torchfra.filters.checks import check_models
 from torchfra.gaussian.arguments import check
 from torchfra.gaussian.inputs import Frame, Measurements, UnevenMeasurements
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_models
+from torchfra.steps.loop import Options, finish, start
 from torchfra.types import Estimate, Gaussian
 
 _VIEWS = 32
@@ -135,12 +136,10 @@ class SensorsInTurn:
         parts = (_part(measurements, steps, self.views[k].sensor.size) for k, steps in every.items())
         return [(*each, part) for each, part in zip(every.items(), parts, strict=True)]
 
-    def forward(
-        self, measurements: Measurements, prior: Gaussian, checkpoint: int | None, truncate: int | None, past: bool
-    ) -> tuple[Estimate, Any, Any]:
+    def forward(self, measurements: Measurements, prior: Gaussian, options: Options) -> tuple[Estimate, Any, Any]:
         """Filters whole tracks from their prior, stretches of steps of one sensor by the engine of its view."""
-        f, steps = self.filter, len(self.which)
-        state, rank = f.first_state(measurements, prior, self.batch(measurements, prior))
+        f, steps, truncate = self.filter, len(self.which), options.truncate
+        state, rank = start(f, measurements, prior, self.batch(measurements, prior))
         changes = {k for k in range(1, steps) if self.which[k] != self.which[k - 1]}
         bounds = sorted({0, steps} | changes | set(range(0, steps, truncate or steps)))
         parts = []
@@ -149,10 +148,10 @@ class SensorsInTurn:
                 state = tree.detach(state)
             view = self.views[self.which[first]]
             part = _part(measurements, list(range(first, last)), view.sensor.size)
-            state, more = view.engine.over_steps(view, state, part, rank, checkpoint, None, past)
+            state, more = view.engine.scan(view, state, part, rank, options._replace(truncate=None))
             parts.append(tree.map_tensors(lambda x: x.narrow(rank, 0, last - first), more))  # noqa: B023  # it runs now
         kept = joined(parts, rank)
-        return f.estimate_of(state, kept), state, kept.past
+        return finish(f, state, kept), state, kept.past
 
 
 def _part(measurements: Measurements, steps: list[int], size: int) -> Measurements:

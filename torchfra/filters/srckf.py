@@ -11,9 +11,7 @@ from torch import Tensor, nn
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.adaptive.noise import NoiseMemory, SageHusa
 from torchfra.filters.base import Filter, Mix
-from torchfra.filters.checks import check_parts
 from torchfra.filters.forecast import one_hypothesis
-from torchfra.filters.records import Past, Record
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import add_counts, canonical, predict_and_compare, repairs
@@ -22,6 +20,8 @@ from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_parts
+from torchfra.steps.records import Past, Record
 from torchfra.types import Gaussian, Prediction, Whitened
 
 

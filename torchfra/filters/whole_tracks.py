@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torchfra.filters.checks import needed_inputs
 from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradients, without_failed_gradients
-from torchfra.filters.records import Smoothed, SmoothInfo
 from torchfra.filters.several_sensors import SensorsInTurn
 from torchfra.gaussian.inputs import Measurements
+from torchfra.steps.checks import needed_inputs
+from torchfra.steps.loop import Options
+from torchfra.steps.records import Smoothed, SmoothInfo
 from torchfra.types import Estimate, Gaussian
 
 
@@ -21,10 +22,8 @@ class WholeTracks(NamedTuple):
     """The filter."""
     turns: SensorsInTurn | None
     """The sensor of each step; None for the filter's own."""
-    checkpoint: int | None
-    """Steps between states that are kept for the gradient."""
-    truncate: int | None
-    """Steps after which gradients flow no further back."""
+    options: Options
+    """Of the loop over steps."""
 
     def estimate(self, measurements: Measurements, prior: Gaussian) -> Estimate:
         """The filtered estimate."""
@@ -66,11 +65,11 @@ class WholeTracks(NamedTuple):
 
     def _run(self, measurements: Measurements, prior: Gaussian, *, past: bool) -> tuple[Estimate, Any, Any]:
         """The estimate, and for a backward pass the last state and ``Record.past`` of all steps."""
-        f, options = self.f, (self.checkpoint, self.truncate, past)
+        f, options = self.f, self.options._replace(past=past)
         if self.turns is None:
-            estimate, state, kept = f.engine.forward(f, measurements, prior, *options)
+            estimate, state, kept = f.engine.forward(f, measurements, prior, options)
         else:
-            estimate, state, kept = self.turns.forward(measurements, prior, *options)
+            estimate, state, kept = self.turns.forward(measurements, prior, options)
         if estimate.failure is None:
             estimate = estimate._replace(failure=diagnose(f, estimate, measurements, prior))
         return with_gradients(f, estimate), state, kept
@@ -99,7 +98,7 @@ class WholeTracks(NamedTuple):
         filtered, past = self._filtered(measurements, prior, filtered)
         rank, frames = filtered.mean.dim() - 2, self.f._frames if self.turns is None else self.turns.frames
         smoothed: Smoothed = self.f.engine.backward(
-            self.f, past, measurements, rank, lambda: frames(measurements, rank)[0], self.checkpoint, lag, self.truncate
+            self.f, past, measurements, rank, lambda: frames(measurements, rank)[0], lag, self.options
         )
         info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)
         estimate = Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)

@@ -12,7 +12,6 @@ from torch.func import functional_call
 
 from torchfra import losses
 from torchfra.filters import Filter
-from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.srckf import SRCKF
 from torchfra.fitting.data import Batch, Source
 from torchfra.fitting.vector import Vector
@@ -20,6 +19,7 @@ from torchfra.hyper import one_of
 from torchfra.motion.bank import Bank
 from torchfra.numbers import is_integer, positive
 from torchfra.scenarios.base import Scenario
+from torchfra.steps.engine import INTERPRETED
 from torchfra.types import CompileError, Estimate, Gaussian
 
 LOSSES = ("likelihood", "smoothed", "robust", "mse", "nll")

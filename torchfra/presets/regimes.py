@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from torchfra import register
-from torchfra.filters.checks import check_models, of_a_module
 from torchfra.filters.gpb import GPB, LearnedNoise, Outliers, Regimes
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
@@ -16,6 +15,7 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
 from torchfra.presets.learning import with_learning
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_models, of_a_module
 from torchfra.suggestions import meant
 
 __all__ = ["gpb"]

@@ -124,8 +124,7 @@ class Tracker:
         self.filter, self.lag, self.steps, self.old, self.jump = filter, float(lag), steps, old, jump
         with torch.no_grad():
             state = self._intake.start(prior)
-            alarms = tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if filter.alarms)
-            self._window = Window(seconds("time", time), Known(state, alarms))
+            self._window = Window(seconds("time", time), self._begun(state))
         self._counts = dict.fromkeys(OUTCOMES, 0)
         self._clock = Clock(jump)
         self._failure: Failure | None = None
@@ -145,9 +144,7 @@ class Tracker:
             ValueError: a prior of another size or batch.
         """
         batch, now = self._intake.batch, self._now
-        state = self._intake.start(belief_of(prior))
-        alarms = tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if self.filter.alarms)
-        begun = Known(state, alarms)
+        begun = self._begun(self._intake.start(belief_of(prior)))
         like = [(x.shape, x.dtype) for x in tree.flatten(now)]
         if like != [(x.shape, x.dtype) for x in tree.flatten(begun)]:
             self._intake.batch = batch
@@ -160,6 +157,11 @@ class Tracker:
             step, cause, values = failure
             step, cause = torch.where(which, -1, step), torch.where(which, 0, cause)
             self._failure = Failure(step, cause, values) if bool((step >= 0).any()) else None
+
+    def _begun(self, state: Any) -> Known:
+        """A first state, and an alarm for each sensor if the filter has alarms: its state counts their seconds."""
+        alarms = getattr(state, "duration", None) is not None
+        return Known(state, tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if alarms))
 
     @property
     def failure(self) -> Failure | None:
@@ -367,7 +369,8 @@ class Tracker:
         (time, known), done, innovations = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
             f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
-            state, (innovation, alarm, belief) = f.engine.step(f, known.state, measurements, True)
+            state, (innovation, belief) = f.engine.step(f, known.state, measurements, True)
+            alarm = innovation.alarm
             if f is self.filter and len(known.alarms) == 1:  # the filter's own memory is that of its only sensor
                 alarms: Alarms = (alarm,)
             else:

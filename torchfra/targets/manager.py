@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from torchfra import tree
-from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
 from torchfra.filters.srckf import SRCKF
@@ -19,6 +18,7 @@ from torchfra.gaussian.arguments import measurements_of
 from torchfra.gaussian.inputs import Time
 from torchfra.hyper import Part
 from torchfra.numbers import as_number, fraction, is_integer
+from torchfra.steps.engine import INTERPRETED
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.association.gates import Candidates, ChiSquare, Gate
-from torchfra.filters.engine import INTERPRETED
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import inflated, log_miss, lost_inflation
 from torchfra.filters.scans.scan import JPDAState
@@ -19,6 +18,7 @@ from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.sensors.base import Sensor
+from torchfra.steps.engine import INTERPRETED
 from torchfra.targets.assignment import chi_square
 from torchfra.targets.clusters import Group, clusters
 from torchfra.targets.state import rows

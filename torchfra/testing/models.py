@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from torchfra.filters.base import Filter
-from torchfra.filters.checks import check_models
 from torchfra.filters.imm import IMM
 from torchfra.filters.srckf import SRCKF
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_models
 from torchfra.testing import refusals
 from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, drawn, make_case

@@ -12,7 +12,6 @@ from torch.distributions import constraints
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.gains import Gains
 from torchfra.filters.base import Filter, S
-from torchfra.filters.records import Record
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.safe import safe_divide, safe_sqrt
@@ -22,6 +21,7 @@ from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
+from torchfra.steps.records import Record
 from torchfra.types import Gaussian
 
 Rows: TypeAlias = list[list[Tensor]]

@@ -27,13 +27,13 @@ from torchfra.filters.alphabeta.axes import (
     update_axes,
 )
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.records import Record
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number, as_numbers, is_integer
 from torchfra.sensors.base import Sensor
+from torchfra.steps.records import Record
 from torchfra.types import Gaussian
 
 

@@ -40,7 +40,6 @@ from torchfra.filters.gpb.slopes import (
 )
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.filters.interaction import for_each_model
-from torchfra.filters.records import Record, Smoothed
 from torchfra.filters.several_sensors import sharing
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
@@ -54,6 +53,7 @@ from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.steps.records import Record, Smoothed
 from torchfra.types import Alarm, Gaussian, Whitened
 
 PRIOR_MARGIN = 4.0
@@ -132,7 +132,7 @@ class GPB(Filter[GPBState]):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
-    keeps_past = alarms = matches_moments = True
+    keeps_past = True
 
     def __init__(
         self,
@@ -242,11 +242,10 @@ class GPB(Filter[GPBState]):
         past = GPBPast(*kept, by_belief, widening, rarity, seen, relaxation, ratio)
         expected = self.compare(self.expected(predicted), frame)
         root, normalised = innovation(expected)
-        residual, density = expected.residual, posterior.log_likelihood
+        residual, density = expected.residual, posterior.log_likelihood + frame.measurement_noise.log_norm
         if noise is not None:  # a record is in units of the stated noise
             std = frame.measurement_noise.std / stated.measurement_noise.std
             residual, root = std * residual, std.unsqueeze(-1) * root
-            density = density + frame.measurement_noise.log_norm - stated.measurement_noise.log_norm
         return now, Record(belief, residual, root, normalised, info, density, past=past)
 
     def noise_of(self, state: GPBState, frame: Frame) -> tuple[NoiseScale | None, Frame]:
@@ -463,10 +462,6 @@ class GPB(Filter[GPBState]):
         predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
-
-    def weights_if_measured(self, state: GPBState, log_weights: Tensor, frame: Frame) -> Tensor:
-        """Logs of the weights of ``predict_hypotheses`` if a measurement comes that shows no jump."""
-        return self.predict_hypotheses(state, frame)[1]
 
     def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the stated measurement noise."""

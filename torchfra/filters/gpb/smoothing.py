@@ -24,11 +24,11 @@ from torchfra.filters.gpb.regimes import Surprise
 from torchfra.filters.gpb.states import GPBPast
 from torchfra.filters.interaction import for_each_model
 from torchfra.filters.model_smoothing import unwhitened
-from torchfra.filters.records import Smoothed
 from torchfra.gaussian.future import future
 from torchfra.gaussian.inputs import BackwardStep
 from torchfra.gaussian.mixture import log_sum, without_failed
 from torchfra.gaussian.model import adapted
+from torchfra.steps.records import Smoothed
 from torchfra.types import Gaussian
 
 MOTION_BEFORE, AXES = 3, 4

@@ -19,7 +19,6 @@ from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
-from torchfra.filters.records import Past, Record, Smoothed
 from torchfra.filters.scans.combined import combined, fade, learn_noise, update
 from torchfra.filters.scans.lost_tracks import inflated, log_miss, log_unseen, lost_inflation, missed_scans
 from torchfra.filters.scans.merging import check_merges
@@ -39,7 +38,8 @@ from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian, Innovation, Whitened
+from torchfra.steps.records import Past, Record, Smoothed
+from torchfra.types import Gaussian, Whitened
 
 Associate = Callable[[Scan, Tensor], Association]
 """From the measurements of a scan and their log membership ``(..., N, J)`` of gates to the association."""
@@ -373,16 +373,6 @@ class JPDA(Soft, Filter[JPDAState]):
             return False
         missing = z.isnan()
         return bool((missing == missing[..., :1]).all())
-
-    def _scores(self, record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
-        """Normalised innovation squared of the combined innovation, and log density of the scan."""
-        assert record.density is not None
-        return record.normalised.square().sum(-1), record.density
-
-    def innovation_of(self, record: Record, frame: Frame) -> Innovation:
-        """The combined innovation, its root, and the scores of the scan."""
-        assert record.residual is not None
-        return Innovation(record.residual, record.root, *self._scores(record, frame.measurement_noise.log_norm))
 
     def for_each_target(self, measurements: Measurements) -> Measurements:
         """Measurements for the backward pass, in which each target is a track: ``dt`` and ``u`` get its dimension."""

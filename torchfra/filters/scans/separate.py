@@ -12,11 +12,12 @@ from torchfra.association.clusters import Association
 from torchfra.filters.base import Filter
 from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.interaction import pooled
-from torchfra.filters.records import Record
 from torchfra.filters.scans.merging import averaged, merged, on_beliefs
 from torchfra.filters.scans.scan import chosen, gated_first
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
+from torchfra.steps.loop import one_step
+from torchfra.steps.records import Record, scores
 from torchfra.types import Gaussian
 
 
@@ -44,7 +45,7 @@ def step_missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tupl
     nothing = sensor.measurement_noise(torch.full_like(z, torch.nan))
     rank = state.belief.mean.dim() - 1
     frame = frame._replace(z=z, measured=z, measurement_noise=nothing)
-    state, record = inner.one_step(_with_rows(state, rank, 1), frame)
+    state, record = one_step(inner, _with_rows(state, rank, 1), frame)
     return _rows_first((state, record.info), rank, 1), record
 
 
@@ -52,8 +53,8 @@ def step_measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pa
     """The states after each measurement that is ``inside (..., N, J)`` a target's gate."""
     order, rank = gated_first(inside), state.belief.mean.dim() - 1
     frame = chosen(frame, order, inside.shape, only=("z", "measured", "measurement_noise"))
-    state, record = inner.one_step(_with_rows(state, rank, order.shape[-1]), frame)
-    _, log_density = inner._scores(record, frame.measurement_noise.log_norm)
+    state, record = one_step(inner, _with_rows(state, rank, order.shape[-1]), frame)
+    _, log_density = scores(record, frame.measurement_noise.log_norm)
     nowhere = torch.full(inside.shape, -torch.inf, dtype=log_density.dtype, device=log_density.device)
     states, info = _rows_first((state, record.info), rank, order.shape[-1])
     return Pairs(states, info, order, nowhere.scatter(-1, order, log_density))

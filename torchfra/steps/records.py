@@ -1,4 +1,4 @@
-"""Records of steps of the forward and the backward pass, and the parts of them that an estimate keeps."""
+"""Records of steps of the forward and the backward pass, and what is made of them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from torchfra.types import Estimate, Gaussian
+from torchfra.gaussian.update import density
+from torchfra.linalg.safe import safe_square
+from torchfra.sensors.base import MeasurementNoise
+from torchfra.types import Estimate, Gaussian, Innovation
 
 
 class Record(NamedTuple):
-    """One step; innovations in units of the measurement noise."""
+    """One step; residual and root are in units of the measurement noise, of a scan in the measurement's own."""
 
     belief: Gaussian
     residual: Tensor | None
@@ -21,7 +24,7 @@ class Record(NamedTuple):
     """``(..., m)`` the residual divided by its root."""
     info: Any
     density: Tensor | None = None
-    """``(...)`` log density of the residual, if it is not that of a Gaussian with this root."""
+    """``(...)`` log density of the measurement, in its own units, if it is not that of a Gaussian with this root."""
     evidence: Tensor | None = None
     """``(...)`` log density of the residual under the down-weighted noise of a robust filter."""
     past: Any = None
@@ -37,6 +40,29 @@ class Kept(NamedTuple):
     info: Any
     past: Any = None
     """``Record.past``; None unless it is to be kept."""
+
+
+def scores(record: Record, log_norm: Tensor) -> tuple[Tensor, Tensor]:
+    """Normalised innovation squared and log density ``(...)`` of a step, or of several that are stacked.
+
+    ``log_norm (...)`` has the constants of the density, and the units of the measurement noise.
+    """
+    nis, log_density = safe_square(record.normalised).sum(-1), record.density
+    return nis, log_norm + density(record.root, record.normalised) if log_density is None else log_density
+
+
+def kept(record: Record, log_norm: Tensor) -> Kept:
+    """The parts of a step, or of several that are stacked, that an estimate and the backward pass need."""
+    return Kept(record.belief, *scores(record, log_norm), record.info, record.past)
+
+
+def innovation(record: Record, noise: MeasurementNoise, *, scans: bool) -> Innovation:
+    """The innovation of a step, in the units of the measurement, as that of ``scans`` is already; and its alarm."""
+    residual, root = record.residual, record.root
+    assert residual is not None
+    if not scans:
+        residual, root = noise.colour(residual.unsqueeze(-1)).squeeze(-1), noise.colour(root)
+    return Innovation(residual, root, *scores(record, noise.log_norm), getattr(record.info, "alarm", None))
 
 
 class Smoothed(NamedTuple):
