@@ -112,10 +112,10 @@ def test_a_step_at_the_limit_can_still_be_simplified_and_differentiated(monkeypa
         return step.Step(torch.nn.Module(), lambda *_: (torch.ones(2).double(),), advance, inputs, torch.float64)
 
     usual = made()
-    known = usual._plain.book
+    known = usual.plain.book
     monkeypatch.setattr(step, "_MOST", len(known.nodes))
     at_the_limit = made()
-    assert len(at_the_limit._plain.book.nodes) == len(known.nodes)
+    assert len(at_the_limit.plain.book.nodes) == len(known.nodes)
     assert not at_the_limit._large
     assert at_the_limit.forwards().source() == usual.forwards().source()
     assert len(at_the_limit.tangent(["a"]).book.nodes) > len(known.nodes)

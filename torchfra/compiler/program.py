@@ -87,7 +87,9 @@ class Program:
         # Outside: several filters compile at the same time.
         self._run = cuda.load(source, device) if device.type == "cuda" else jit.load(source)
 
-    def __call__(self, batch: torch.Size, steps: int, tensors: Sequence[Tensor]) -> list[Tensor]:
+    def __call__(
+        self, batch: torch.Size, steps: int, tensors: Sequence[Tensor], into: Sequence[Tensor] | None = None
+    ) -> list[Tensor]:
         """Runs it.
 
         Args:
@@ -95,20 +97,22 @@ class Program:
             steps: of time.
             tensors: what it reads: ``(..., entries)`` or ``(..., T, entries)`` where ``...`` is the batch, whose
                 entries have any shape.
+            into: where it writes what it writes at each step; None for new tensors.
 
         Returns:
             What it wrote, with tracks innermost: ``batch_first`` moves them to the front.
         """
         tracks = batch.numel()
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
-        written = self._outputs(batch, steps, self._device)
+        written = self.outputs(batch, steps if into is None else 0, self._device)
+        written[len(written) - len(into or ()) :] = into or ()
         table = array("q", [number for x, *strides in ports for number in (x.data_ptr(), *strides)])
         table.extend(number for x, *strides in self._packed(written, len(batch)) for number in (x.data_ptr(), *strides))
         address = table.buffer_info()[0]
         self._run(tracks, steps, threads(tracks), address, address + 32 * len(tensors))
         return written
 
-    def _outputs(self, batch: torch.Size, steps: int, device: torch.device) -> list[Tensor]:
+    def outputs(self, batch: torch.Size, steps: int, device: torch.device) -> list[Tensor]:
         """What it will write, with tracks innermost; on ``"meta"`` its form alone."""
         written = sum(len(port.ids) for port in self._timed)
         past = batch.numel() * steps * written * self._dtype.itemsize >= PAST
@@ -133,7 +137,7 @@ class Program:
         ports = [strided(x, port, len(batch), tracks) for x, port in zip(tensors, self._reads, strict=True)]
         if any(x is not y for (x, *_), y in zip(ports, tensors, strict=True)):
             return None
-        written = self._outputs(batch, steps, torch.device("meta"))
+        written = self.outputs(batch, steps, torch.device("meta"))
         table = array("q", [n for _, *strides in [*ports, *self._packed(written, len(batch))] for n in (0, *strides)])
         like = [batch_first(x, len(batch)) for x in written]
         return Ready(self._run, tracks, steps, table, like, self._device)

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from torchfra.compiler.learning import Learning
 from torchfra.compiler.pieces import Pieces, is_long
 from torchfra.compiler.program import Making, Program, Ready, batch_first, building
 from torchfra.compiler.source import Scan
+from torchfra.compiler.steady import Steady, Track, steady
 from torchfra.compiler.step import Step
 from torchfra.compiler.track_kernel import TrackKernel, load, track_kernel
 from torchfra.linalg.tracing import has_tangents
@@ -45,6 +46,7 @@ class Kernels:
         self._programs: dict[Hashable, Program | None] = {}
         self._boundary: Boundary | None = None
         self._refused = set[bool]()
+        self._steady: Steady | Literal[False] | None = False
         self._track_functions: dict[bool, Any] = {}
         self._making, self._making_around = threading.Lock(), threading.Lock()
 
@@ -157,12 +159,11 @@ class Kernels:
         else:
             whole = None
             plain = self.step.repeated and checkpoint is truncate is None and inputs[0].device == _CPU
-            if (
-                plain
-                and is_long(batch, steps)
-                and (self.remembers(batch, steps) or not has_gradient((*state, *inputs)))
-            ):
-                whole = self._in_pieces(batch, steps, state, inputs)
+            if plain and is_long(batch, steps):
+                learns = has_gradient((*state, *inputs))
+                whole = None if learns else self._in_steady_state(batch, steps, state, inputs)
+                if whole is None and (self.remembers(batch, steps) or not learns):
+                    whole = self._in_pieces(batch, steps, state, inputs)
             done = whole or self._done(batch, steps, state, inputs, checkpoint, truncate)
         rest = iter([batch_first(x, len(batch)) for x in done])
         return unflatten(self.step.state, rest), unflatten(self.step.record, rest)
@@ -171,14 +172,48 @@ class Kernels:
         self, batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor]
     ) -> list[Tensor] | None:
         """What ``_done`` gives for a single long track, by its pieces; None where these depend on each other."""
-        rank = len(batch)
 
         def run(batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor]) -> list[Tensor]:
             return [batch_first(x, len(batch)) for x in self._done(batch, steps, state, inputs)]
 
-        track = [[x.reshape(x.shape[rank:]) for x in leaves] for leaves in (state, inputs)]
-        done = Pieces(run, self.step, steps, *track)()
+        done = Pieces(run, self.step, steps, *(_alone(leaves, batch) for leaves in (state, inputs)))()
         return done and [x.reshape((*x.shape, *batch)) for x in done]
+
+    def _in_steady_state(
+        self, batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor]
+    ) -> list[Tensor] | None:
+        """What ``_done`` gives for a single long track, most of whose steps are steady; None where they are not."""
+        made = self._when_steady()
+        if made is None:
+            return None
+        step, one, count = self.step, torch.Size(), len(self.step.zero)
+        state, inputs = (_alone(leaves, batch) for leaves in (state, inputs))
+        whole = self.forwards(one, _CPU)
+        rest = self._compiled(("steady", _CPU, True), lambda: made.scan, narrow=True)
+        assert rest is not None
+        written = whole.outputs(one, steps, _CPU)[count:]
+
+        def run(kind: str, first: int, last: int, state: Sequence[Tensor]) -> list[Tensor]:
+            first, last = (steps - last, steps - first) if step.last_first else (first, last)
+            into = [x[first:last] for x in written]
+            if kind == "whole":
+                return whole(one, last - first, (*state, *_part(step, inputs, first, last, 0)), into)[:count]
+            reads = [
+                x[first] if name in made.constant else x[first:last] if step.inputs[name].timed else x
+                for name, x in zip(step.inputs, inputs, strict=True)
+            ]
+            done = rest(one, last - first, (*state, *state, *reads), into)[:count]
+            return [old.where(mask, new) for mask, old, new in zip(made.masks, state, done, strict=True)]
+
+        end = Track(step, made, steps, inputs, written, run)(state)
+        return end and [x.reshape((*x.shape, *batch)) for x in (*end, *written)]
+
+    def _when_steady(self) -> Steady | None:
+        """The step after it has converged; None if it never does."""
+        with self._making:
+            if self._steady is False:
+                self._steady = steady(self.step)
+        return self._steady or None
 
     def _done(
         self, batch: torch.Size, steps: int, state: Sequence[Tensor], inputs: Sequence[Tensor],
@@ -206,6 +241,11 @@ class Kernels:
         kept = 2 * count + len(flatten(self.step.record))
         plain, rates = done[:count] + done[2 * count : kept], iter(done[count : 2 * count] + done[kept:])
         return [forward_ad.make_dual(x, next(rates)) if x.is_floating_point() else x for x in plain]
+
+
+def _alone(leaves: Sequence[Tensor], batch: torch.Size) -> list[Tensor]:
+    """Those of the only track of a batch."""
+    return [x.reshape(x.shape[len(batch) :]) for x in leaves]
 
 
 def has_gradient(tensors: Iterable[Tensor]) -> bool:

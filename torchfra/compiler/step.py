@@ -176,8 +176,8 @@ class Step:
         if not all(x.is_floating_point() for x in leaves):
             raise NotImplementedError(f"state: kernels carry floating point numbers, received {self.state}")
         zero = [as_entries(Expressions(), x.detach()).ids == ZERO for x in leaves]
-        self.zero, self._plain = self._always_zero(self._guessed(zero))
-        self.record = self._plain.record
+        self.zero, self.plain = self._always_zero(self._guessed(zero))
+        self.record = self.plain.record
 
     def unknown(self, book: Expressions) -> dict[str, Entries]:
         """All inputs, of one track."""
@@ -247,8 +247,8 @@ class Step:
 
     def forwards(self, remembers: bool = False) -> Scan:
         """Filters: reads the inputs, writes the record of each step; with ``remembers`` the state before it as well."""
-        kept = self._kept_ports(self._plain)
-        return self._scan(self._plain, kept + (_nonzero_ports(self._plain.before) if remembers else []))
+        kept = self._kept_ports(self.plain)
+        return self._scan(self.plain, kept + (_nonzero_ports(self.plain.before) if remembers else []))
 
     def _kept_ports(self, trace: Trace) -> list[Port]:
         kept = ports(trace.kept, timed=self.repeated)
@@ -258,11 +258,11 @@ class Step:
 
     def trajectory(self) -> Scan:
         """Filters again: writes the state before each step."""
-        return self._scan(self._plain, _nonzero_ports(self._plain.before))
+        return self._scan(self.plain, _nonzero_ports(self.plain.before))
 
     def tangent(self, along: Sequence[str]) -> Scan:
         """Filters, and carries derivatives along a direction of the state and of these inputs: see ``tangents``."""
-        every = self._trace(self.zero, Expressions()) if self._large else self._plain
+        every = self._trace(self.zero, Expressions()) if self._large else self.plain
         return tangent(
             self._scan(every, self._kept_ports(every)), [k for k, name in enumerate(self.inputs) if name in along]
         )
@@ -282,7 +282,7 @@ class Step:
         gradients of the state and of the ``needed`` inputs without time, and writes those of the inputs with time.
         """
         of = f"{type(self.module).__name__}, gradient of {', '.join(['the state', *needed])}"
-        least = _ADJOINT * len(self._plain.book.nodes)
+        least = _ADJOINT * len(self.plain.book.nodes)
         adjoint = partial(self._traced, partial(self._adjoint, graded, needed), least)
         with gradient_refusals_of(of, adjoint):
             return adjoint()
