@@ -33,13 +33,14 @@ def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str, row: 
 
 
 class Row:
-    """Outliers in a row, with which the filter has patience: innovations 2.5 gates off that do not grow by a third."""
+    """Outliers in a row, with which the filter has patience: innovations beyond noise that do not grow by a third."""
 
-    def __init__(self, patience: float, gate: float) -> None:
-        self.patience, self.gate, self.repeated = patience, gate, patience
+    def __init__(self, patience: float, size: int) -> None:
+        self.patience, self.repeated = patience, patience
+        self.far = size * (1 - 2 / (9 * size) + 3.2 * math.sqrt(2 / (9 * size))) ** 3
 
     def is_far(self, p: Prior) -> bool:
-        return bool(p.seen) and p.nis > 2.5 * self.gate
+        return bool(p.seen) and p.nis > self.far
 
     def see(self, p: Prior) -> None:
         """A measurement that is not far off ends the row."""
@@ -97,7 +98,7 @@ def fra(
     odds = prior_odds(preference, plain)
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
-    row = Row(patience, gate)
+    row = Row(patience, z.shape[1])
     p = compare(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
     for k in range(len(z)):
         psi = huber(p.v, np.broadcast_to(threshold, z.shape[1])[p.seen])
@@ -156,7 +157,7 @@ def soft_fra(
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
     mean, P = np.array(mean0, dtype=float), np.array(P0, dtype=float)
-    row = Row(patience, gate)
+    row = Row(patience, z.shape[1])
     for k in range(len(z)):
         p = compare(mean, P, z[k], model, k, rule)
         psi = huber(p.v, threshold)

@@ -41,8 +41,8 @@ UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
 """Which branch may be the estimate of an abnormal step that no measurement has decided."""
 _ROUNDING = 1e-9
 """Relative difference of two scores that are equal up to rounding, in double precision."""
-_FAR = 2.5
-"""Gates above which an innovation squared is far off: noise hardly reaches it, so a row of them tells its cause."""
+_FAR = 3.2
+"""Standard deviations of a normal variable above which an innovation is far off: noise hardly reaches it."""
 _GROWTH = 1 / 3
 """Share of an innovation by which the next one is longer, if the target manoeuvres: at constant velocity the second is
 longer by all of the first, and the fourth still by a third of the third."""
@@ -141,8 +141,9 @@ class FRA(Soft, Filter[FRAState]):
 
     Two outliers in a row look like a manoeuvre, whose branch, with its larger covariance, predicts the second one.  But
     a target that manoeuvres gets farther off from step to step, as its velocity has changed.  So with ``patience`` the
-    robust branch is kept where an innovation is far off, above 2.5 gates, and the next one is not longer by a third:
-    until the row is longer than outliers last.  The first row of a track is followed at once: a prior may be wrong.
+    robust branch is kept where an innovation is farther off than noise brings it (the gate has no part in that) and the
+    next one is not longer by a third: until the row is longer than outliers last.  The first row of a track is followed
+    at once: a prior may be wrong.
 
     Hard choices have no gradient with respect to the gate and the scores.  With a ``temperature`` they are soft, for
     training: a step is abnormal with the weight ``sigmoid((nis - gate) / temperature)``, the softmax of the scores over
@@ -212,6 +213,8 @@ class FRA(Soft, Filter[FRAState]):
         self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")
         self.decision, self.memory, self.provisional, self.final = decision, memory, provisional, final
         self.temperature, self.patience = temperature, patience
+        part = 2 / (9 * sensor.size)
+        self.far = sensor.size * (1 - part + _FAR * math.sqrt(part)) ** 3  # chi squared, Wilson and Hilferty (1931)
 
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: after a normal step, with an empty memory."""
@@ -319,7 +322,7 @@ class FRA(Soft, Filter[FRAState]):
 
     def is_far(self, excess: Tensor) -> Tensor:
         """``(...)`` bool, whether a step was far off."""
-        far: Tensor = excess > (_FAR - 1) * self.gate(excess)
+        far: Tensor = excess > self.far - self.gate(excess)
         return far
 
     def odds(self, like: Tensor) -> Tensor:
