@@ -220,6 +220,36 @@ def test_without_a_prior_tracks_begin_at_their_first_whole_measurement():
         batch_of(bearing, z, runs=0, seed=0)
 
 
+@pytest.mark.parametrize("loss", ["likelihood", "smoothed"])
+def test_measurements_may_have_standard_deviations_of_their_own(loss):
+    z, f = walks(2, 6, 8)[1], start(learn=("q",))
+    std = torch.linspace(0.5, 30.0, 8, dtype=z.dtype).unsqueeze(-1) * torch.tensor([1.0, 2.0], dtype=z.dtype)
+    whole = {"z": z, "prior": PRIOR, "std": std}
+    items = [{"z": track, "prior": PRIOR, "std": std[:6]} for track in z[:, :6]]
+    assert torch.equal(batch_of(f, whole, runs=0, seed=0).std[3], std)
+    assert torch.equal(batch_of(f, items, runs=0, seed=0).std[3], std[:6])
+    vector = Vector(f)
+    batch = batch_of(f, whole, runs=0, seed=0)
+    found = objective_of(f, vector, whole, batch, loss, None, 0).losses(vector.raw()[None, None], batch)[0]
+    if loss == "likelihood":
+        expected = -f(z, PRIOR, std=std).log_likelihood.sum(-1)
+    else:
+        hidden = [z.clone() for _ in range(5)]
+        expected = 0.0
+        for fold, seen in enumerate(hidden):
+            seen[:, fold::5] = torch.nan
+            smoothed = f.smooth(seen, PRIOR, std=std)
+            belief = Gaussian(smoothed.mean[:, fold::5], smoothed.scale_tril[:, fold::5])
+            again = f(z[:, fold::5].unsqueeze(-2), belief, dt=0.0, std=std[fold::5].unsqueeze(-2))
+            expected = expected - again.log_likelihood.sum((-2, -1))
+    torch.testing.assert_close(found, expected)
+    with pytest.raises(ValueError, match="prior: expected one belief per track where std is given"):
+        batch_of(f, {"z": z, "std": std}, runs=0, seed=0)
+    both = start(learn=("q", "std"))
+    with pytest.raises(ValueError, match=r"learn: expected none of sensor\.std, which data with std do not use"):
+        objective_of(both, Vector(both), whole, batch, loss, None, 0)
+
+
 @pytest.mark.parametrize("loss", ["likelihood", "robust"])
 def test_tracks_of_the_test_change_nothing_that_is_learned(loss):
     truth, z = walks(8, 12, 6)

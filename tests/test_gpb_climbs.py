@@ -107,6 +107,16 @@ def test_a_climb_is_a_motion_of_its_own_beside_the_calm_one_smoothed_and_compile
         agree(f, three, z, prior, dt)
 
 
+def test_regimes_have_names_in_the_order_of_their_probabilities():
+    bank = [SPACE, IntegratedOrnsteinUhlenbeck(0.5, 0.1, dims=3)]
+    f = presets.gpb(bank, SENSOR, manoeuvres="hard")
+    names = f.regime_names
+    info = f(torch.zeros(3, 3).double(), Gaussian.from_std([0.0] * f.motion.size, 5.0)).info
+    assert len(names) == info.probabilities.shape[-1]
+    assert names[0].startswith("constant velocity, noise x ")
+    assert names[f.regimes.level_count :] == (f.bank.names[1], "climb", "manoeuvre", *["jump"] * f.regimes.jump_count)
+
+
 # ---------------------------------------------------------------- when there are climbs
 
 

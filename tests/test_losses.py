@@ -66,6 +66,12 @@ def test_innovation_nll_needs_no_truth(case):
     torch.testing.assert_close(losses.innovation_nll(e), -e.log_likelihood.mean(-1))
 
 
+def test_innovation_nll_is_the_same_for_a_track_that_is_padded(case):
+    e, _ = case
+    more = torch.cat([e.log_likelihood, torch.zeros(5, 3, dtype=torch.float64)], -1)  # steps without a measurement
+    torch.testing.assert_close(losses.innovation_nll(e._replace(log_likelihood=more)), losses.innovation_nll(e))
+
+
 def test_calibration_is_zero_for_honest_covariances_and_the_same_for_too_large_and_too_small():
     rng = torch.Generator().manual_seed(1)
     root = torch.tensor([[2.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.1, 0.2, 3.0]], dtype=torch.float64)

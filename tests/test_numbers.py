@@ -13,7 +13,7 @@ from torchfra.association.gates import Candidates
 from torchfra.filters import FixedLag
 from torchfra.motion import ConstantVelocity
 from torchfra.numbers import as_tensor
-from torchfra.sensors import Position
+from torchfra.sensors import Position, RangeBearing
 
 ROOT = Path(__file__).parents[1]
 NUMBERS = {
@@ -143,6 +143,15 @@ def test_time_steps_of_unix_times_in_single_precision_bring_a_warning():
     times = torch.tensor([1.7e9 + k for k in range(6)])
     with pytest.warns(RuntimeWarning, match=r"dt: all time steps are 0 in float32: take the differences .* in float64"):
         f(z.double(), prior, dt=times.diff())
+
+
+def test_degrees_in_place_of_radians_bring_a_warning_and_unwrapped_angles_do_not():
+    f = presets.srckf(ConstantVelocity(1.0), RangeBearing([5.0, 0.01]))
+    prior = Gaussian.from_std([1000.0, 1000.0, 0.0, 0.0], 100.0)
+    z = torch.tensor([[1414.2, 45.0], [1415.0, 45.1], [np.nan, np.nan], [1415.0, np.nan]], dtype=torch.float64)
+    with pytest.warns(RuntimeWarning, match=r"z: expected angles in rad in elements \[1\], .*: degrees\?"):
+        f(z, prior)
+    f(torch.stack([z[:, 0], z[:, 1].deg2rad() + 4 * np.pi * (torch.arange(4) % 2)], 1), prior)
 
 
 def test_measurements_that_have_their_digits_bring_no_warning():

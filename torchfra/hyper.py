@@ -162,7 +162,8 @@ class Hyper(nn.Module):
             received = "a Parameter" if isinstance(value, nn.Parameter) else "a tensor with a gradient"
             last = name.rpartition(".")[2]
             expected = f"numbers, as a filter learns its own copy: learn=({last!r},), torchfra.learnable or .learn()"
-            raise ValueError(f"{name}: expected {expected}, received {received}")
+            other = "to compute it elsewhere, torch.func.functional_call with its .raw"
+            raise ValueError(f"{name}: expected {expected}; {other}; received {received}")
         value = value.double()
         if 0 in value.shape[: value.dim() - self.event_dim]:
             raise ValueError(f"{name}: expected one value or more, received none, {tuple(value.shape)}")
@@ -260,7 +261,7 @@ class Hyper(nn.Module):
     def describe(self) -> tuple[str, str, str]:
         """As text: the value (or the shape of many values), its range, and ``"learnable"`` or ``"fixed"``."""
         value = self().detach()
-        if value.numel() <= 6 and value.dim() < 2:
+        if value.numel() <= 10 and value.dim() < 2:
             values = ", ".join(f"{v:.6g}" for v in value.flatten().tolist())
         else:
             values = f"values of shape {tuple(value.shape)}"

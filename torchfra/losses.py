@@ -2,7 +2,8 @@
 
 Each loss is one number per track, ``(...)``, the mean over its steps, so that a track that diverged can be recognised
 and left out; take ``.mean()`` for a batch.  Only ``calibration`` is a property of many tracks together and gives one
-number.  Steps whose truth is NaN do not count.
+number.  Steps whose truth is NaN, or without a measurement where only measurements count, do not count: padding and
+gaps change nothing.
 
 ``states`` are the components that count, the same in estimate and truth, ``scenario.position`` say; where that raises,
 ``scenario.truth_position`` after ``scenario.cartesian``.  ``angles`` are those of the state's components that are
@@ -78,7 +79,9 @@ def nll(estimate: Estimate, truth: Tensor, states: slice | None = None, *, angle
 
 
 def innovation_nll(estimate: Estimate) -> Tensor:
-    """Negative log density of each measurement under its prediction.  It needs no truth: for recorded tracks.
+    """Negative log density of a measurement under its prediction, the mean over measured steps.  It needs no truth.
+
+    A network that makes the measurements itself must not learn by it alone: constant measurements are easy to predict.
 
     Where the model is linear its gradient is, to rounding, the one made of smoothed moments (Fisher's identity), so
     that a loss of smoothed estimates would add nothing but the backward pass.
@@ -86,7 +89,8 @@ def innovation_nll(estimate: Estimate) -> Tensor:
     Source: the prediction error decomposition, Schweppe (1965); Cappe, Moulines & Ryden (2005), section 10.1, for
     the identity.
     """
-    return -estimate.log_likelihood.mean(-1)
+    density = estimate.log_likelihood
+    return -_over_time(density, density != 0)  # a step without a measurement has a likelihood of exactly 1
 
 
 def calibration(

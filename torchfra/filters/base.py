@@ -19,6 +19,7 @@ from torchfra.gaussian.arguments import (
     check,
     check_belief,
     measurements_of,
+    warn_of_degrees,
     warn_of_lost_digits,
     warn_of_width,
 )
@@ -538,6 +539,7 @@ class Filter(Part, Generic[S]):
         batch = torch.Size((1,) * (self._rank - self.scans - len(batch))) + batch
         batch = batch if self.scans else broadcast_with_values(self, batch)
         warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
+        warn_of_degrees(measurements.z, self.sensor)
         if name == "prior":
             mixture = isinstance(self.motion, Bank) and not self.scans
             warn_of_width(prior, measurements, self.sensor, mixture=mixture)

@@ -29,7 +29,7 @@ from torchfra.targets.places import place
 from torchfra.tree import flatten, map_tensors
 from torchfra.types import Gaussian
 
-FIELDS = ("z", "dt", "u", "prior", "truth")
+FIELDS = ("z", "std", "dt", "u", "prior", "truth")
 """Names of tensors; all but ``z`` are optional."""
 Simulator = Callable[..., Any]
 Source = Scenario | Simulator | Tensor | Tracks | Mapping[str, Any] | Iterable[Any]
@@ -62,6 +62,8 @@ class Batch(NamedTuple):
     """``(N, T, k)`` inputs of the models."""
     truth: Tensor | None
     """``(N, T, n)`` states, NaN where unknown; None if none is known."""
+    std: Tensor | None = None
+    """``(N, T, m)`` standard deviations of the measurements; None for the sensor's."""
 
     def rows(self, index: Tensor | slice) -> Batch:
         """Some of the tracks."""
@@ -90,7 +92,9 @@ class Batch(NamedTuple):
         They are of means over time, and of deviations from these, which large coordinates would hide.  On another
         processor they differ by rounding, as computed coordinates do.
         """
-        given = flatten((self.z, self.prior[:2], self.dt, self.u, self.truth))  # a ``First`` has more, which z says
+        given = flatten(
+            (self.z, self.prior[:2], self.dt, self.u, self.truth, self.std)
+        )  # a ``First`` has more, which z says
         parts = torch.cat([_means_and_deviations(x.detach().to("cpu", torch.float64)) for x in given], -1)
         weights = torch.linspace(1.0, 2.0, parts.shape[-1], dtype=torch.float64)
         sums: list[list[float]] = (parts.nan_to_num(math.pi) * weights).sum(-1).T.tolist()
@@ -166,7 +170,7 @@ def _joined(items: list[dict[str, Any]], rank: int) -> dict[str, Any]:
         received = sorted({tuple(part["z"].shape[2:]) for part in parts})
         raise ValueError(f"z: expected measurements of one size in all items, received {received}")
     longest = max(part["z"].shape[1] for part in parts)
-    fills = {"z": math.nan, "truth": math.nan, "dt": 1.0, "u": 0.0}
+    fills = {"z": math.nan, "truth": math.nan, "std": 1.0, "dt": 1.0, "u": 0.0}
     joined: dict[str, Any] = {
         name: torch.cat(
             [lengthened(part[name], longest, fill, 2 if rank == 4 and name == "truth" else 1) for part in parts]
@@ -190,8 +194,8 @@ def _batched(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
         dt = torch.as_tensor(item["dt"], dtype=torch.float64)
         each = many and dt.dim() == 1 and len(dt) == count  # a loader has put the numbers of its tracks together
         batch["dt"] = _expanded("dt", dt.unsqueeze(-1) if each else dt, (count, steps))
-    if "u" in item:
-        batch["u"] = _expanded("u", as_tensor(item["u"]), (count, steps, -1))
+    for name in {"u", "std"} & item.keys():
+        batch[name] = _expanded(name, as_tensor(item[name]), (count, steps, -1))
     if "truth" in item:
         truth = as_tensor(item["truth"])
         batch["truth"] = truth if many else truth.unsqueeze(0)
@@ -271,14 +275,17 @@ def _as_batch(f: Filter, fields: dict[str, Any]) -> Batch:
     if truth is not None and bool(truth.isnan().all()):
         truth = None
     if "prior" not in fields:
-        if f.scans:
-            raise ValueError("prior: expected one belief per target and track of scans, received none")
+        if f.scans or "std" in fields:
+            which = "per target and track of scans" if f.scans else "per track where std is given"
+            raise ValueError(f"prior: expected one belief {which}, received none")
         return _started(f, z, dt, u, truth)
     mean, root = (x.to(z) for x in _belief(fields["prior"]))
     if mean.dim() > 1 + f.scans and len(mean) not in (1, count):
         raise ValueError(f"prior: expected one, or one for each of {count} tracks, received {len(mean)}")
     mean = mean.expand(count, *mean.shape[mean.dim() - 1 - f.scans :])
-    return Batch(z, Gaussian(mean, root.expand(*mean.shape, mean.shape[-1])), dt, u, truth)
+    prior = Gaussian(mean, root.expand(*mean.shape, mean.shape[-1]))
+    std = _expanded("std", as_tensor(fields["std"], z), z.shape) if "std" in fields else None
+    return Batch(z, prior, dt, u, truth, std)
 
 
 def _started(f: Filter, z: Tensor, dt: Tensor, u: Tensor | None, truth: Tensor | None) -> Batch:

@@ -49,10 +49,11 @@ def fit(
     Args:
         filter: any preset; it stays as it is.
         data: a ``Scenario``; a function of a seed, or of a seed and a number of runs; measurements ``z (N, T, m)``,
-            or ``(T, m)`` of one track; a dictionary of tensors ``z, dt, u, prior, truth`` (or a scenario's ``Tracks``);
-            a sequence of these, one for each track or batch, such as a ``DataLoader``, which is read once to its end;
-            or recordings of ``torchfra.readers``, whose fixes are the measurements.  Without a ``prior``, that of a
-            track is its first whole measurement with the current noise, which needs a sensor that ``locates``.
+            or ``(T, m)`` of one track; a dictionary of tensors ``z, std, dt, u, prior, truth`` (or a scenario's
+            ``Tracks``); a sequence of these, one for each track or batch, such as a ``DataLoader``, which is read once
+            to its end; or recordings of ``torchfra.readers``, whose fixes are the measurements.  Without a ``prior``
+            that of a track is its first whole measurement with the current noise: this needs a sensor that ``locates``,
+            and no ``std``.
         learn: names of hyperparameters; None for those that are learnable already (``presets.gpb(..., learn=...)``).
         loss: ``"likelihood"`` of the measurements, ``"smoothed"``: the density of each given those before and after it;
             with a truth also ``"robust"``, ``"mse"`` (of the position) and ``"nll"``, see ``torchfra.losses``; or a

@@ -139,7 +139,7 @@ class Objective:
         return loss, copies
 
     def _estimate(self, batch: Batch) -> Estimate:
-        options: dict[str, Any] = {"dt": batch.dt, "u": batch.u, "truncate": self.truncate}
+        options: dict[str, Any] = {"dt": batch.dt, "u": batch.u, "std": batch.std, "truncate": self.truncate}
         estimate: Estimate = self.filter(batch.z, batch.belief(self.filter), **options)
         return estimate if self.convert is None else self.convert(estimate)
 
@@ -153,7 +153,7 @@ class Objective:
         if not isinstance(self.loss, str):
             return _of_tracks(self.loss(counted, batch), batch)
         if self.loss == "likelihood":  # the sum over a track, not its mean, so that long tracks weigh more
-            total = losses.innovation_nll(counted) * counted.log_likelihood.shape[-1]
+            total = -counted.log_likelihood.sum(-1)
             return total.sum(-1) if self.filter.scans else total
         assert batch.truth is not None
         truth = batch.truth[..., skip:, :]
@@ -170,14 +170,14 @@ class Objective:
         steps = torch.arange(batch.z.shape[1], device=batch.z.device)
         hides = steps % FOLDS == torch.arange(FOLDS, device=batch.z.device).unsqueeze(1)  # (F, T)
         z = batch.z.masked_fill(hides[:, None, None, :, None], torch.nan)  # (F, 1, N, T, m)
-        smoothed = self.filter.smooth(z, batch.belief(self.filter), dt=batch.dt, u=batch.u)
+        smoothed = self.filter.smooth(z, batch.belief(self.filter), dt=batch.dt, u=batch.u, std=batch.std)
         fold = steps % FOLDS
         mean = smoothed.mean[fold, ..., steps, :]  # (T, R, N, n): of the fold that hides the step
         root = smoothed.scale_tril[fold, ..., steps, :, :]
         z = batch.z.movedim(1, 0).unsqueeze(1).unsqueeze(-2)  # (T, 1, N, 1, m): each step a track of its own
-        u = None if batch.u is None else batch.u.movedim(1, 0).unsqueeze(1).unsqueeze(-2)
+        u, std = (None if x is None else x.movedim(1, 0).unsqueeze(1).unsqueeze(-2) for x in (batch.u, batch.std))
         assert self.call.one_step is not None
-        density: Tensor = self.call.one_step(z, Gaussian(mean, root), dt=0.0, u=u).log_likelihood
+        density: Tensor = self.call.one_step(z, Gaussian(mean, root), dt=0.0, u=u, std=std).log_likelihood
         return -density[self.skip :].sum((0, -1))
 
 
@@ -214,11 +214,15 @@ def objective_of(
         skip: steps at the start of each track that do not count.
 
     Raises:
-        ValueError: a loss that needs a truth where there is none, or a number out of its range.
+        ValueError: a loss that needs a truth where there is none, a number out of its range, or a standard deviation of
+            the sensor that is to be learned where each measurement has its own.
     """
     kind = loss or ("likelihood" if tracks.truth is None else "robust")
     if isinstance(kind, str) and kind in NEEDS_TRUTH and tracks.truth is None:
         raise ValueError(f"loss: expected 'likelihood' or 'smoothed' for data without a truth, received {kind!r}")
+    own = [path for path in vector.hypers if path.startswith("sensor.") and path.endswith(".std")]
+    if tracks.std is not None and own:
+        raise ValueError(f"learn: expected none of {', '.join(own)}, which data with std do not use")
     if not is_integer(skip, 0) or skip >= tracks.z.shape[1]:
         raise ValueError(f"skip: expected less than the {tracks.z.shape[1]} steps of the tracks, received {skip}")
     states, convert = f.motion.position, None

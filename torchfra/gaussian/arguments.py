@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -161,7 +162,8 @@ def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> 
     if x.is_meta:
         raise ValueError(f"{name}: expected a tensor with numbers, received one on the meta device, which has none")
     if precisions and x.dtype not in precisions:
-        raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}")
+        take = f": take {name}.float()" if x.is_floating_point() else ""
+        raise ValueError(f"{name}: expected floating point numbers, float32 or float64, received {x.dtype}{take}")
     if x.is_complex():
         raise ValueError(f"{name}: expected real numbers, received {x.dtype}")
 
@@ -243,6 +245,20 @@ def warn_of_lost_digits(measurements: Measurements, sensor: Sensor, rank: int, *
             held = f"element {i} in steps of {apart}, and its noise has a standard deviation of {noise_of}"
             hint = "take float64, or subtract an origin there"
             warnings.warn(f"z: float32 holds {held}: {hint}", LostDigits, stacklevel=2)
+
+
+def warn_of_degrees(z: Tensor, sensor: Sensor) -> None:
+    """Warns of angles that are rather degrees: half of the first 1000 are more than two turns off 0.
+
+    Nothing is checked while code is traced.
+    """
+    if is_traced(z) or not bool(sensor.angles.any()):
+        return
+    large = z.detach().reshape(-1, z.shape[-1])[:1000].abs().nanmedian(0).values > 4 * math.pi
+    wrong = (large & sensor.angles.to(large.device)).nonzero().flatten().tolist()
+    if wrong:
+        expected = f"angles in rad in elements {wrong}, received half of them beyond two turns"
+        warnings.warn(f"z: expected {expected}: degrees? torch.deg2rad(z) of these", RuntimeWarning, stacklevel=2)
 
 
 _WIDEST = 1e12

@@ -77,12 +77,12 @@ def ukf(
     motion: Motion, sensor: Sensor, *, alpha: float = 1.0, beta: float = 0.0, kappa: float = 1.0,
     redraw: bool = True, learn: Collection[str] = (),
 ) -> SRCKF:  # fmt: skip
-    """Unscented Kalman filter.  Source: Julier & Uhlmann (2004).
+    """Unscented Kalman filter, by default with points at ``sqrt(n + 1)``.  Source: Julier & Uhlmann (2004).
 
     Args:
         motion: how targets move.
         sensor: what is measured.
-        alpha: spread of the points: ``cubature.unscented``.
+        alpha: spread of the points: ``cubature.unscented``; textbooks often take 0.001, with ``beta=2, kappa=0``.
         beta: added to the centre's weight in the covariance: ``cubature.unscented``.
         kappa: moves points from the centre outwards: ``cubature.unscented``.
         redraw: whether the measurement has points of its own: ``filters.SRCKF``.

@@ -162,6 +162,14 @@ class GPB(Filter[GPBState]):
         self.prior_inflation = Hyper(prior_inflation, constraints.greater_than_eq(1.0), name="prior_inflation")
 
     @property
+    def regime_names(self) -> tuple[str, ...]:
+        """What each regime is, in the order of ``info.probabilities``."""
+        regimes, (first, *others) = self.regimes, self.bank.names
+        levels = [f"{first}, noise x {level:.3g}" for level in regimes.noise_levels().flatten().tolist()]
+        counts = {"climb": regimes.climb_count, "manoeuvre": regimes.manoeuvre_count, "jump": regimes.jump_count}
+        return (*levels, *others, *(name for name, count in counts.items() for _ in range(count)))
+
+    @property
     def bank(self) -> Bank:
         """The motions."""
         return self.motion  # type: ignore[return-value]
@@ -535,7 +543,7 @@ class GPB(Filter[GPBState]):
         if several:
             raise NotImplementedError(
                 f"{type(self).__name__}: hypotheses of outliers are of one sensor in the backward pass; smooth several "
-                "with presets.srckf or fra, or a bank of motions around them"
+                "as one, sensors.Stacked(first, second), with NaN for what was not measured"
             )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:

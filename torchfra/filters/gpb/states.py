@@ -62,7 +62,7 @@ class GPBInfo(NamedTuple):
     lagged: Gaussian
     """The one-step smoothed estimate, in the same shapes; it equals ``filtered`` where no step follows."""
     probabilities: Tensor
-    """``(..., T, R)`` probabilities of the regimes."""
+    """``(..., T, R)`` probabilities of the regimes: ``GPB.regime_names``."""
     outlier: Tensor
     """``(..., T, B)`` probability that each block is an outlier; 0 in a step without any measurement.  For a block that
     is missing among others it is the prediction of its Markov chain."""
