@@ -169,27 +169,6 @@ def test_the_ship_itself_is_read_where_it_hears_others(write):
 # ---------------------------------------------------------------- apps and services
 
 
-def streams():
-    return {"latlng": [list(place) for place in PLACES], "time": [*range(ROWS)], "altitude": [408.0] * ROWS}
-
-
-@pytest.mark.parametrize("content", [
-    [{"type": name, "data": data, "series_type": "time"} for name, data in streams().items()],
-    {name: {"data": data, "series_type": "time"} for name, data in streams().items()},
-])  # fmt: skip
-def test_streams_of_an_activity_are_columns(write, content):
-    (track,) = read(write(json.dumps(content), "a.json"))
-    assert track.time.tolist() == [*range(ROWS)]
-    assert track.origin == pytest.approx((50, 7, 408))
-    assert track.position[-1, :2] == pytest.approx([279.4, 433.8], abs=1)
-
-
-def test_streams_of_other_lengths_are_refused(write):
-    content = {name: {"data": data} for name, data in (streams() | {"time": [0, 1]}).items()}
-    with pytest.raises(ValueError, match="expected streams as long as each other"):
-        read(write(json.dumps(content), "a.json"))
-
-
 def state(moment, lat, lon, name="3c6444"):
     time = round(moment.timestamp())
     return [name, "DLH9LF  ", "Germany", time, time + 1, lon, lat, 3000.0, False, 220.0, 0.0, 0.0, None, 3050.0, "1000"]

@@ -235,14 +235,6 @@ def test_what_no_clock_or_calendar_has_is_refused_of_a_glider(write, lines, said
         read(write(["AXXX001", *lines], "flight.igc"))
 
 
-def test_types_that_data_bases_write_are_no_names(write):
-    records = [
-        {"mmsi": {"$numberLong": str(7 + i % 2)}, "time": {"$date": {"$numberLong": str(1000 * (i + 1_700_000_000))}},
-         "latitude": 47 + 1e-4 * i, "longitude": 8} for i in range(2 * ROWS)
-    ]  # fmt: skip
-    assert [track.name for track in read(write(json.dumps(records), "ships.json"))] == ["7", "8"]
-
-
 def test_altitudes_of_a_glider_are_by_pressure_where_it_has_no_others(write):
     fixes = [f"B1000{i:02}5000000N007{10 * i:05}WV0100000000" for i in range(ROWS)]
     (track,) = read(write(["AXXX001", "HFDTE030624", *fixes], "flight.igc"))

@@ -1,4 +1,4 @@
-"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what receivers of aircraft write."""
+"""JSON: records, columns, objects line by line, tracks of GeoJSON, and rows of ``formats.JSON``."""
 
 from __future__ import annotations
 
@@ -57,8 +57,6 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
                  for one in several for fix in one["aircraft"]
                  if isinstance(fix, dict) and "lat" in fix]  # fmt: skip
         return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
-    if (streams := _streams(parsed)) is not None:
-        return streams
     if isinstance(parsed, dict):
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         plain = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
@@ -68,8 +66,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
             keys = [*next(iter(columns.values()))]
             return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
-    records, of = _records(several)
-    return records_sheet([{**record} for record in records], (f"JSON: a row for each record in {of}",) if of else ())
+    records, of = _records(parsed)
+    return records_sheet(records, (f"JSON: records in {of}",) if of else ())
 
 
 def _parsed(content: str) -> Any:
@@ -94,63 +92,68 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return whole
 
 
-def _records(several: list[Any]) -> tuple[list[dict[str, Any]], str]:
-    """The records of parsed JSON, and the name of the list that they are in.
+def _records(parsed: Any) -> tuple[list[dict[str, Any]], str]:
+    """The records of parsed JSON, with the target that the objects around them name, and what their list is called.
 
-    They are those of the list whose own names say where something was, with what the objects around it say of a target;
-    or else the outermost objects.
+    They are the objects of a list, or of the only list in objects whose own names say where something was.
     """
-    if several and all(isinstance(one, list) for one in several):  # in parts
-        several = [record for part in several for record in part]
-    if other := next((type(one).__name__ for one in several if not isinstance(one, dict)), ""):
-        raise ValueError(f"expected a list of records or a table of columns, received {other} instead of an object")
-    every: dict[str, list[dict[str, Any]]] = {}
-    for name, record in _walked(several, {}, "", 0):
-        every.setdefault(name, []).append(record)
-    placed = [name for name, records in every.items() if places_in({key for record in records for key in record})]
-    inner = [name for name in placed if name] or [name for name in every if name and all(every[name])]
-    if "" not in placed and len(inner) > 1 and (placed or not any(every[""])):
+    lists = [*_lists(parsed, "", {})] if isinstance(parsed, dict) else [("", parsed, {})]
+    every = [(name, _flat_records(records), named) for name, records, named in lists]
+    placed = [one for one in every if places_in({key for record in one[1] for key in record})]
+    if len(placed) > 1 or (not placed and len(every) > 1):
         raise ValueError(
-            f"expected one list of records with places, received {', '.join(inner[:5])}: write a row for each"
+            f"expected one list of records, received {', '.join(name for name, *_ in (placed or every)[:5])}: write a "
+            "row for each"
         )
-    of = "" if "" in placed or len(inner) != 1 else inner[0]
-    return every.get(of, []), of
+    if not every:
+        return _flat_records([parsed]), ""
+    name, records, named = (placed or every)[0]
+    return [named | record for record in records], name
 
 
-def _walked(
-    several: list[dict[str, Any]], outer: dict[str, Any], path: str, depth: int
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Objects as records, and those of the lists in them, each with the name of its list.
+def _lists(parsed: dict[str, Any], path: str, named: dict[str, Any]) -> Iterator[tuple[str, list[Any], dict[str, Any]]]:
+    """The lists of objects in an object, with their names and the target that the objects around them name."""
+    named = named | {key: parsed[key] for key in found(parsed, "id")[:1] if isinstance(parsed[key], str | int)}
+    for key, inner in parsed.items():
+        if isinstance(inner, dict) and path.count(".") < _DEEPEST:
+            yield from _lists(inner, f"{path}{key}.", named)
+        elif isinstance(inner, list) and inner and all(isinstance(one, dict) for one in inner):
+            yield f"{path}{key}", inner, named
 
-    An object in an object is its cells, ``coords.latitude``, where it is one everywhere.
-    """
-    plain = {key for one in several for key, cell in one.items() if cell is not None and not isinstance(cell, dict)}
+
+def _flat_records(several: Any) -> list[dict[str, Any]]:
+    """Objects as records; an object in one is its cells, ``coords.latitude``, and a few numbers are ``point.1``."""
+    records, several = [], several if isinstance(several, list) else [several]
     for value in several:
-        record, lists = dict[str, Any](), dict[str, list[dict[str, Any]]]()
-        for key, cell in value.items():
-            _add(record, lists, key, cell, 0 if key not in plain else _DEEPEST)
-        yield path, {**outer, **record}
-        called = (
-            {key: record[key] for key in found(record, "id")[:3] if isinstance(record[key], str | int)} if lists else {}
+        if not isinstance(value, dict):
+            kind = type(value).__name__
+            raise ValueError(f"expected a list of records or a table of columns, received {kind} instead of an object")
+        records.append(record := dict[str, Any]())
+        _add(record, "", value)
+    nested = {name for record in records for name, cell in record.items() if _holds_records(cell)}
+    if nested and not places_in({name for record in records for name in record}):
+        raise ValueError(
+            f"expected records with places, received lists of records in them ({', '.join(nested)}): write a row for "
+            "each, with the name of its target"
         )
-        for name, inner in lists.items() if depth < _DEEPEST else ():
-            yield from _walked(inner, {**outer, **called}, f"{path}, {name}" if path else name, depth + 1)
+    return records
 
 
-def _add(record: dict[str, Any], lists: dict[str, list[dict[str, Any]]], name: str, cell: Any, level: int) -> None:
-    """Adds a cell, or what is in it, to a record, or to lists of records."""
-    inside = isinstance(cell, dict) and level < _DEEPEST
-    if inside and found([name], "id") and not any(key.startswith("$") or found([key], "id") for key in cell):
-        inside = False  # an object that should name the target is refused: without it all targets would be one
-    if inside:
-        for key, inner in cell.items():  # a type that a data base writes, as in {"$numberLong": "7"}, is no name
-            _add(record, lists, name if key.startswith("$") else f"{name}.{key}", inner, level + 1)
-    elif isinstance(cell, list) and cell and all(isinstance(one, dict) for one in cell):
-        lists[name] = cell
-    elif isinstance(cell, list) and 2 <= len(cell) <= 4 and all(isinstance(one, int | float) for one in cell):
-        record.update({f"{name}.{i + 1}": one for i, one in enumerate(cell)})
-    else:
-        record[name] = cell
+def _add(record: dict[str, Any], path: str, value: dict[str, Any]) -> None:
+    """Adds the cells of an object to a record; one that should name the target is refused later, as it is no text."""
+    for key, cell in value.items():
+        name = f"{path}{key}"
+        if isinstance(cell, dict) and path.count(".") < _DEEPEST and not (
+                found([name], "id") and not found([f"{name}.{one}" for one in cell], "id")):  # fmt: skip
+            _add(record, f"{name}.", cell)
+        elif isinstance(cell, list) and 2 <= len(cell) <= 4 and all(isinstance(one, int | float) for one in cell):
+            record.update({f"{name}.{i + 1}": one for i, one in enumerate(cell)})
+        else:
+            record[name] = cell
+
+
+def _holds_records(cell: Any) -> bool:
+    return isinstance(cell, list) and bool(cell) and all(isinstance(one, dict) for one in cell)
 
 
 def _rows_sheet(several: list[dict[str, Any]], format: Json) -> Sheet:
@@ -197,25 +200,6 @@ def _sum(start: Any, seconds: Any) -> float:
     ):
         raise ValueError(f"expected a number of seconds, received {short(other)}")
     return round(float(start + seconds), 3)
-
-
-def _streams(parsed: Any) -> Sheet | None:
-    """A list of streams, or streams by their types, as Strava's API gives them; None of other content."""
-    named = parsed if isinstance(parsed, dict) else {}
-    if isinstance(parsed, list) and all(isinstance(one, dict) for one in parsed):
-        named = {str(one.get("type")): one for one in parsed}
-    data = {
-        name: one["data"] for name, one in named.items() if isinstance(one, dict) and isinstance(one.get("data"), list)
-    }
-    if len(data) < len(named) or not data.keys() >= {"latlng", "time"}:
-        return None
-    places = data.pop("latlng")
-    if any(len(column) != len(places) for column in data.values()) or any(
-        not isinstance(p, list) or len(p) != 2 for p in places
-    ):
-        raise ValueError("expected streams as long as each other, with pairs of degrees in latlng, received other")
-    axes = {axis: [place[i] for place in places] for i, axis in enumerate(("latitude", "longitude"))}
-    return points_sheet(data | axes, ("streams of Strava",))
 
 
 # ---------------------------------------------------------------- GeoJSON
