@@ -6,7 +6,7 @@ import pytest
 import torchfra
 from torchfra.readers import read
 from torchfra.readers.degrees import degrees_of
-from torchfra.readers.repairs import nowhere
+from torchfra.readers.options import AskError
 
 ROWS = 40
 LATITUDE, LONGITUDE = 47.5 + 1e-4 * np.arange(ROWS), 8.25 + 1e-4 * np.arange(ROWS)
@@ -16,12 +16,12 @@ LATITUDE, LONGITUDE = 47.5 + 1e-4 * np.arange(ROWS), 8.25 + 1e-4 * np.arange(ROW
 def track(tmp_path):
     """Reads the only track of a file of these columns, one fix a second."""
 
-    def track(**columns):
+    def track(missing=None, **columns):
         columns = {"time": np.arange(ROWS), **columns}
         rows = ["\t".join(columns), *("\t".join(map(str, row)) for row in zip(*columns.values(), strict=True))]
         file = tmp_path / "track.tsv"
         file.write_text("\n".join(rows) + "\n", encoding="utf-8")
-        (only,) = read(file)
+        (only,) = read(file, missing=missing)
         return only
 
     return track
@@ -66,46 +66,59 @@ def test_what_is_no_latitude_is_refused(text):
         degrees_of(text, "NS")
 
 
-@pytest.mark.parametrize("placeholder", [-999, -9999.0, 99999])
-def test_degrees_that_stand_for_none_are_missing(track, placeholder):
+@pytest.mark.parametrize("number", ["-999", "-9999.0", "99999"])
+def test_degrees_that_stand_for_none_are_refused_until_it_is_said(track, number):
     gone = np.arange(ROWS) % 10 == 3
-    found = track(lat=np.where(gone, placeholder, LATITUDE), lon=np.where(gone, placeholder, LONGITUDE))
+    columns = {"lat": np.where(gone, float(number), LATITUDE), "lon": np.where(gone, float(number), LONGITUDE)}
+    with pytest.raises(ValueError, match="and missing a number that stands for none"):
+        track(**columns)
+    found = track(missing=f"7,{number}", **columns)
     assert (len(found.time), found.repairs) == (ROWS - 4, {"rows without position dropped": 4})
 
 
 def test_the_corner_of_all_degrees_is_no_place_far_from_all_others(track):
     gone = np.arange(ROWS) % 10 == 3
     found = track(lat=np.where(gone, 0, LATITUDE), lon=np.where(gone, 0, LONGITUDE))
-    assert found.repairs == {"rows with a placeholder for their position dropped": 4}
+    assert found.repairs == {"rows at 0, 0 degrees dropped": 4}
     assert len(track(lat=LATITUDE - 47.502, lon=LONGITUDE - 8.252).time) == ROWS
 
 
-def test_metres_that_stand_for_none_are_missing_in_both_coordinates_only(track):
+def test_metres_that_stand_for_none_in_both_coordinates_are_refused_until_it_is_said(track):
     x, y, gone = 10.0 * np.arange(ROWS), 3.0 * np.arange(ROWS), np.arange(ROWS) % 10 == 3
-    assert len(track(x=np.where(gone, -999, x), y=np.where(gone, -999, y)).time) == ROWS - 4
+    columns = {"x": np.where(gone, -999, x), "y": np.where(gone, -999, y)}
+    with pytest.raises(AskError, match="received -999 as x and y in data row 4, far from all others") as error:
+        track(**columns)
+    assert "--missing -999" in error.value.command
+    assert len(track(**columns, missing="-999").time) == ROWS - 4
+    assert len(track(**columns, missing="none").time) == ROWS
     assert len(track(x=np.where(gone, -999, x), y=y).time) == ROWS
     assert len(track(x=x - 1000, y=np.full(ROWS, -999.0)).time) == ROWS
-    assert not nowhere(np.where(gone, -999, x)[:20], np.where(gone, -999, y)[:20], False).any()  # too few to tell
 
 
-def test_altitudes_that_stand_for_none_are_missing(track):
+def test_altitudes_that_stand_for_none_are_refused_until_it_is_said(track):
     gone = np.arange(ROWS) % 10 == 3
-    found = track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, -9999, 400))
-    assert found.repairs == {"altitudes of a placeholder taken as missing": 4}
-    assert np.flatnonzero(found.filled).tolist() == [3, 13, 23, 33]
+    columns = {"lat": LATITUDE, "lon": LONGITUDE, "alt": np.where(gone, -9999, 400)}
+    with pytest.raises(AskError, match=r"received -9999 as alt in data row 4, .*missing='-9999' if it stands for none"):
+        track(**columns)
+    assert np.flatnonzero(track(**columns, missing="-9999").filled).tolist() == [3, 13, 23, 33]
     assert not track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, 9999, 9980)).repairs  # a level of aircraft
+
+
+def test_what_stands_for_none_is_numbers(track):
+    with pytest.raises(ValueError, match="missing: expected numbers with commas between, such as -999,9999, received"):
+        track(lat=LATITUDE, lon=LONGITUDE, missing="-999;9999")
 
 
 def test_altitudes_that_are_all_0_are_missing(track):
     found = track(lat=LATITUDE, lon=LONGITUDE, alt=np.zeros(ROWS))
     assert found.position.shape == (ROWS, 2)
-    assert found.repairs == {"altitudes of a placeholder taken as missing": ROWS}
+    assert found.repairs == {"altitudes of 0 taken as missing": ROWS}
     assert track(lat=LATITUDE, lon=LONGITUDE, alt=np.arange(ROWS) // 20).position.shape == (ROWS, 3)
     assert track(x=LATITUDE, y=LONGITUDE, z=np.arange(ROWS) // 20).position.shape == (ROWS, 3)
 
 
-def test_arrays_keep_their_length_where_placeholders_stand_for_none():
+def test_arrays_keep_their_length_where_a_number_stands_for_none():
     position = np.stack([10.0 * np.arange(ROWS), 3.0 * np.arange(ROWS)], 1)
     position[[3, 13]] = -999
-    cleaned = torchfra.clean((np.arange(ROWS), position), sigma=1.0, q=0.01)
+    cleaned = torchfra.clean((np.arange(ROWS), position), missing="-999", sigma=1.0, q=0.01)
     assert cleaned.position[[3, 13]] == pytest.approx(np.array([[30, 9], [130, 39]]), abs=1)

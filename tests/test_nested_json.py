@@ -21,7 +21,7 @@ def fixes(lat=47.0):
         ([{"id": "A", "way": {"points": fixes()}}], "lists of records in them (way.points)"),
         ({"one": fixes(), "two": {"more": fixes()}}, "expected one list of records, received one, two.more"),
         ([fixes()[:9], fixes()[9:]], "received list instead of an object"),
-        ({name: {"data": [fix[name] for fix in fixes()]} for name in fixes()[0]}, "column time: expected times, received"),
+        ({name: {"data": [fix[name] for fix in fixes()]} for name in fixes()[0]}, "column time: expected times"),
     ],
 )
 def test_lists_within_lists_and_several_lists_are_refused(write, whole, said):

@@ -17,8 +17,8 @@ from torchfra.cleaning.outputs.summary import report
 from torchfra.cleaning.outputs.table import columns
 from torchfra.numbers import unmasked
 from torchfra.readers import MAX_BYTES, Recording, read
+from torchfra.readers.options import read_options
 from torchfra.readers.reading import read_sheet
-from torchfra.readers.repairs import nowhere
 from torchfra.readers.sheets import Sheet
 from torchfra.running.optional import optional
 
@@ -56,8 +56,7 @@ def clean(
     Args:
         data: the path of a file; a ``DataFrame`` of pandas or polars, or a ``GeoDataFrame`` of points in any coordinate
             reference system; ``(time (k,), position (k, d))``, seconds or moments that increase, and metres in 2 or 3
-            dimensions, where missing NaN or a placeholder, such as -999, in both x and y; or recordings of
-            ``torchfra.readers.read``.
+            dimensions, where missing NaN; or recordings of ``torchfra.readers.read``.
         filter: its name, one of ``catalogue.track_filters()``.
         bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None takes what the
@@ -237,8 +236,7 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
         raise ValueError(
             f"data: expected time (k,) and position (k, 2) or (k, 3), received {time.shape}, {position.shape}"
         )
-    missing = np.isnan(position)
-    missing[nowhere(position[:, 0], position[:, 1], False)] = True
+    missing = np.isnan(position) | np.isin(position, read_options(words).absent)
     known = np.where(missing.any(1), -1, np.arange(len(time)))
     last = np.maximum.accumulate(known)  # of each row, that of the last whole position; else of the first
     if (known >= 0).any():

@@ -15,8 +15,8 @@ else by these rules:
 3. Times are ISO text, UTC where it names no zone, dates that can be read in one order only, perhaps in a column beside
    that of the clock, or numbers: s, ms, us or ns since 1970 by their size, or seconds since any start.
 4. A column called id, name, mmsi, vehicle and the like says which target a row is of; each is a track.
-5. Empty cells, N/A, null, None, NaN and - are missing, and so are -999, 9999 and the like in both coordinates or an
-   altitude where nothing else is half as large, and 0, 0 degrees far from all else.
+5. Empty cells, N/A, null, None, NaN and - are missing, and 0, 0 degrees far from all else; -999 and the like are
+   refused until ``missing`` says what they are.
 
 What neither the table nor the rules say is refused, with the columns and the options that name them
 (``ReadOptions``): nothing is guessed from values.  A column may be named by its number from 1 on, header or not.  So

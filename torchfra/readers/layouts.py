@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Array, Head, Kind, joined, numbers, texts_of, values_of, word_of
+from torchfra.readers.columns import Array, Head, Kind, texts_of, values_of, word_of
 from torchfra.readers.formats import Format, format_of
 from torchfra.readers.hints import unclear
-from torchfra.readers.identities import likely_ids
 from torchfra.readers.names import (
     FLIGHT_LEVEL,
     LENGTHS,
@@ -30,7 +28,6 @@ from torchfra.readers.noises import noise_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
 from torchfra.readers.recording import Source
 
-_PLACES = ("latitude", "longitude", "x", "y")
 _SIDES = {"latitude": "NS", "longitude": "EW"}
 _LIMITS = {"latitude": 90.0, "longitude": 180.0}
 _SIDE = re.compile(
@@ -44,13 +41,12 @@ WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 
 """What marks say, in small letters."""
 _COUNTERS = {"id", "name", "uuid", "object", "objectid", "track", "trip", "tripid", "entityid"}
 """Names that may number the rows instead of the targets."""
-PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0)
-"""Numbers that stand for a missing one; no degrees are as large."""
 _HEIGHTS = ("altitude", "z")
 _OPTIONS = {"latitude": "lat", "longitude": "lon", "altitude": "alt"}
 _ADVICE = (
     ": latitudes and longitudes may be swapped, or be degrees and minutes in one number (4730.5), parts of degrees "
-    "(1e-7), or metres; the options lat and lon name columns of degrees, x and y of metres"
+    "(1e-7), or metres; the options lat and lon name columns of degrees, x and y of metres, and missing a number that "
+    "stands for none"
 )
 
 
@@ -72,6 +68,15 @@ class Layout:
     """What the caller says."""
     unread: tuple[str, ...] = ()
     """Columns that are not read."""
+
+    @property
+    def other_ids(self) -> tuple[dict[str, str] | str, ...]:
+        """What to say where rows are of several targets: the option that parts them, and the columns that may."""
+        unread = [name for name in self.unread if name]
+        other = unread[0] if len(unread) == 1 else "ID"
+        return {"id": f"{self.stated.id},{other}" if self.stated.id else other}, (
+            f"; columns that are not read: {listed(unread)}"
+        )
 
     @property
     def degrees(self) -> bool:
@@ -118,7 +123,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     noise = noise_of(head, roles, 1.0 if "latitude" in columns else length, word == "ship",
                      stated=options.sigma_column is not None)  # fmt: skip
     wanted: dict[str, Kind | None] = {clock.column: clock.kind}
-    wanted |= {column: _kind(role, column, length, format) for role, column in columns.items()}
+    wanted |= {column: _kind(role, column, length, format, options) for role, column in columns.items()}
     wanted |= noise.columns
     sides = _sides(head, columns)
     wanted |= {column: replace(kind, joined=(column, sides[column])) for column, kind in wanted.items()
@@ -137,15 +142,8 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns[-2:], strict=True))
     if noise.columns:
         public["sigma"] = next(iter(noise.columns))
-    unread, ids = (*ignored, *unused), tuple[str, ...]()
-    with suppress(ValueError):  # of a cell, which is refused when all are read
-        values = [numbers(joined(head.cells, kind.joined) if kind.joined else head.cells(one), kind, one)
-                  for one in (clock.column, *(columns[role] for role in _PLACES if role in columns))
-                  if (kind := wanted[one]) is not None]  # fmt: skip
-        named = roles.get("id") or ((columns["id"],) if "id" in columns else ())
-        ids = likely_ids(head, values[0], np.stack(values[1:], 1), unread, named)
-    source = Source(name, public, clock.form, length, word, lines, noise.argos, ids)
-    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, unread)
+    source = Source(name, public, clock.form, length, word, lines, noise.argos)
+    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, (*ignored, *unused))
 
 
 def _of_format(format: Format, head: Head) -> dict[str, tuple[str, ...]]:
@@ -240,13 +238,14 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
     return FLIGHT_LEVEL if one == "FL" else METRES[one]
 
 
-def _kind(role: str, column: str, length: float, format: Format | None) -> Kind | None:
+def _kind(role: str, column: str, length: float, format: Format | None, options: ReadOptions) -> Kind | None:
     """What the numbers of a column are; None for text."""
     if role in ("id", "call"):
         return None
     if role in ("valid", *MARKS):
         return Kind("true or false", words=tuple(WORDS_OF_MARKS.items()), others=role == "valid")
     absent = tuple(value for name, value in (format.missing if format else {}).items() if name == plain(column))
+    absent += options.absent
     if role not in _LIMITS:
         return Kind(unit=1.0 if role == "update" else length, absent=absent)
     degrees = format.degrees[role == "longitude"] if format else 1.0
@@ -256,8 +255,7 @@ def _kind(role: str, column: str, length: float, format: Format | None) -> Kind 
     kind = Kind(f"at most {limit:g}", limit=limit, unit=degrees, absent=absent, advice=_ADVICE)
     if degrees != 1:
         return kind
-    said, absent = f"degrees within +-{_LIMITS[role]:g}", (*absent, *PLACEHOLDERS)
-    return replace(kind, said=said, absent=absent, sides=_SIDES[role])
+    return replace(kind, said=f"degrees within +-{_LIMITS[role]:g}", sides=_SIDES[role])
 
 
 def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:

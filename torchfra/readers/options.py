@@ -68,6 +68,9 @@ class ReadOptions:
     """One character between cells, or ``"tab"``, ``"space"``, ``"comma"``, ``"semicolon"``."""
     decimal: str | None = None
     """``"."`` or ``","``."""
+    missing: str | None = None
+    """Numbers that stand for none in positions and altitudes, with commas between, such as ``"-999,9999"``; or
+    ``"none"``, where such numbers are positions."""
     time_format: str | None = None
     """``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"minutes"``, ``"hours"``, ``"days"``; ``"excel"``, ``"mjd"``,
     ``"jd"`` and ``"matlab"`` for days since a date of theirs; ``"gps_seconds"``, ``"apple"`` and ``"fit"`` for seconds
@@ -90,6 +93,7 @@ class ReadOptions:
             raise ValueError(
                 f"delimiter: expected one character or tab, space, comma, semicolon, received {self.delimiter!r}"
             )
+        _ = self.absent
         form = self.time_format
         if form is not None and form not in FORMS and "%" not in form and not per_second(form):
             raise ValueError(
@@ -106,6 +110,20 @@ class ReadOptions:
     def sign(self) -> str:
         """Between cells; "" where the file tells."""
         return _DELIMITERS.get(self.delimiter or "", self.delimiter or "")
+
+    @property
+    def absent(self) -> tuple[float, ...]:
+        """The numbers that stand for none.
+
+        Raises:
+            ValueError: something else.
+        """
+        try:
+            return tuple(float(one) for one in (self.missing or "none").split(",") if one != "none")
+        except ValueError:
+            raise ValueError(
+                f"missing: expected numbers with commas between, such as -999,9999, received {self.missing!r}"
+            ) from None
 
     @property
     def columns(self) -> dict[str, tuple[str, ...]]:

@@ -30,8 +30,6 @@ class Source:
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
     argos: bool = False
     """Whether standard deviations are those of classes or ellipses of Argos, which are the noise as they are."""
-    id_options: tuple[str, ...] = ()
-    """Columns that tell targets apart which may be mixed, for the option ``id``: the likeliest first."""
 
     def written(self, time: Array) -> list[str]:
         """Times ``(k,)``, seconds as in ``Recording.time``, as the file writes them; any times, not only its own."""

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
-from torchfra.readers.layouts import PLACEHOLDERS, Layout
+from torchfra.readers.layouts import Layout
 from torchfra.readers.names import MARKS, name_words
-from torchfra.readers.options import AskError, listed
+from torchfra.readers.options import AskError
 from torchfra.readers.tables import Table
 from torchfra.readers.times import count_of
 
@@ -35,8 +35,8 @@ _COARSE = (60.0, 1.0)
 """Whole minutes and seconds, in which several rows may be."""
 _NEIGHBOURS = 1.5
 """How much farther apart rows of a moment may be than those of two moments, if all are of one target."""
-_ENOUGH, _NULL_ISLAND = 25, 1.0
-"""Numbers beside a placeholder from which on it differs from them for sure; degrees around 0, 0 without any other."""
+_PLACEHOLDERS, _ENOUGH, _NULL_ISLAND = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0), 25, 1.0
+"""Numbers that may stand for none, the fewest others that show it; degrees around 0, 0 without any other fix."""
 
 
 def plural(word: str) -> str:
@@ -132,30 +132,15 @@ def _too_few(targets: list[Target], word: str) -> str:
     return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
-def _stand_for_none(values: Array) -> NDArray[np.bool_]:
-    """Which of ``(rows,)`` are a placeholder such as -999 that is far from all others."""
-    gone = np.zeros(len(values), dtype=bool)
-    for placeholder in PLACEHOLDERS:
-        at = np.isclose(values, placeholder, rtol=0, atol=1e-6)
-        rest = np.sign(placeholder) * values[~at & np.isfinite(values)]
-        if at.any() and len(rest) >= _ENOUGH and rest.max() < abs(placeholder) / 2:
-            gone |= at
-    return gone
-
-
-def nowhere(first: Array, second: Array, degrees: bool) -> NDArray[np.bool_]:
-    """Which positions ``(rows,)`` are placeholders: the same one in both coordinates, or 0 degrees in both.
-
-    Args:
-        first: one coordinate.
-        second: the other.
-        degrees: whether they are latitudes and longitudes.
-    """
-    if not degrees:
-        return _stand_for_none(first) & _stand_for_none(second) & np.isclose(first, second)
-    null = (first == 0) & (second == 0)
-    near = (np.abs(first) < _NULL_ISLAND) & (np.abs(second) < _NULL_ISLAND) & ~null
-    return null if not near.any() and not null.all() else np.zeros(len(null), dtype=bool)
+def _check_placeholders(several: Mapping[str, Array]) -> None:
+    """Refuses numbers such as -999, far from all others, in all of several columns: nobody says that they are none."""
+    for number in _PLACEHOLDERS:
+        at = np.all([np.isclose(values, number, rtol=0, atol=1e-6) for values in several.values()], axis=0)
+        rest = [np.sign(number) * values[~at & np.isfinite(values)] for values in several.values()]
+        if at.any() and all(len(one) >= _ENOUGH and one.max() < abs(number) / 2 for one in rest):
+            raise AskError(f"received {number:g} as {' and '.join(several)} in data row {int(at.argmax()) + 1}, far "
+                           "from all others: say ", {"missing": f"{number:g}"}, " if it stands for none, or ",
+                           {"missing": "none"})  # fmt: skip
 
 
 class _Columns:
@@ -170,12 +155,19 @@ class _Columns:
         self.carried = self._carry_on_together(members.values())
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
-        unit = 1.0 if layout.degrees else layout.source.unit
-        self.absent = nowhere(self.first / unit, self.second / unit, layout.degrees)
-        none = (self.height == 0) if layout.degrees else np.zeros(table.rows, dtype=bool)
-        no_heights = none if (none | np.isnan(self.height)).all() else _stand_for_none(self.height / layout.source.unit)
-        self.height = np.where(no_heights, np.nan, self.height)
-        self.no_height = no_heights
+        null = (self.first == 0) & (self.second == 0)
+        near = (np.abs(self.first) < _NULL_ISLAND) & (np.abs(self.second) < _NULL_ISLAND) & ~null
+        self.absent = null & (layout.degrees and not near.any() and not null.all())
+        zero = self.height == 0
+        self.no_height = zero & (layout.degrees and (zero | np.isnan(self.height)).all())
+        self.height = np.where(self.no_height, np.nan, self.height)
+        if layout.stated.missing is None:
+            names = {role: layout.columns[role] for role in ("x", "y", "altitude", "z") if role in layout.columns}
+            columns = {names[role]: column(role) / layout.source.unit for role in names}
+            if not layout.degrees:
+                _check_placeholders({names[role]: columns[names[role]] for role in ("x", "y")})
+            for height in [names[role] for role in ("altitude", "z") if role in names]:
+                _check_placeholders({height: columns[height]})
         self.update = column("update")
         self.sent = self._times_of_positions()
         self.time = np.where(self.sent, self._updated(), self.time)
@@ -186,7 +178,6 @@ class _Columns:
         self.valid = column("valid") != 0
         self.may_be_held = layout.source.word == "aircraft"
         self.dated = layout.clock.dated
-        self._likely_id = next(iter(layout.source.id_options), "ID")
 
     def _updated(self) -> Array:
         """Moments of the updates of positions: seconds since 1970, or milliseconds."""
@@ -234,7 +225,7 @@ class _Columns:
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
         index = keep(index, self.valid[index], "rows marked as invalid dropped")
-        index = keep(index, ~self.absent[index], "rows with a placeholder for their position dropped")
+        index = keep(index, ~self.absent[index], "rows at 0, 0 degrees dropped")
         if self.dated:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
         repairs["times within whole seconds spread by the order of rows"] = self._spread(index)
@@ -314,8 +305,8 @@ class _Columns:
             raise AskError(
                 f"expected times that go on, received ones that begin anew in data row {index[back[0] + 1] + 1}, "
                 f"{self.clock.column}, as of {cause}: name another column, or one that tells pieces apart, such as ",
-                {"id": self._likely_id},
-            )  # fmt: skip
+                *self.layout.other_ids,
+            )
 
     def _check_dates(self, time: Array, index: NDArray[np.intp]) -> None:
         """Refuses times of a clock that is put back by an hour, and dates that a spreadsheet has turned round."""
@@ -352,13 +343,12 @@ class _Columns:
             moved[1:] |= np.diff(column[index]) != 0
         count = int((same & moved).sum())
         if count > _MANY * len(index) and len(index) > _MIXED:
-            unread = [name for name in self.layout.unread if name]
-            if not unread and count_of(self.clock.form):
+            if not any(self.layout.unread) and count_of(self.clock.form):
                 return  # nothing else could distinguish them
             raise AskError(
                 f"{count} of {len(index)} rows have other positions at the same times as others, as rows of several "
                 "targets do, or times that are too coarse: name the column that tells targets apart, such as ",
-                {"id": self._likely_id}, f", or another of times; columns that are not read: {listed(unread)}",
+                *self.layout.other_ids, ", or another of times",
             )  # fmt: skip
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
@@ -370,14 +360,14 @@ class _Columns:
         # The two differ by the weather, up to hundreds of metres: where both were taken, one would be an outlier.
         use_spare = 2 * own.sum() < spare.sum()
         heights, some = (self.spare[index], spare) if use_spare else (self.height[index], own)
-        placeholders = self.no_height[index] & ~some
-        repairs["altitudes of a placeholder taken as missing"] = int(placeholders.sum())
+        zeros = self.no_height[index] & ~some
+        repairs["altitudes of 0 taken as missing"] = int(zeros.sum())
         if not some.any():
             return None, None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int(some.sum()) if use_spare else 0
-        repairs["altitudes missing"] = int((~some & ~placeholders).sum())
+        repairs["altitudes missing"] = int((~some & ~zeros).sum())
         return heights[row], ~some
 
     def sigmas(self, index: NDArray[np.intp], repairs: Counter[str], dims: int) -> Array | None:

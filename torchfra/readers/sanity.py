@@ -13,8 +13,8 @@ from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import plural
 from torchfra.readers.times import SINCE_1970, STARTS, UNITS, per_second
 
-_TOO_MANY = 0.1
-"""Share of the fixes from which on targets are not left out that the file can part."""
+_TOO_MANY = 0.2
+"""Share of the fixes from which on targets are not left out that a column may part."""
 _MANY, _SHORTEST = 25, 1.0
 """Fixes from which on a track is judged, and seconds that it lasts at least."""
 _FASTEST, _FASTEST_METRES, _FASTEST_SHIP = 5000.0, 1000.0, 150.0
@@ -33,8 +33,8 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     """The recordings of possible speeds; the others are left out, and named in the repairs of the first one.
 
     Raises:
-        ValueError: no recording has possible speeds, or some with many of the fixes have not, and a column parts them;
-            or x and y are degrees, or have another unit than metres.
+        ValueError: no recording has possible speeds, or some with a fifth of the fixes have not; or x and y are
+            degrees, or have another unit than metres.
     """
     options, source = layout.stated, layout.source
     if not layout.degrees and not options.units:
@@ -44,8 +44,7 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
     good = [recording for recording in recordings if recording not in wrong]
     fixes, total = (sum(len(recording.time) for recording in several) for several in (wrong, recordings))
-    if wrong and (len(wrong) == sum(len(recording.time) >= _MANY for recording in recordings)
-                  or (source.id_options and fixes > _TOO_MANY * total)):  # fmt: skip
+    if wrong and (not good or (any(layout.unread) and fixes > _TOO_MANY * total)):
         recording, said = next(iter(wrong.items()))
         raise AskError(f"{said} of {source.word} {recording.name}; ", *_cause(recording, layout))
     if wrong:
@@ -117,10 +116,6 @@ def _speed(recording: Recording) -> float:
 
 def _cause(recording: Recording, layout: Layout) -> tuple[str | dict[str, str], ...]:
     """What the cause may be, and the options that say so."""
-    if layout.source.id_options:
-        return "rows of several targets in one look so: name what parts them, such as ", {
-            "id": layout.source.id_options[0]
-        }
     column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
     now, causes = per_second(form), list[str | dict[str, str]]()
     if layout.degrees and _USUAL[0] < speed / 111_000 < _USUAL[1] / 10 and (now or form):
@@ -137,6 +132,7 @@ def _cause(recording: Recording, layout: Layout) -> tuple[str | dict[str, str], 
             causes += [f"; {column} may be in {other}: ", {"time_format": other}]
     if not now:
         causes += ["; if it is right: ", {"time_format": form}]
+    several = "; rows of several targets in one look so too: name what parts them, such as ", *layout.other_ids
     if not causes:
-        return f"{column} may be no time: name another column, or its unit by the option time_format", ""
-    return str(causes[0])[2:], *causes[1:]
+        return f"{column} may be no time: name another column, or its unit by the option time_format", *several
+    return str(causes[0])[2:], *causes[1:], *several

@@ -82,8 +82,7 @@ def sentences(cleaned: Cleaned) -> list[str]:
     elif 10 * of["flags"]["outlier"] >= of["fixes"]:
         said.append(MANY)
     if _is_mixed(cleaned):
-        column = "".join(f", such as {name}," for name in cleaned.recording.source.id_options[:1])
-        said.append(f"{MIXED}: the option id with a column{column} distinguishes them")
+        said.append(f"{MIXED}: the option id with a column distinguishes them")
     if of["repairs"]:
         said.append(f"Repaired: {in_words(of['repairs'])}")
     return said
