@@ -9,14 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 from torchfra.readers.columns import Array, Head, texts_of, values_of
-from torchfra.readers.names import found, name_words, plain, unit
+from torchfra.readers.names import LENGTHS, found, name_words, plain, unit
 from torchfra.readers.options import AskError
 from torchfra.readers.times import forms_of
 
 _COLUMNS, _CELLS, _LONGEST = 20, 3, 24
 """Columns and cells of each that are listed, and signs of a cell."""
 _OTHER = re.compile(
-    r"\b(?:sv|sat|satellite|beacon|anchor|tag|home|ref|vel|velocity|speed|acc|accel|gyro|mag|std|sigma|err|error|cov|"
+    r"\b(?:sd[a-z]*|sv|sat|satellite|beacon|anchor|tag|home|ref|vel|velocity|speed|acc|accel|gyro|mag|std|sigma|err|error|cov|"
     r"orientation|rotation|quaternion|angular|linear|score|likelihood|confidence|size|width|height|direction|heading|"
     r"range|rssi|snr|counter|index|idx|seq|[agmvw][xyz]|q[xyzw])\b"
 )
@@ -52,20 +52,20 @@ def likely(head: Head, known: Mapping[str, str]) -> dict[str, str]:
     texts = {name: texts_of(head.cells(name)[:200]) for name in names}
     values = {name: values_of(texts[name]) for name in names}
     values = {name: column for name, column in values.items() if len(column) and len(column) == len(texts[name])}
+    places = _by_names(values) or _of_degrees(values, texts)
+    rest = [name for name in names if name not in places.values()]
     said = [
-        name
-        for name in names
-        if {*name_words(name)} & _TIMES or found([name], "time") or plain(name).startswith("frame")
+        one for one in rest if {*name_words(one)} & _TIMES or found([one], "time") or plain(one).startswith("frame")
     ]
     growing = [name for name, column in values.items() if len(column) > 1 and (np.diff(column) > 0).all()]
-    written = [name for name in names if name not in values and texts[name] and forms_of(texts[name][:20])]
-    times = [*(name for name in said if name in (*growing, *written)), *written, *said, *growing]
+    written = [one for one in rest if one not in values and texts[one] and forms_of(texts[one][:20])]
+    first = [name for name in growing if name == head.names[0] and name in rest]
+    times = [*(name for name in said if name in (*growing, *written)), *written, *said, *first]
     times = [known["time"]] if "time" in known else times
     options = {"time": times[0]} if times else {}
-    rest = {name: column for name, column in values.items() if name not in times[:1]}
     if plain(times[0] if times else "").startswith("frame"):
         options["time_format"] = "25fps"
-    return options | (_by_names(rest) or _by_values(rest, texts))
+    return options | (places or _that_vary({name: values[name] for name in values if name not in times[:1]}))
 
 
 def _by_names(values: Mapping[str, Array]) -> dict[str, str]:
@@ -78,13 +78,14 @@ def _by_names(values: Mapping[str, Array]) -> dict[str, str]:
             ends = [m.start() for m in re.finditer(first, key)] if not _OTHER.search(key) else []
             for at in ends:
                 partner = keys.get(key[:at] + second + key[at + len(first) :])
-                if partner is not None and "ecef" not in key:
+                metres = one == "lat" and unit(name) in LENGTHS
+                if partner is not None and "ecef" not in key and not metres:
                     return {one: name, other: partner} | ({"units": "mm"} if unit(name) in ("px", "pixel") else {})
     return {}
 
 
-def _by_values(values: Mapping[str, Array], texts: Mapping[str, list[str]]) -> dict[str, str]:
-    """Two columns of degrees; or, where columns have no names but numbers, the first two that vary as positions do."""
+def _of_degrees(values: Mapping[str, Array], texts: Mapping[str, list[str]]) -> dict[str, str]:
+    """Two columns side by side that look like degrees."""
     fine = {
         name: column
         for name, column in values.items()
@@ -93,9 +94,10 @@ def _by_values(values: Mapping[str, Array], texts: Mapping[str, list[str]]) -> d
     for one, other in pairwise(fine):
         if np.abs(fine[one]).max() <= 90 and min(np.abs(np.median(fine[name])) for name in (one, other)) > 1:
             return {"lat": one, "lon": other}
-    vary = [
-        name
-        for name, column in values.items()
-        if len(np.unique(column)) > len(column) / 2 and not _OTHER.search(" ".join(name_words(name)))
-    ]
+    return {}
+
+
+def _that_vary(values: Mapping[str, Array]) -> dict[str, str]:
+    """The first two columns that vary as positions do, where columns have no names but numbers."""
+    vary = [name for name, column in values.items() if len(np.unique(column)) > len(column) / 2]
     return {"x": vary[0], "y": vary[1]} if len(vary) > 1 and vary[0].isdigit() else {}
