@@ -13,7 +13,18 @@ from torchfra.compiler.entries import Entries, as_entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program, batch_first
 from torchfra.compiler.source import Port, Scan
-from torchfra.linalg import gram_pinv, hstack, safe_divide, safe_log, safe_sqrt, safe_square, tria, tria_beside, whiten
+from torchfra.linalg import (
+    gram_information,
+    gram_pinv,
+    hstack,
+    safe_divide,
+    safe_log,
+    safe_sqrt,
+    safe_square,
+    tria,
+    tria_beside,
+    whiten,
+)
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import eliminated
 
@@ -225,6 +236,16 @@ def test_gram_pinv_is_that_of_the_truncated_pseudo_inverse(shape, rcond):
 
 def test_gram_pinv_has_a_gradient_where_singular_values_coincide():
     assert torch.autograd.gradcheck(lambda x: gram_pinv(x, 0.1), torch.eye(3, dtype=torch.float64, requires_grad=True))
+
+
+@pytest.mark.parametrize(("dtype", "least"), [(torch.float32, 1e-5), (torch.float64, 1e-11)])
+def test_little_information_is_kept(dtype, least):
+    """An eigenvalue of 1 - p tells p: without it the mean would be off by a share of the root of p of its deviation."""
+    h = torch.tensor([0.5, 1 - least, 1.0, 1.5], dtype=torch.float64).sqrt().diag().to(dtype)
+    root, weight = gram_information(h)
+    expected = torch.tensor([1.0, least**0.5, 0.0, 0.0], dtype=dtype).diag()
+    torch.testing.assert_close(root, expected, rtol=1e-2, atol=0)
+    torch.testing.assert_close((root @ weight).diagonal()[:2], 1 / h.diagonal()[:2].square(), rtol=1e-4, atol=0)
 
 
 def test_small_helpers():

@@ -142,8 +142,9 @@ def test_moments_of_accelerations_that_are_not_known_yet_lose_digits_beside_a_pr
     several = {"neighbours": ((1,), (0,)), "first": (0, 1)} if name.startswith("vsimm") else {}
     f = getattr(presets, name)(models if "imm" in name else models[0], Position(0.1), **several)
     z = tracks(*CASES["constant velocity"])
-    _, _, *filtered = lost(f, z, 1e5 * torch.eye(6).double())
-    assert max(filtered) <= 1e-3
+    *smoothed, filtered, variances = lost(f, z, 1e5 * torch.eye(6).double())
+    assert max(filtered, variances) <= 1e-3
+    assert max(smoothed) <= 2e-3
     for run in (f, f.smooth):
         with pytest.warns(LostDigits, match="prior: expected standard deviations below 1e.07 times"):
             run(z.float(), Gaussian(torch.zeros(6), 1e7 * torch.eye(6)))
