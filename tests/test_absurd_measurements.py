@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from torchfra import Gaussian, presets
+from torchfra.gaussian.mixture import nearest
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 
@@ -63,3 +64,10 @@ def test_the_nearest_of_several_plain_models_follows_it_and_probabilities_sum_to
     assert not estimate.failed.any()
     assert (estimate.info.probabilities[:, 10] == torch.tensor([0.0, 1.0])).all()
     torch.testing.assert_close(estimate.info.probabilities.sum(-1), torch.ones(2, 30, dtype=dtype))
+
+
+def test_the_nearest_is_so_by_its_distance_and_not_by_the_sign_of_a_residual():
+    none, far = torch.full((3,), -torch.inf), torch.tensor([[1e25, 1e25], [-3e25, 0.0], [2e25, torch.nan]])
+    assert nearest(none, far).tolist() == [0.0, -torch.inf, -torch.inf]
+    known = torch.tensor([-torch.inf, -5.0, -torch.inf])
+    assert nearest(known, far).tolist() == known.tolist()

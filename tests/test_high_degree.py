@@ -10,7 +10,8 @@ import torch
 from torchfra import linalg, presets
 from torchfra.adaptive import Fading
 from torchfra.filters import SRCKF
-from torchfra.gaussian import fifth_degree, gauss_hermite, spherical_fifth_degree, third_degree
+from torchfra.gaussian import fifth_degree, gauss_hermite, spherical_fifth_degree, third_degree, unscented
+from torchfra.gaussian.rules import SigmaPoints
 from torchfra.motion import ConstantAcceleration, Motion
 from torchfra.sensors import Position, Sensor
 from torchfra.types import Gaussian
@@ -44,6 +45,28 @@ def test_products_of_gauss_and_hermite_are_exact_in_each_component(order, n):
     assert len(rule.points) == order**n + (order % 2 == 0)  # the centre is always a point
     for powers in product(range(2 * order), repeat=n):
         assert integral(rule, n, powers) == pytest.approx(moment(powers), rel=1e-11, abs=1e-10)
+
+
+@pytest.mark.parametrize("make", [third_degree, unscented(0.5), fifth_degree])
+def test_single_precision_keeps_a_curvature_and_finds_none_in_a_line(make):
+    rule, belief = make(2), Gaussian(torch.tensor([-3.0, 2.0]), torch.tensor([[0.5, 0.0], [0.2, 0.4]]))
+    wide = Gaussian(*(x.double() for x in belief))
+    single, double = (rule(lambda x: x.prod(-1, keepdim=True), x, torch.sub) for x in (belief, wide))
+    for a, b in zip(single, double, strict=True):
+        if b is not None:
+            torch.testing.assert_close(a.double(), b, rtol=1e-5, atol=1e-5)
+    at = Gaussian(torch.tensor([-1.2345678e6, -7e5]), belief.scale_tril)
+    line = rule(lambda x: 0.3 * x[..., :1] + 0.7 * x[..., 1:], at, torch.sub)
+    assert (line.spread[..., :-2] == 0).all()
+
+
+def test_negative_weights_are_refused_where_a_rule_does_not_say_that_it_has_them():
+    points, weights = torch.tensor([[1.0, -1.0, 2.0, -2.0]]), torch.tensor([0.75, 0.75, -0.0625, -0.0625])
+    with pytest.raises(
+        ValueError, match=r"^weights: expected all above 0 except the centre's, received \[0\.75, 0\.75, -"
+    ):
+        SigmaPoints(points, weights)
+    SigmaPoints(points, weights, signed=True)
 
 
 @pytest.mark.slow

@@ -248,6 +248,16 @@ def test_little_information_is_kept(dtype, least):
     torch.testing.assert_close((root @ weight).diagonal()[:2], 1 / h.diagonal()[:2].square(), rtol=1e-4, atol=0)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_much_information_is_kept_with_its_gradient_as_long_as_numbers_hold_it(dtype):
+    h = torch.tensor([[torch.finfo(dtype).max ** -0.31]], dtype=dtype, requires_grad=True)
+    root, _ = gram_information(h)
+    torch.testing.assert_close(root, 1 / h)
+    (slope,) = torch.autograd.grad(root, h)
+    torch.testing.assert_close(slope, -1 / h.detach().square())
+    assert gram_information(h.detach() / torch.finfo(dtype).max ** 0.03)[0] == 0
+
+
 def test_small_helpers():
     assert hstack(torch.ones(3, 2, 1), torch.zeros(2, 4)).shape == (3, 2, 5)
     root, v = tria(random(4, 3, 5)), random(4, 3)

@@ -70,7 +70,7 @@ def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
     # Divided differences of a(p) = sqrt(1 / p - 1) and of 1 / s(p), s(p) = sqrt(p - p^2), between p and q, with
     # b = a(q) and t = s(q); without the difference p - q, in which digits would be lost.
     (p, q), (a, b), (s, t) = ((x.unsqueeze(-1), x.unsqueeze(-2)) for x in (inside, root, share))
-    return function(root, -1 / (p * q * (a + b))), function(1 / share, (p + q - 1) / (s * t * (s + t)))
+    return function(root, -1 / (p * (q * (a + b)))), function(1 / share, (p + q - 1) / (s * t * (s + t)))
 
 
 _LEAST = 1e-12
