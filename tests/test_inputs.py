@@ -180,7 +180,7 @@ class Wide(ConstantVelocity):
 @pytest.mark.parametrize("compiled", [False, True])
 def test_errors_inside_models_tell_whose_they_are(compiled):
     for motion, sensor, message in (
-        (MOTION, Multiplying(1.0), r"Multiplying.forward: states \(.*2\), u None: "),
+        (MOTION, Multiplying(1.0), r"Multiplying.forward: states \(.*2\) in torch.float64, u None: "),
         (Wide("transition"), SENSOR, r"Wide.transition: expected \(..., 4, 4\), received \(6, 6\)"),
         (Wide("noise"), SENSOR, r"Wide.process_noise: expected \(..., 4, r\), received \(6, 6\)"),
     ):

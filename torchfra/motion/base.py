@@ -197,7 +197,7 @@ class Motion(Part):
         except NotImplementedError:  # raised by a kernel, with a message of its own
             raise
         except (RuntimeError, IndexError) as error:
-            inputs = f"states {tuple(x.shape)}, u {None if u is None else tuple(u.shape)}"
+            inputs = f"states {tuple(x.shape)} in {x.dtype}, u {None if u is None else tuple(u.shape)}"
             raise type(error)(f"{type(self).__name__}.forward: {inputs}: {error}") from error
         if after.dim() < x.dim() or after.shape[-1] != self.size:
             expected, received = tuple(x.shape), tuple(after.shape)
