@@ -12,6 +12,7 @@ from torchfra import tree
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.numbers import as_tensor
+from torchfra.steps.records import decided, undecided
 from torchfra.types import Gaussian
 
 _AT_ONCE = 1 << 20
@@ -82,7 +83,7 @@ def windows(
         if isinstance(dt, Tensor) and dt.dim():
             dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
         u = None if u is None else unfolded(u, u.dim() - 2)
-        ends = (None if x is None else tree.map_tensors(ending, x.decided(), x.undecided()) for x in (past, source))
+        ends = (None if x is None else tree.map_tensors(ending, decided(x), undecided(x)) for x in (past, source))
         yield next(ends), next(ends), measurements._replace(dt=dt, u=u)
 
 
@@ -106,9 +107,9 @@ def backward_inputs(f: Any, past: Any, source: Any, measurements: Measurements, 
         measurements: of the forward pass.
         rank: dimensions of the batch.
     """
-    past = past.decided()
-    source = None if source is None else source.decided()
-    following = tree.map_tensors(lambda x: x.roll(-1, rank), past.of_next())
+    past, source = decided(past), decided(source)
+    following = past.of_next() if hasattr(past, "of_next") else past
+    following = tree.map_tensors(lambda x: x.roll(-1, rank), following)
     varying, like, u = measurements.varying_dt, measurements.z, measurements.u
     seconds = as_tensor(measurements.dt if varying else measurements.common_dt, like)
     data = {f"past{i}": x for i, x in enumerate(tree.flatten((past, following, source)))}

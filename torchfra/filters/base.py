@@ -216,7 +216,9 @@ class Filter(Part, Generic[S]):
         """
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
-        """The past for the backward pass: a tuple of ``(..., T, ...)`` tensors with the methods of ``records.Past``.
+        """The past for the backward pass: a tuple of ``(..., T, ...)`` tensors, such as a ``records.Past``.
+
+        One with a method ``of_next`` says by it what ``retreat`` reads of the next step: all else is None.
 
         Args:
             belief: the estimates of ``forward``.
@@ -233,11 +235,6 @@ class Filter(Part, Generic[S]):
         return past.belief, Smoothed(past.belief, repaired=repaired)
 
     # ------------------------------------------------------------ to write a filter with
-
-    @property
-    def signed(self) -> bool:
-        """Whether some weights of the rule are negative, so that covariances may need repair."""
-        return self.motion_rule.signed or self.sensor_rule.signed
 
     def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
         """The belief one step later."""
@@ -279,7 +276,7 @@ class Filter(Part, Generic[S]):
             ValueError: a shape that does not fit.
         """
         n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
-        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * self._rank)
+        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * _least_rank(self))
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         begun: S = self.viewed.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
         return begun
@@ -526,17 +523,12 @@ class Filter(Part, Generic[S]):
 
     # ------------------------------------------------------------ for engines
 
-    @property
-    def _rank(self) -> int:
-        """Least number of batch dimensions."""
-        return max(batch_rank(self), int(self.scans))
-
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
         batch = check(
             measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt
         )
-        batch = torch.Size((1,) * (self._rank - self.scans - len(batch))) + batch
+        batch = torch.Size((1,) * (_least_rank(self) - self.scans - len(batch))) + batch
         batch = batch if self.scans else broadcast_with_values(self, batch)
         warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
         warn_of_degrees(measurements.z, self.sensor)
@@ -548,3 +540,8 @@ class Filter(Part, Generic[S]):
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
         return make_frames(measurements, self.frame_motion, self.sensor, rank)
+
+
+def _least_rank(f: Filter) -> int:
+    """Least number of batch dimensions of a filter's tracks."""
+    return max(batch_rank(f), int(f.scans))

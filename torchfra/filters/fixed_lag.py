@@ -16,7 +16,7 @@ from torchfra.hyper import Part, spoilt
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_lengths, check_step
 from torchfra.steps.loop import Options, backward, one_step
-from torchfra.steps.records import Record, Smoothed, innovation
+from torchfra.steps.records import Record, Smoothed, innovation, undecided
 from torchfra.types import Gaussian, Innovation
 
 
@@ -119,4 +119,4 @@ def smooth_window(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smooth
     belief, info, steps = joined(steps, rank)
     past = f.past(*f.finish(inner, belief, info), inner, steps)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
-    return backward(f, [*earlier, now.undecided()], [step.frame for step in window], rank, None, Options())
+    return backward(f, [*earlier, undecided(now)], [step.frame for step in window], rank, None, Options())

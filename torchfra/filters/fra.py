@@ -6,7 +6,7 @@ Equation numbers are those of Wang et al. (2021).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -24,14 +24,14 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
-from torchfra.hyper import Hyper, Value, brings_batch, one_of
+from torchfra.hyper import Hyper, Value, brings_batch, once, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number
 from torchfra.robust.weights import Huber, Weights
 from torchfra.sensors.base import Sensor
-from torchfra.steps.checks import check_parts
+from torchfra.steps.checks import check_parts, check_weights
 from torchfra.steps.records import Past, Record
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -201,8 +201,7 @@ class FRA(Soft, Filter[FRAState]):
         super().__init__(motion, sensor, rule)
         one_of(decision=(decision, ("normalised", "likelihood")), memory=(memory, ("plain", "weighted")))
         one_of(provisional=(provisional, UNDECIDED), final=(final, UNDECIDED))
-        if self.signed:
-            raise ValueError("rule: expected one without negative weights, received one with some")
+        check_weights(self)
         if patience != 0 and not 1 <= as_number(patience) < math.inf:
             raise ValueError(f"patience: expected 0, or a finite number of 1 or more, received {patience!r}")
         robust, fading = Huber() if robust is None else robust, Fading() if fading is None else fading
@@ -239,40 +238,36 @@ class FRA(Soft, Filter[FRAState]):
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the step before is decided, then this one is normal or forks."""
         lagged, kept, repeated = self.decide_before(state, frame)
-        prediction, whitened = self.compare_predicted(lagged if mix is None else mix(lagged), frame)
+        prediction = self.predicted(lagged if mix is None else mix(lagged), frame)
+        whitened = self.compare(prediction.belief, frame)
         plain, root, normalised = correct(prediction.belief, whitened)
         nis = normalised.square().sum(-1)  # eq. (35)
         weights = self.robust(whitened.residual, nis)
         excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.measured)
-        robust, adaptive, factor = self.where_abnormal(
-            excess > 0, self.fork, (prediction, whitened, weights, memory, frame), (plain, plain, torch.ones_like(nis))
-        )  # eq. (36)
+        abnormal, normal = excess > 0, (plain, plain, torch.ones_like(nis))
+        forked = prediction, whitened, weights, memory, frame
+        robust, adaptive, factor = self.where_abnormal(abnormal, self.fork, forked, normal)  # eq. (36)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
         repeated = torch.where(self.is_far(excess) | (nis == 0), repeated, 0.0)  # any other measurement ends a row
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, whitened.residual, repeated)
-        weights = tree.where(state.abnormal, weights, torch.ones_like(weights))
-        info = FRAStep(tree.Late((lagged, kept)), state.abnormal, factor, weights)
+        weights = torch.where(abnormal.unsqueeze(-1), weights, 1.0)
+        info = FRAStep(tree.Late((lagged, kept)), abnormal, factor, weights)
         # Only interacting models, which give a ``mix``, weigh their models by this evidence.
         density = None if mix is None else down_weighted_density(*innovation(down_weight(whitened, weights)), weights)
-        return state, Record(state.belief, whitened.residual, root, normalised, info, evidence=density)
-
-    def compare_predicted(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
-        """The prediction of a step, compared with the measurement."""
-        prediction = self.predicted(belief, frame)
-        return prediction, self.compare(prediction.belief, frame)
+        return state, Record(belief, whitened.residual, root, normalised, info, evidence=density)
 
     def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice, Tensor]:
         """The final estimate of the step before, by this measurement, which branch was kept, and ``repeated`` now."""
-        given = (*state.branches, Undecided(state.excess, state.residual, state.repeated), frame)
+        branches, abnormal = state.branches, state.abnormal
+        given = (*branches, Undecided(state.excess, state.residual, state.repeated), frame)
         if self.soft:
             scores, repeated = self.score(*given)
-            kept = Choice(*(state.abnormal & x for x in best(scores)))
-            return self.weighted(scores, state.excess, state.branches), kept, repeated
-        no = torch.zeros_like(state.abnormal)
-        kept, repeated = self.where_abnormal(state.abnormal, self.decide, given, (Choice(no, no), state.repeated))
-        return chosen(kept, state.branches), kept, repeated
+            return *self.choose(scores, state.excess, branches), repeated
+        no = torch.zeros_like(abnormal)
+        kept, repeated = self.where_abnormal(abnormal, self.decide, given, (Choice(no, no), state.repeated))
+        return chosen(kept, branches), kept, repeated
 
     def decide(
         self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
@@ -289,8 +284,7 @@ class FRA(Soft, Filter[FRAState]):
         A score is minus infinity if the branch has failed, or is not to be followed yet.
         """
         branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
-        _, whitened = self.compare_predicted(tree.stack(branches, 0), frame)
-        root, normalised = innovation(whitened)
+        root, normalised = innovation(self.compare(self.predicted(tree.stack(branches, 0), frame).belief, frame))
         score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
@@ -331,33 +325,24 @@ class FRA(Soft, Filter[FRAState]):
         odds = [self.preference(like), even] if self.plain is None else [self.preference(like), even, self.plain(like)]
         return torch.stack(torch.broadcast_tensors(*odds))
 
+    def choose(self, scores: Tensor, excess: Tensor, branches: Branches) -> tuple[Gaussian, Choice]:
+        """The estimate by ``scores (branches, ...)``, and the branch of the largest in abnormal steps.
+
+        The estimate is that branch, with a soft decision the moments of all.
+        """
+        kept = Choice(*((excess > 0) & x for x in best(scores)))
+        if not self.soft:
+            return chosen(kept, branches), kept
+        return moments(scores / self.temperature, excess / self.temperature, branches[-1], branches), kept
+
     def undecided(self, branch: str, excess: Tensor, branches: Branches) -> Gaussian:
         """The estimate of a step before the next measurement: the named ``branch``, or the likeliest."""
-        if branch != "likeliest":
-            return self.estimate(excess, branches[-1], branches[UNDECIDED.index(branch)])
-        odds = self.odds(excess)
-        return self.weighted(odds, excess, branches) if self.soft else chosen(best(odds), branches)
-
-    def weighted(self, scores: Tensor, excess: Tensor, branches: Branches) -> Gaussian:
-        """For a soft decision: the moments of all branches, weighted by their ``scores (branches, ...)``."""
-        shares = torch.log_softmax(scores / self.temperature, 0)
-        return self.estimate(excess, branches[-1], *branches[: len(scores)], shares=shares)
-
-    def estimate(self, excess: Tensor, plain: Gaussian, *branches: Gaussian, shares: Tensor | None = None) -> Gaussian:
-        """The estimate of a step that is normal or abnormal: by a hard decision the only branch, by a soft one moments.
-
-        Args:
-            excess: ``(...)`` normalised innovation squared less the gate.
-            plain: for normal steps.
-            branches: for abnormal ones; exactly one with a hard decision.
-            shares: ``(branches, ...)`` logs of their weights, if there are several.
-        """
+        if branch == "likeliest":
+            return self.choose(self.odds(excess), excess, branches)[0]
+        named = branches[UNDECIDED.index(branch)]
         if not self.soft:
-            return branches[0]
-        normal, abnormal = (logsigmoid(sign * excess / self.temperature).unsqueeze(0) for sign in (-1, 1))
-        abnormal = abnormal if shares is None else abnormal + shares
-        log_weights = torch.cat([normal.expand_as(abnormal[:1]), abnormal])
-        return moment_match(tree.stack([plain, *branches], 0), log_weights)
+            return named
+        return moments(torch.zeros_like(excess).unsqueeze(0), excess / self.temperature, branches[-1], [named])
 
     def fork(
         self, prediction: Prediction, whitened: Whitened, weights: Tensor, memory: Memory, frame: Frame
@@ -396,15 +381,21 @@ class FRA(Soft, Filter[FRAState]):
         """
         if self.soft:
             return function(*arguments)
+        if is_traced(mask):
+            return tree.where(mask, function(*arguments), default)
+        if not mask.any():
+            return default
+        if self.of_one_batch():
+            return tree.where(mask, function(*arguments), default)
+        return tree.where_needed(mask, function, arguments, default)
+
+    @once
+    def of_one_batch(self, like: Tensor | None = None) -> bool:
+        """Whether hyperparameters have a batch, or a motion works on those of its models."""
         parts: list[Any] = [self.gate, self.preference, self.plain, self.robust, self.fading, self.sensor]
         parts += [] if self.motion.linear else [self.motion]  # a linear one has given its matrices for each track
         own = not self.motion.linear and bool(self.motion.stacked)
-        traced = is_traced(mask)
-        if not traced and not mask.any():
-            return default
-        if own or traced or any(part is not None and brings_batch(part) for part in parts):
-            return tree.where(mask, function(*arguments), default)
-        return tree.where_needed(mask, function, arguments, default)
+        return own or any(part is not None and brings_batch(part) for part in parts)
 
 
 def best(scores: Tensor) -> Choice:
@@ -415,22 +406,40 @@ def best(scores: Tensor) -> Choice:
     Args:
         scores: ``(branches, ...)`` of robust, adaptive and, if there is one, plain.
     """
+
+    def exceeds(a: Tensor, b: Tensor) -> Tensor:
+        """Whether ``a`` is larger than ``b`` by more than rounding; either may be minus infinity."""
+        return a > b + _ROUNDING * (1 + torch.minimum(a.abs(), b.abs()))
+
     robust, adaptive = scores[0], scores[1]
-    better = _exceeds(adaptive, robust)
+    better = exceeds(adaptive, robust)
     if len(scores) == 2:
         return Choice(better, torch.zeros_like(better))
-    plain = _exceeds(scores[2], torch.maximum(robust, adaptive))
+    plain = exceeds(scores[2], torch.maximum(robust, adaptive))
     return Choice(better & ~plain, plain)
 
 
-def _exceeds(a: Tensor, b: Tensor) -> Tensor:
-    """Whether ``a`` is larger than ``b`` by more than rounding; either may be minus infinity."""
-    exceeds: Tensor = a > b + _ROUNDING * (1 + torch.minimum(a.abs(), b.abs()))
-    return exceeds
+def moments(scores: Tensor, excess: Tensor, plain: Gaussian, branches: Sequence[Gaussian]) -> Gaussian:
+    """The moments of a step that is normal, with the ``plain`` estimate, or abnormal, with one of several branches.
+
+    Args:
+        scores: ``(branches, ...)``, whose softmax are the shares of the branches of an abnormal step.
+        excess: ``(...)``, whose sigmoid is the probability that the step is abnormal.
+        plain: for a normal step.
+        branches: as many as have scores, or more.
+    """
+    normal, abnormal = (logsigmoid(sign * excess).unsqueeze(0) for sign in (-1, 1))
+    abnormal = abnormal + torch.log_softmax(scores, 0)
+    log_weights = torch.cat([normal.expand_as(abnormal[:1]), abnormal])
+    return moment_match(tree.stack([plain, *branches[: len(scores)]], 0), log_weights)
 
 
 def chosen(kept: Choice, branches: Branches) -> Gaussian:
     """The branch that was kept."""
-    robust, adaptive, plain = branches
-    belief: Gaussian = tree.where(kept.adaptive, adaptive, tree.where(kept.plain, plain, robust))
+
+    def pick(robust: Tensor, adaptive: Tensor, plain: Tensor) -> Tensor:
+        to_adaptive, to_plain = (x.reshape(x.shape + (1,) * (robust.dim() - x.dim())) for x in kept)
+        return torch.where(to_adaptive, adaptive, torch.where(to_plain, plain, robust))
+
+    belief: Gaussian = tree.map_tensors(pick, *branches)
     return belief

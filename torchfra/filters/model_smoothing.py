@@ -40,15 +40,6 @@ class ModelsPast(NamedTuple):
     active: Tensor | None = None
     """``(..., A, K)``, as in ``IMMState``; None if all run."""
 
-    def undecided(self) -> ModelsPast:
-        """As in ``Past``, of all models."""
-        inner = self.inner.undecided()
-        return self if inner is self.inner else self._replace(inner=inner)
-
-    def decided(self) -> ModelsPast:
-        """As in ``Past``, of all models."""
-        return self._replace(inner=self.inner.decided())
-
     def of_next(self) -> ModelsPast:
         """As in ``Past``: that of the models' filters."""
         inner = self.inner.of_next()

@@ -106,7 +106,7 @@ class SensorsInTurn:
         self.filter, self.which = f, [int(k) for k in numbers]
         self.views = [f.with_sensor(sensor) for sensor in sensors]
 
-    def batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
+    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments for each sensor; their batch."""
         sizes = [view.sensor.size for view in self.views]
         check(measurements, prior, self.filter.motion, max(sizes), name=name, zero_dt=self.filter.zero_dt)
@@ -123,7 +123,7 @@ class SensorsInTurn:
         batches = [self.views[k]._batch(part, prior, name) for k, _, part in self._of_each(measurements)]
         return broadcast_shapes(*batches)
 
-    def frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], None]:
+    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], None]:
         """A frame for each step."""
         frames: dict[int, Frame] = {}
         for k, steps, part in self._of_each(measurements):
@@ -136,10 +136,12 @@ class SensorsInTurn:
         parts = (_part(measurements, steps, self.views[k].sensor.size) for k, steps in every.items())
         return [(*each, part) for each, part in zip(every.items(), parts, strict=True)]
 
-    def forward(self, measurements: Measurements, prior: Gaussian, options: Options) -> tuple[Estimate, Any, Any]:
+    def forward(
+        self, f: Any, measurements: Measurements, prior: Gaussian, options: Options
+    ) -> tuple[Estimate, Any, Any]:
         """Filters whole tracks from their prior, stretches of steps of one sensor by the engine of its view."""
-        f, steps, truncate = self.filter, len(self.which), options.truncate
-        state, rank = start(f, measurements, prior, self.batch(measurements, prior))
+        steps, truncate = len(self.which), options.truncate
+        state, rank = start(f, measurements, prior, self._batch(measurements, prior))
         changes = {k for k in range(1, steps) if self.which[k] != self.which[k - 1]}
         bounds = sorted({0, steps} | changes | set(range(0, steps, truncate or steps)))
         parts = []

@@ -20,7 +20,7 @@ from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
 from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import Sensor
-from torchfra.steps.checks import check_parts
+from torchfra.steps.checks import check_parts, check_weights
 from torchfra.steps.records import Past, Record
 from torchfra.types import Gaussian, Prediction, Whitened
 
@@ -99,10 +99,8 @@ class SRCKF(Filter[State]):
         self.robust, self.noise, self.redraw = robust, noise, redraw
         self.mixes = redraw  # a mix has the moments of beliefs alone, for which new points are drawn
         self.fading = None if fading is None else fading.for_motion(motion)
-        if self.signed and fading is not None:
-            raise ValueError(
-                "rule: expected one without negative weights beside fading factors, received one with some"
-            )
+        if fading is not None:
+            check_weights(self, " beside fading factors")
         others = [name for name, part in (("robust", robust), ("fading", fading)) if part is not None]
         if others and noise is not None:
             expected = "none beside an estimate of the measurement noise"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import torch
-
 from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradients, without_failed_gradients
 from torchfra.filters.several_sensors import SensorsInTurn
 from torchfra.gaussian.inputs import Measurements
@@ -56,20 +54,12 @@ class WholeTracks(NamedTuple):
         """The measurements with the inputs that they need alone."""
         if self.turns is not None:
             return measurements
-        return needed_inputs(self.f, measurements, lambda: self._batch(measurements, prior))
-
-    def _batch(self, measurements: Measurements, prior: Gaussian) -> torch.Size:
-        """The batch of the arguments, which are checked."""
-        checked: torch.Size = (self.f._batch if self.turns is None else self.turns.batch)(measurements, prior)
-        return checked
+        return needed_inputs(self.f, measurements, lambda: self.f._batch(measurements, prior))
 
     def _run(self, measurements: Measurements, prior: Gaussian, *, past: bool) -> tuple[Estimate, Any, Any]:
         """The estimate, and for a backward pass the last state and ``Record.past`` of all steps."""
         f, options = self.f, self.options._replace(past=past)
-        if self.turns is None:
-            estimate, state, kept = f.engine.forward(f, measurements, prior, options)
-        else:
-            estimate, state, kept = self.turns.forward(measurements, prior, options)
+        estimate, state, kept = (self.turns or f.engine).forward(f, measurements, prior, options)
         if estimate.failure is None:
             estimate = estimate._replace(failure=diagnose(f, estimate, measurements, prior))
         return with_gradients(f, estimate), state, kept
@@ -79,7 +69,7 @@ class WholeTracks(NamedTuple):
         f, state, steps = self.f, None, None
         if estimate is not None:
             targets, length = prior.mean.shape[-1 - f.scans : -1], measurements.z.shape[-2 - f.scans]
-            expected = (*self._batch(measurements, prior), *targets, length, f.motion.size)
+            expected = (*(self.turns or f)._batch(measurements, prior), *targets, length, f.motion.size)
             if estimate.mean.shape != expected:
                 received = tuple(estimate.mean.shape)
                 raise ValueError(f"estimate: expected one of these tracks, {expected}, received {received}")
@@ -96,9 +86,9 @@ class WholeTracks(NamedTuple):
     ) -> Estimate:
         """The smoothed estimate."""
         filtered, past = self._filtered(measurements, prior, filtered)
-        rank, frames = filtered.mean.dim() - 2, self.f._frames if self.turns is None else self.turns.frames
-        smoothed: Smoothed = self.f.engine.backward(
-            self.f, past, measurements, rank, lambda: frames(measurements, rank)[0], lag, self.options
+        f, rank, frames = self.f, filtered.mean.dim() - 2, (self.turns or self.f)._frames
+        smoothed: Smoothed = f.engine.backward(
+            f, past, measurements, rank, lambda: frames(measurements, rank)[0], lag, self.options
         )
         info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)
         estimate = Estimate(*smoothed.belief, filtered.nis, filtered.log_likelihood, info)

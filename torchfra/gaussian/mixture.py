@@ -86,7 +86,7 @@ def log_sum(log_weights: Tensor, dim: int) -> Tensor:
     return safe_log((log_weights - top).exp().sum(dim)) + top.squeeze(dim)
 
 
-def largest(log_weights: Tensor, dim: int, keepdim: bool = False) -> Tensor:
+def largest(log_weights: Tensor, dim: int | tuple[int, ...], keepdim: bool = False) -> Tensor:
     """The largest of the logs of weights, without a gradient; 0 where all weights are 0."""
     top = log_weights.detach().amax(dim, keepdim)
     return torch.where(top == -torch.inf, 0.0, top)

@@ -33,6 +33,13 @@ _caller: ContextVar[Callable[..., Any] | None] = ContextVar("caller", default=No
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def is_plain(x: Tensor) -> bool:
+    """Whether only the numbers of a tensor are wanted: no derivative in any mode, and no code that is traced."""
+    if x.requires_grad or torch.compiler.is_compiling() or _elementary.get() or forward_ad._current_level >= 0:
+        return False
+    return not torch._C._functorch.is_functorch_wrapped_tensor(x)
+
+
 @contextmanager
 def elementary(caller: Callable[..., Any] | None = None) -> Iterator[None]:
     """Inside this context, decompositions run as loops of elementary arithmetic, entry by entry.

@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import batchwise, has_tangents, is_elementary, is_traced
+from torchfra.linalg.tracing import batchwise, has_tangents, is_elementary, is_plain, is_traced
 
 
 def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
@@ -45,9 +45,7 @@ def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
     # no arbitrary direction enters its column of L.
     a = a if padded else pad(a, (a.shape[-2], 0))
     way = _Way.GRADED if graded else _Way.EVEN
-    if not _differentiated(a):
-        return _reflect(a, way)  # the same result, without the overhead of autograd
-    return _apply(a, way)
+    return _reflect(a, way) if is_plain(a) else _apply(a, way)  # the same result, without the overhead of autograd
 
 
 def tria_of_update(a: Tensor, measured: int, reads: int) -> Tensor:
@@ -69,7 +67,7 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
     full = hstack(torch.diag(diagonal), a)
     if _by_rows(full):
         return tria(full)
-    if not _differentiated(full):
+    if is_plain(full):
         return _positive(_reflect(full, _Way.GRADED))
     return _apply(full, _Way.BESIDE)
 
@@ -91,11 +89,6 @@ def _apply(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
     return result
 
 
-def _differentiated(a: Tensor) -> bool:
-    """Whether derivatives may be needed, in reverse or forward mode, or code is traced."""
-    return a.requires_grad or is_traced(a) or has_tangents()
-
-
 def _positive(lower: Tensor) -> Tensor:
     """The root with a non-negative diagonal: rows whose part beside the diagonal is zero were not reflected."""
     return torch.where(lower.diagonal(dim1=-2, dim2=-1).unsqueeze(-2) < 0, -lower, lower)
@@ -114,12 +107,8 @@ def _triangularise(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
         return _by_gram_schmidt(a, way)[0]
     if not is_traced(a):
         return _reflect(a, way)
-    return -torch.linalg.qr(_finer(a, way).mT, mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
-
-
-def _finer(a: Tensor, way: _Way) -> Tensor:
-    """The matrix in double precision where columns may be of any scale: reflections keep the digits of rows alone."""
-    return a if way is _Way.EVEN else a.double()
+    finer = a if way is _Way.EVEN else a.double()
+    return -torch.linalg.qr(finer.mT, mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
 
 
 _SMALL = 16
@@ -297,7 +286,8 @@ def _reflect(a: Tensor, way: _Way) -> Tensor:
     two threads (by the clock 4.4 +- 0.2 and 1.25 +- 0.15); with one thread 1.02 +- 0.02 and 1.00 +- 0.02 times, for
     1000 tracks 1.06 +- 0.01 (processor time, medians of ratios of turns with standard errors, a busy server).
     """
-    n, finer = a.shape[-2], _finer(a, way)
+    # Reflections keep the digits of rows alone: where columns may be of any scale they need more of them.
+    n, finer = a.shape[-2], a if way is _Way.EVEN else a.double()
     lower: Tensor = torch.geqrf(finer.mT)[0][..., :n, :].mT * _minus_lower(n, finer.dtype, a.device)
     return lower.to(a.dtype)
 

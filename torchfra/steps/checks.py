@@ -80,6 +80,16 @@ def check_parts(**parts: tuple[Any, type]) -> None:
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
+def check_weights(f: Any, beside: str = "") -> None:
+    """Checks that no weights of a filter's rule are negative, ``beside`` something.
+
+    Raises:
+        ValueError: some are.
+    """
+    if f.motion_rule.signed or f.sensor_rule.signed:
+        raise ValueError(f"rule: expected one without negative weights{beside}, received one with some")
+
+
 def check_state(f: Any, state: Any) -> None:
     """Checks that a state comes from this filter, or has the same form.
 

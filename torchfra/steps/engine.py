@@ -11,7 +11,7 @@ from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.hyper import spoilt
 from torchfra.steps.checks import check_step
 from torchfra.steps.loop import Options, backward, finish, observe, observe_apart, one_step, scan, start
-from torchfra.steps.records import Kept, Smoothed, kept
+from torchfra.steps.records import Kept, Smoothed, decided, kept
 from torchfra.types import Estimate, Gaussian
 
 Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
@@ -79,7 +79,7 @@ class Engine:
         """
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
-        return backward(f, [*earlier, last.decided()], steps, rank, lag, options)
+        return backward(f, [*earlier, decided(last)], steps, rank, lag, options)
 
     def another(self) -> Engine:
         """An engine of the same kind for another filter; this one itself, as it holds nothing of a filter."""

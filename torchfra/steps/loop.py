@@ -11,7 +11,7 @@ import torch
 from torchfra import tree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.hyper import same_values
-from torchfra.steps.records import Kept, Record, Smoothed, innovation
+from torchfra.steps.records import Kept, Record, Smoothed, innovation, undecided
 from torchfra.types import Estimate, Gaussian, Innovation
 
 
@@ -133,7 +133,7 @@ def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
 
     For ``window[0]`` the past of the next step is provisional: no later measurement has decided that step.
     """
-    provisional = step.next.undecided()
+    provisional = undecided(step.next)
     if provisional is step.next:
         before, smoothed = f.retreat(step, window)
     else:
@@ -141,6 +141,6 @@ def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
         if len(tree.flatten(window)[0]) > 1:
             older, smoothed = f.retreat(step, tree.map_tensors(lambda x: x[1:], window))
             before = tree.map_tensors(lambda *xs: torch.cat(xs), before, older)
-    now, _ = f.last(step.past.undecided())
+    now, _ = f.last(undecided(step.past))
     window = tree.map_tensors(lambda x, older: torch.cat([x.unsqueeze(0), older[:-1]]), now, before)
     return window, tree.map_tensors(lambda x: x[-1], smoothed)

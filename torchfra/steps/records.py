@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from torch import Tensor
@@ -100,14 +102,28 @@ class Past(NamedTuple):
     info: Any = None
     """``Estimate.info`` of the step, for a ``retreat`` that reads it."""
 
-    def undecided(self) -> Past:
-        """The past of a step before the next measurement has decided its estimate."""
-        return self if self.provisional is None else Past(*self.provisional)
-
-    def decided(self) -> Past:
-        """The past of a step whose estimate no later measurement can decide."""
-        return self._replace(provisional=None)
-
     def of_next(self) -> Past:
         """The part of the next step's past that ``retreat`` reads, here the fading factor; all else is None."""
         return self._replace(belief=None, provisional=None)  # type: ignore[arg-type]  # ``retreat`` reads no belief
+
+
+def undecided(past: Any) -> Any:
+    """The past of a step before the next measurement has decided its estimate; the same where nothing is open."""
+    return _each(lambda x: x if x.provisional is None else Past(*x.provisional), past)
+
+
+def decided(past: Any) -> Any:
+    """The past of a step whose estimate no later measurement can decide."""
+    return _each(lambda x: x if x.provisional is None else x._replace(provisional=None), past)
+
+
+def _each(function: Callable[[Past], Past], past: Any) -> Any:
+    """The function of every ``Past`` in a tuple; the very same tuple where that changes nothing."""
+    if isinstance(past, Past):
+        return function(past)
+    if not isinstance(past, tuple):
+        return past
+    parts = [_each(function, part) for part in past]
+    if all(map(operator.is_, parts, past)):
+        return past
+    return type(past)(*parts) if hasattr(past, "_fields") else tuple(parts)

@@ -53,6 +53,7 @@ from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.steps.checks import check_weights
 from torchfra.steps.records import Record, Smoothed
 from torchfra.types import Alarm, Gaussian, Whitened
 
@@ -150,8 +151,7 @@ class GPB(Filter[GPBState]):
         super().__init__(motion if isinstance(motion, Bank) else Bank([motion]), sensor, rule)
         if lag not in (0, 1):
             raise ValueError(f"lag: expected 0 or 1 steps, received {lag!r}")
-        if self.signed:
-            raise ValueError("rule: expected one without negative weights, received one with some")
+        check_weights(self)
         if regimes.motions != len(self.bank):
             raise ValueError(f"regimes: expected those of {len(self.bank)} motions, received of {regimes.motions}")
         outliers.check(sensor)

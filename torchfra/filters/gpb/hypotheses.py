@@ -60,15 +60,12 @@ class Hypotheses(NamedTuple):
 
         Where no hypothesis has any weight all shares are 0, with a gradient of 0.
         """
-        log_weight = _in_front(self.log_weight, axes).flatten(0, len(axes) - 1)
-        top = largest(log_weight, 0)
-        roots = (0.5 * (log_weight - top)).exp()
-        total = roots.square().sum(0)
+        top = largest(self.log_weight, axes, keepdim=True)
+        roots = (0.5 * (self.log_weight - top)).exp()
+        total = roots.square().sum(axes, keepdim=True)
         none = total == 0
         total = torch.where(none, 1.0, total)
-        log_total = torch.where(none, -torch.inf, top + total.log())
-        sizes = [self.log_weight.shape[axis] for axis in axes]
-        return _back((roots / total.sqrt()).unflatten(0, sizes), axes), _reinserted(log_total, axes)
+        return roots / total.sqrt(), torch.where(none, -torch.inf, top + total.log())
 
     def posterior(self) -> Posterior:
         """Probability of each, where weights are prior times likelihood of the measurement."""
@@ -239,12 +236,6 @@ def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
     """Moves axes in front of all others, in this order."""
     first = tuple(range(len(axes)))
     return x if tuple(axes) == first else x.movedim(tuple(axes), first)
-
-
-def _back(x: Tensor, axes: Sequence[int]) -> Tensor:
-    """The inverse of ``_in_front``."""
-    first = tuple(range(len(axes)))
-    return x if tuple(axes) == first else x.movedim(first, tuple(axes))
 
 
 def _reinserted(x: Tensor, axes: Sequence[int]) -> Tensor:

@@ -105,14 +105,6 @@ class GPBPast(NamedTuple):
     log_same_offset: Tensor | None = None
     """``(..., R)`` log likelihood ratio of outliers after an outlier, with and without ``same_offset``."""
 
-    def undecided(self) -> GPBPast:
-        """The past as it is: no later measurement changes it."""
-        return self
-
-    def decided(self) -> GPBPast:
-        """The past as it is."""
-        return self
-
     def of_next(self) -> GPBPast:
         """As in ``records.Past``: of the next step all that is no belief and no weight."""
         none: Any = None  # ``retreat`` reads no others

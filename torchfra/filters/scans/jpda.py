@@ -53,18 +53,6 @@ class ScanPast(NamedTuple):
     inflations: Tensor
     """``(..., N)`` number of times that the covariance of a lost track has been quadrupled."""
 
-    def undecided(self) -> ScanPast:
-        """The past as it is: no later scan changes it, and ``retreat`` reads all of it."""
-        return self
-
-    def decided(self) -> ScanPast:
-        """The past as it is."""
-        return self
-
-    def of_next(self) -> ScanPast:
-        """The past as it is."""
-        return self
-
 
 class JPDA(Soft, Filter[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
