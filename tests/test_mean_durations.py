@@ -180,7 +180,7 @@ def test_what_no_measurement_foretells_is_an_outlier_as_often_as_in_the_long_run
     if sensor is not None:
         state, _ = f.step(state, tensor(0.0, 0.0))
     view = f.with_sensor(sensor)
-    alone = view.without_memory(state)
+    alone = view.remembering(state)
     log_mode, block = view.outliers.predict(alone.outlier, alone.relaxation, torch.tensor(True))
     torch.testing.assert_close(log_mode.exp()[:, 0, 0], tensor(0.75, 0.25))
     assert (block == 1).all()

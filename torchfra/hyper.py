@@ -16,7 +16,7 @@ from torch.distributions import constraints, transform_to
 from typing_extensions import Self
 
 from torchfra import tree
-from torchfra.linalg.tracing import is_elementary, is_traced
+from torchfra.linalg.tracing import is_traced, now_elementary
 from torchfra.numbers import as_numbers
 from torchfra.suggestions import meant
 from torchfra.tables import text_table
@@ -50,7 +50,7 @@ def once(method: F) -> F:
 
     @wraps(method)
     def call(module: nn.Module, like: Tensor | None = None) -> Any:
-        known = None if torch.compiler.is_compiling() or is_elementary() else _known.get()
+        known = None if torch.compiler.is_compiling() or now_elementary() else _known.get()
         if known is None:
             return method(module, like)
         form = None if like is None else (like.dtype, like.device, like.dim())

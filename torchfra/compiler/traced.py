@@ -29,7 +29,7 @@ def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = No
     state = f.viewed.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if f.viewed is not f:
         # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
-        return f.with_memory_of(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+        return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
     if like is None or type(like) is type(state):
         return state
     return type(like)(state, *(x if x is None else Entries.inputs(book, tuple(targets), dtype) for x in like[1:]))

@@ -185,12 +185,11 @@ class Filter(Part, Generic[S]):
             raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
         return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
 
-    def without_memory(self, state: Any) -> Any:
-        """A state without the memory of earlier measurements, which were those of another sensor."""
-        return state
+    def remembering(self, state: Any, before: Any = None) -> Any:
+        """A state without the memory of earlier measurements, which were those of another sensor.
 
-    def with_memory_of(self, state: Any, before: Any) -> Any:
-        """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
+        After a measurement of another sensor it is one with the memory of the state ``before`` it.
+        """
         return state
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:

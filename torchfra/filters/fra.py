@@ -222,14 +222,12 @@ class FRA(Soft, Filter[FRAState]):
         residual = belief.mean.new_zeros(*normal.shape, self.sensor.size)
         return FRAState(belief, belief, belief, belief, belief, normal, memory, residual, repeated)
 
-    def without_memory(self, state: FRAState) -> FRAState:
-        """A state with an empty memory of innovations."""
+    def remembering(self, state: FRAState, before: FRAState | None = None) -> FRAState:
+        """A state with an empty memory of innovations, or that of the state ``before``."""
+        if before is not None:
+            return state._replace(memory=before.memory, residual=torch.zeros_like(before.residual))
         mean, size = state.belief.mean, self.sensor.size
         return state._replace(memory=self.fading.begin(mean, size), residual=mean.new_zeros(*mean.shape[:-1], size))
-
-    def with_memory_of(self, state: FRAState, before: FRAState) -> FRAState:
-        """A state with the memory of innovations of the state ``before``."""
-        return state._replace(memory=before.memory, residual=torch.zeros_like(before.residual))
 
     def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
@@ -436,10 +434,9 @@ def moments(scores: Tensor, excess: Tensor, plain: Gaussian, branches: Sequence[
 
 def chosen(kept: Choice, branches: Branches) -> Gaussian:
     """The branch that was kept."""
-
-    def pick(robust: Tensor, adaptive: Tensor, plain: Tensor) -> Tensor:
-        to_adaptive, to_plain = (x.reshape(x.shape + (1,) * (robust.dim() - x.dim())) for x in kept)
-        return torch.where(to_adaptive, adaptive, torch.where(to_plain, plain, robust))
-
-    belief: Gaussian = tree.map_tensors(pick, *branches)
-    return belief
+    robust, adaptive, plain = branches
+    to_adaptive, to_plain = (x.unsqueeze(-1) for x in kept)
+    mean = torch.where(to_adaptive, adaptive.mean, torch.where(to_plain, plain.mean, robust.mean))
+    to_adaptive, to_plain = (x.unsqueeze(-1) for x in (to_adaptive, to_plain))
+    root = torch.where(to_adaptive, adaptive.scale_tril, torch.where(to_plain, plain.scale_tril, robust.scale_tril))
+    return Gaussian(mean, root)

@@ -148,9 +148,9 @@ class IMM(Filter[IMMState]):
         """The parts, by name, that differ around another sensor."""
         return {"inner": self.inner.with_sensor(sensor)}
 
-    def with_memory_of(self, state: Any, before: Any) -> Any:
-        """A state whose models have the memory of those of the state ``before``."""
-        return state._replace(inner=self.inner.with_memory_of(state.inner, before.inner))
+    def remembering(self, state: Any, before: Any = None) -> Any:
+        """A state whose models have the memory of those of the state ``before``; before a step they forget it."""
+        return state if before is None else state._replace(inner=self.inner.remembering(state.inner, before.inner))
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""

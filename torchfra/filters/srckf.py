@@ -115,7 +115,7 @@ class SRCKF(Filter[State]):
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief, with empty memories."""
         noise = None if self.noise is None else self.noise.begin(belief.mean)
-        return self.without_memory(State(belief, None, noise))
+        return self.remembering(State(belief, None, noise))
 
     def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
         """The parts, by name, that differ around another sensor.
@@ -130,14 +130,11 @@ class SRCKF(Filter[State]):
             )
         return super().parts_for(sensor)
 
-    def without_memory(self, state: State) -> State:
-        """A state with an empty memory of innovations."""
-        fading = None if self.fading is None else self.fading.begin(state.belief.mean, self.sensor.size)
-        return state._replace(fading=fading)
-
-    def with_memory_of(self, state: State, before: State) -> State:
-        """A state with the memory of innovations of the state ``before``."""
-        return state._replace(fading=before.fading)
+    def remembering(self, state: State, before: State | None = None) -> State:
+        """A state with an empty memory of innovations, or that of the state ``before``."""
+        if before is not None or self.fading is None:
+            return state._replace(fading=None if before is None else before.fading)
+        return state._replace(fading=self.fading.begin(state.belief.mean, self.sensor.size))
 
     def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
         """The belief one step later, by the root that a robust update needs."""

@@ -75,6 +75,10 @@ def batchwise(*ranks: int) -> Callable[[F], F]:
     return decorate
 
 
+now_elementary = _elementary.get
+"""Whether this runs inside the context of ``elementary``, for code that ``torch.compile`` does not look into."""
+
+
 def is_elementary() -> bool:
     """Whether this runs inside the context of ``elementary``."""
     return not torch.compiler.is_compiling() and _elementary.get()

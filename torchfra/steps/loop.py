@@ -48,8 +48,8 @@ def one_step(f: Any, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Record]:
     if "_viewed" not in f.__dict__:
         stepped: tuple[Any, Record] = f.advance(state, frame, *mix)
         return stepped
-    after, record = f.advance(f.without_memory(state), frame, *mix)
-    return f.with_memory_of(after, state), record
+    after, record = f.advance(f.remembering(state), frame, *mix)
+    return f.remembering(after, state), record
 
 
 def observe(f: Any, state: Any, frame: Frame) -> tuple[Any, Innovation]:

@@ -513,15 +513,16 @@ class GPB(Filter[GPBState]):
         outliers.check(sensor)
         return super().parts_for(sensor) | {"outliers": outliers}
 
-    def without_memory(self, state: GPBState) -> GPBState:
-        """A state without outliers in its last measurement, so that none continues in the next."""
-        outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
-        last = None if state.last is None else self._unmeasured(state.belief.mean)
-        noise = None if self.noise is None else self.noise.begin(outlier)
-        return self.with_memory_of(state, state._replace(outlier=outlier, last=last, noise=noise))
+    def remembering(self, state: GPBState, before: GPBState | None = None) -> GPBState:
+        """A state without outliers in its last measurement, so that none continues in the next.
 
-    def with_memory_of(self, state: GPBState, before: GPBState) -> GPBState:
-        """A state after a measurement of another sensor, whose outliers are independent of this filter's own."""
+        After a measurement of another sensor it is one whose outliers are independent of this filter's own.
+        """
+        if before is None:
+            outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
+            unmeasured = None if state.last is None else self._unmeasured(state.belief.mean)
+            noise = None if self.noise is None else self.noise.begin(outlier)
+            before = state._replace(outlier=outlier, last=unmeasured, noise=noise)
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: LastMeasurement | None = tree.map_tensors(torch.zeros_like, before.last)
