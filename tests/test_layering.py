@@ -11,10 +11,10 @@ import train
 
 LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
-    {"version"}, {"tables"}, {"suggestions"}, {"angles"}, {"numbers"}, {"tree"}, {"linalg"}, {"types"}, {"hyper"},
-    {"entries"}, {"state_files"}, {"running"}, {"coordinates"}, {"geodesy"}, {"readers"}, {"losses"}, {"metrics"},
-    {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"steps"}, {"compiler"},
-    {"filters"}, {"register"}, {"stream"}, {"targets"}, {"testing"},
+    {"version"}, {"loading"}, {"tables"}, {"suggestions"}, {"angles"}, {"numbers"}, {"tree"}, {"linalg"}, {"types"},
+    {"hyper"}, {"entries"}, {"state_files"}, {"running"}, {"coordinates"}, {"geodesy"}, {"readers"}, {"losses"},
+    {"metrics"}, {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"steps"},
+    {"compiler"}, {"filters"}, {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"cleaning"}, {"adapters"}, {"evaluation"}, {"plotting"}, {"comparison"}, {"fitting"},
     {"cli"}, {"__init__", "__main__"},

@@ -4,7 +4,7 @@ Modules load when they are first named: ``torchfra.presets`` loads what a filter
 files, and so on.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from torchfra.version import __version__ as __version__
 
@@ -87,34 +87,19 @@ if TYPE_CHECKING:
     from torchfra.testing.models import check_model
     from torchfra.types import Alarm, Cause, Estimate, Failure, Gaussian, Innovation
 else:
-    _MODULES = {
-        "types": ("Alarm", "Cause", "Estimate", "Failure", "Gaussian", "Innovation"),
-        "hyper": ("Hyper", "learnable", "summary"),
-        "presets.values": ("values",),
-        "testing.models": ("check_model",),
-        "fitting.from_tracks": ("fit",),
-        "fitting.correlation": ("correlation",),
-        "cleaning.clean": ("clean", "track"),
-        "comparison.comparison": ("compare",),
-        "running.memory": ("keep_memory",),
-    }
-    _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-    """The module of each function and class of ``torchfra.__all__``."""
+    from torchfra.loading import when_named
 
-    def __getattr__(name: str) -> Any:
-        """A function or class of ``__all__``, or any module of the package, loaded when it is first named."""
-        from importlib import import_module
-
-        if name in _MODULE_OF:
-            found = getattr(import_module(f"torchfra.{_MODULE_OF[name]}"), name)
-            return globals().setdefault(name, found)
-        if not name.startswith("_"):
-            try:
-                return import_module(f"torchfra.{name}")
-            except ModuleNotFoundError as error:
-                if error.name != f"torchfra.{name}":
-                    raise
-        raise AttributeError(f"module 'torchfra' has no attribute {name!r}")
+    _, __getattr__, _ = when_named(__name__, {
+        "types": "Alarm Cause Estimate Failure Gaussian Innovation",
+        "hyper": "Hyper learnable summary",
+        "presets.values": "values",
+        "testing.models": "check_model",
+        "fitting.from_tracks": "fit",
+        "fitting.correlation": "correlation",
+        "cleaning.clean": "clean track",
+        "comparison.comparison": "compare",
+        "running.memory": "keep_memory",
+    })  # fmt: skip
 
     def __dir__() -> list[str]:
         return [*__all__, "__version__"]

@@ -9,19 +9,18 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchfra import presets as presets  # adds its filters to those of the register
 from torchfra import scenarios, state_files
 from torchfra.filters.alphabeta.axes import measures_positions, moves_along_axes
 from torchfra.filters.base import Filter
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
-from torchfra.register import FILTERS as FILTERS
 from torchfra.register import SCENARIOS as SCENARIOS
-from torchfra.register import FilterEntry, made
+from torchfra.register import FilterEntry, filters, made
 from torchfra.scenarios.base import Scenario
 from torchfra.sensors.base import Sensor
 from torchfra.suggestions import meant
 
+FILTERS = filters()
 SCENARIOS.update({
     "bearings-outliers": scenarios.bearings_outliers,
     "bearings-manoeuvre": scenarios.bearings_manoeuvre,

@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
 from typing import Any, TypeVar
 
 from torchfra.filters.base import Filter
@@ -54,10 +55,30 @@ class FilterEntry:
     """Whether commands list it in their help and run it by default; other filters run only by name."""
 
 
+LIBRARY = {
+    "presets.regimes": "gpb",
+    "presets.single": "ukf ekf srckf rsrckf mr_ckf ghckf hghckf1 hghckf2 hghckf asrckf rmckf iaukf",
+    "presets.feedback": "fra_srckf fra",
+    "presets.banks": "imm imm_srckf imm_ckf imm_fra vsimm_srckf",
+    "presets.constant_gains": "alphabeta",
+    "presets.scans": "jpda ukf_jpda iaukf_jpda",
+}
+"""The presets of the library by module, in the order in which commands and tables list them."""
+_MODULE_OF = {name: f"torchfra.{module}" for module, names in LIBRARY.items() for name in names.split()}
 FILTERS: dict[str, FilterEntry] = {}
-"""Filters by name, in the order in which commands and tables list them; ``presets`` adds those of the library."""
+"""Filters by name; each module of presets adds its own when it is loaded, and ``filters`` loads all."""
 SCENARIOS: dict[str, Callable[..., Any]] = {}
 """Functions that make a ``Scenario``, by name; ``catalogue`` adds those of the library."""
+
+
+def filters() -> dict[str, FilterEntry]:
+    """All filters by name: those of the library first, in its order."""
+    own = [name for name in FILTERS if name not in _MODULE_OF]
+    for module in _MODULE_OF.values():
+        import_module(module)
+    for name in [*_MODULE_OF, *own]:
+        FILTERS[name] = FILTERS.pop(name)
+    return FILTERS
 
 
 def filter(name: str, **traits: Any) -> Callable[[F], F]:
@@ -77,6 +98,8 @@ def filter(name: str, **traits: Any) -> Callable[[F], F]:
         raise ValueError(f"{key}: expected one of {', '.join(known)}, received {key}={traits[key]!r}")
 
     def add(preset: F) -> F:
+        if name in _MODULE_OF and getattr(preset, "__module__", None) != _MODULE_OF[name]:
+            import_module(_MODULE_OF[name])  # which has taken the name
         _check(name, preset, FILTERS[name].preset if name in FILTERS else None)
         entry = FilterEntry(preset, **traits)
         made = with_errors(preset, takes=not (entry.scans or entry.constant_gains))

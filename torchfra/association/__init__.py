@@ -5,22 +5,30 @@ to one target or is false.  Targets that share measurements in their gates, dire
 clusters are independent of each other.
 """
 
-from torchfra.association.clusters import Association, Clusters, same_cluster
-from torchfra.association.clutter import Clutter
-from torchfra.association.events import check_exact, joint_events
-from torchfra.association.gates import Candidates, ChiSquare, Euclidean, Gate
-from torchfra.association.joint import associate
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Association",
-    "Candidates",
-    "ChiSquare",
-    "Clusters",
-    "Clutter",
-    "Euclidean",
-    "Gate",
-    "associate",
-    "check_exact",
-    "joint_events",
-    "same_cluster",
-]
+from torchfra.loading import when_named
+
+if TYPE_CHECKING:  # isort: off
+    from torchfra.association.clusters import (
+        Association as Association,
+        Clusters as Clusters,
+        same_cluster as same_cluster,
+    )
+    from torchfra.association.clutter import Clutter as Clutter
+    from torchfra.association.events import check_exact as check_exact, joint_events as joint_events
+    from torchfra.association.gates import (
+        Candidates as Candidates,
+        ChiSquare as ChiSquare,
+        Euclidean as Euclidean,
+        Gate as Gate,
+    )
+    from torchfra.association.joint import associate as associate
+else:
+    __all__, __getattr__, __dir__ = when_named(__name__, {
+        "association.clusters": "Association Clusters same_cluster",
+        "association.clutter": "Clutter",
+        "association.events": "check_exact joint_events",
+        "association.gates": "Candidates ChiSquare Euclidean Gate",
+        "association.joint": "associate",
+    })  # fmt: skip

@@ -48,6 +48,7 @@ _GROWTH = 1 / 3
 longer by all of the first, and the fourth still by a third of the third."""
 
 
+@tree.event_ranks(excess=0, residual=1, repeated=0)
 class FRAState(NamedTuple):
     """State after a step."""
 
@@ -100,15 +101,6 @@ class FRAInfo(NamedTuple):
     def outlier(self) -> Tensor:
         """``(..., T, 1)`` probability of an outlier: 1 if the robust branch was kept at an abnormal step, else 0."""
         return (self.abnormal & ~self.adaptive & ~self.plain).to(self.fading).unsqueeze(-1)
-
-
-@tree.event_ranks(excess=0, residual=1, repeated=0)
-class Undecided(NamedTuple):
-    """What is known of a step before the next measurement: see ``FRAState``."""
-
-    excess: Tensor
-    residual: Tensor
-    repeated: Tensor
 
 
 class Choice(NamedTuple):
@@ -258,43 +250,39 @@ class FRA(Soft, Filter[FRAState]):
 
     def decide_before(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Choice, Tensor]:
         """The final estimate of the step before, by this measurement, which branch was kept, and ``repeated`` now."""
-        branches, abnormal = state.branches, state.abnormal
-        given = (*branches, Undecided(state.excess, state.residual, state.repeated), frame)
         if self.soft:
-            scores, repeated = self.score(*given)
-            return *self.choose(scores, state.excess, branches), repeated
-        no = torch.zeros_like(abnormal)
-        kept, repeated = self.where_abnormal(abnormal, self.decide, given, (Choice(no, no), state.repeated))
-        return chosen(kept, branches), kept, repeated
+            scores, repeated = self.score(state, frame)
+            return *self.choose(scores, state.excess, state.branches), repeated
+        abnormal = state.abnormal
+        no, none = torch.zeros_like(abnormal), {"belief": None, "lagged": None, "memory": None}
+        needed = state._replace(**none)  # type: ignore[arg-type]  # ``score`` reads no others
+        kept, repeated = self.where_abnormal(abnormal, self.decide, (needed, frame), (Choice(no, no), state.repeated))
+        return chosen(kept, state.branches), kept, repeated
 
-    def decide(
-        self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
-    ) -> tuple[Choice, Tensor]:
+    def decide(self, state: FRAState, frame: Frame) -> tuple[Choice, Tensor]:
         """The branch of the largest score, a tie goes to the robust one; and ``repeated`` with this measurement."""
-        scores, repeated = self.score(robust, adaptive, plain, before, frame)
+        scores, repeated = self.score(state, frame)
         return best(scores), repeated
 
-    def score(
-        self, robust: Gaussian, adaptive: Gaussian, plain: Gaussian, before: Undecided, frame: Frame
-    ) -> tuple[Tensor, Tensor]:
+    def score(self, state: FRAState, frame: Frame) -> tuple[Tensor, Tensor]:
         """Scores ``(branches, ...)`` of the branches by this measurement, and ``repeated`` with it.
 
         A score is minus infinity if the branch has failed, or is not to be followed yet.
         """
-        branches = [robust, adaptive] if self.plain is None else [robust, adaptive, plain]
+        branches = state.branches[: 2 if self.plain is None else 3]
         root, normalised = innovation(self.compare(self.predicted(tree.stack(branches, 0), frame).belief, frame))
         score = -0.5 * normalised.square().sum(-1)
         if self.decision == "likelihood":
             score = score - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        score, repeated = torch.where(score.isfinite(), score, -torch.inf), before.repeated
+        score, repeated = torch.where(score.isfinite(), score, -torch.inf), state.repeated
         if self.patience:
-            waits, repeated = self.judge_row(root[0], normalised[0], before, frame.measured)
+            waits, repeated = self.judge_row(root[0], normalised[0], state, frame.measured)
             followed = torch.where(waits, -torch.inf, score[1:2])
             others = torch.where(waits, torch.minimum(score[2:], score[:1]), score[2:])  # by its odds alone
             score = torch.cat([score[:1], followed, others])
         return score + self.odds(score[0]), repeated
 
-    def judge_row(self, root: Tensor, normalised: Tensor, before: Undecided, measured: Tensor) -> tuple[Tensor, Tensor]:
+    def judge_row(self, root: Tensor, normalised: Tensor, before: FRAState, measured: Tensor) -> tuple[Tensor, Tensor]:
         """``(...)`` bool, whether a row of outliers is not to be followed yet, and ``repeated`` then.
 
         Args:

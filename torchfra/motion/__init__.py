@@ -1,47 +1,56 @@
 """Motions: how targets move, and with what process noise."""
 
-from torchfra.motion.augmented import Augmented
-from torchfra.motion.bank import Bank, Embedded, aircraft, people, ships, vehicles
-from torchfra.motion.base import KINDS, Adaptation, Motion
-from torchfra.motion.bicycle import Bicycle
-from torchfra.motion.correlated import CurrentStatistical, GaussMarkov, IntegratedOrnsteinUhlenbeck, Singer, WhiteJerk
-from torchfra.motion.level import Level
-from torchfra.motion.linear import Linear
-from torchfra.motion.odometry import BodyOdometry, Odometry, body_velocities
-from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
-from torchfra.motion.speed import ConstantSpeed
-from torchfra.motion.spherical import Spherical
-from torchfra.motion.turn import CoordinatedTurn, UnknownTurn
-from torchfra.motion.walks import Clock, RandomWalk
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "KINDS",
-    "Adaptation",
-    "Augmented",
-    "Bank",
-    "Bicycle",
-    "BodyOdometry",
-    "Clock",
-    "ConstantAcceleration",
-    "ConstantSpeed",
-    "ConstantVelocity",
-    "CoordinatedTurn",
-    "CurrentStatistical",
-    "Embedded",
-    "GaussMarkov",
-    "IntegratedOrnsteinUhlenbeck",
-    "Level",
-    "Linear",
-    "Motion",
-    "Odometry",
-    "RandomWalk",
-    "Singer",
-    "Spherical",
-    "UnknownTurn",
-    "WhiteJerk",
-    "aircraft",
-    "body_velocities",
-    "people",
-    "ships",
-    "vehicles",
-]
+from torchfra.loading import when_named
+
+if TYPE_CHECKING:  # isort: off
+    from torchfra.motion.augmented import Augmented as Augmented
+    from torchfra.motion.bank import (
+        Bank as Bank,
+        Embedded as Embedded,
+        aircraft as aircraft,
+        people as people,
+        ships as ships,
+        vehicles as vehicles,
+    )
+    from torchfra.motion.base import KINDS as KINDS, Adaptation as Adaptation, Motion as Motion
+    from torchfra.motion.bicycle import Bicycle as Bicycle
+    from torchfra.motion.correlated import (
+        CurrentStatistical as CurrentStatistical,
+        GaussMarkov as GaussMarkov,
+        IntegratedOrnsteinUhlenbeck as IntegratedOrnsteinUhlenbeck,
+        Singer as Singer,
+        WhiteJerk as WhiteJerk,
+    )
+    from torchfra.motion.level import Level as Level
+    from torchfra.motion.linear import Linear as Linear
+    from torchfra.motion.odometry import (
+        BodyOdometry as BodyOdometry,
+        Odometry as Odometry,
+        body_velocities as body_velocities,
+    )
+    from torchfra.motion.polynomial import (
+        ConstantAcceleration as ConstantAcceleration,
+        ConstantVelocity as ConstantVelocity,
+    )
+    from torchfra.motion.speed import ConstantSpeed as ConstantSpeed
+    from torchfra.motion.spherical import Spherical as Spherical
+    from torchfra.motion.turn import CoordinatedTurn as CoordinatedTurn, UnknownTurn as UnknownTurn
+    from torchfra.motion.walks import Clock as Clock, RandomWalk as RandomWalk
+else:
+    __all__, __getattr__, __dir__ = when_named(__name__, {
+        "motion.augmented": "Augmented",
+        "motion.bank": "Bank Embedded aircraft people ships vehicles",
+        "motion.base": "KINDS Adaptation Motion",
+        "motion.bicycle": "Bicycle",
+        "motion.correlated": "CurrentStatistical GaussMarkov IntegratedOrnsteinUhlenbeck Singer WhiteJerk",
+        "motion.level": "Level",
+        "motion.linear": "Linear",
+        "motion.odometry": "BodyOdometry Odometry body_velocities",
+        "motion.polynomial": "ConstantAcceleration ConstantVelocity",
+        "motion.speed": "ConstantSpeed",
+        "motion.spherical": "Spherical",
+        "motion.turn": "CoordinatedTurn UnknownTurn",
+        "motion.walks": "Clock RandomWalk",
+    })  # fmt: skip

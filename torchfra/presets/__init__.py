@@ -29,13 +29,17 @@ A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as
     imm(bank, sensor, inner=partial(rsrckf, threshold=2.0))
 """
 
-# In the order in which commands and tables list filters; each file says in __all__ which presets it has.
-from torchfra.presets.regimes import *
-from torchfra.presets.single import *
-from torchfra.presets.feedback import *
-from torchfra.presets.banks import *
-from torchfra.presets.constant_gains import *
-from torchfra.presets.scans import *
-from torchfra.register import FILTERS as _FILTERS
+from typing import TYPE_CHECKING
 
-__all__ = [name for name, entry in _FILTERS.items() if entry.preset.__module__.startswith(__name__)]
+from torchfra.loading import when_named
+from torchfra.register import LIBRARY
+
+if TYPE_CHECKING:
+    from torchfra.presets.banks import *
+    from torchfra.presets.constant_gains import *
+    from torchfra.presets.feedback import *
+    from torchfra.presets.regimes import *
+    from torchfra.presets.scans import *
+    from torchfra.presets.single import *
+else:
+    __all__, __getattr__, __dir__ = when_named(__name__, LIBRARY)

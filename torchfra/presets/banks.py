@@ -34,8 +34,6 @@ from torchfra.presets.single import srckf
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
-__all__ = ["imm", "imm_ckf", "imm_fra", "imm_srckf", "vsimm_srckf"]
-
 Models = Sequence[Motion] | Bank
 Inner = Callable[[Motion, Sensor], Filter]
 

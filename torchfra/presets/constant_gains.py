@@ -16,8 +16,6 @@ from torchfra.presets.learning import with_learning
 from torchfra.presets.options import with_options
 from torchfra.sensors.base import Sensor
 
-__all__ = ["alphabeta"]
-
 _PAPER: dict[str, Any] = {"margin": 3.0, "hysteresis": 0.5, "dwell": 3.0, "onset": "shared", "confirm": False}
 _TUNED: dict[str, Any] = {
     "manoeuvre": 3.5, "outlier": 18.0, "margin": 6.0, "hysteresis": 0.7, "dwell": 20.0, "level_shares": [0.25],

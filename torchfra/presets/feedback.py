@@ -15,8 +15,6 @@ from torchfra.presets.single import robust_and_fading
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
-__all__ = ["fra", "fra_srckf"]
-
 
 @register.filter("fra_srckf", words="robust or adaptive, as published", gated=True, emphasised=True)
 @with_options(HuberOptions, FadingOptions, DecisionOptions)

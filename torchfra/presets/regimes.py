@@ -18,8 +18,6 @@ from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_models, of_a_module
 from torchfra.suggestions import meant
 
-__all__ = ["gpb"]
-
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
         "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (),

@@ -20,8 +20,6 @@ from torchfra.presets.single import iaukf, srckf, ukf
 from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
-__all__ = ["iaukf_jpda", "jpda", "ukf_jpda"]
-
 
 @register.filter("jpda", words="joint probabilistic data association", scans=True, listed=False)
 @with_options(ScansOptions)

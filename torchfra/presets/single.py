@@ -33,21 +33,6 @@ from torchfra.robust.score import HuberScore
 from torchfra.robust.weights import Huber, ThreeSegment
 from torchfra.sensors.base import Sensor
 
-__all__ = [
-    "asrckf",
-    "ekf",
-    "ghckf",
-    "hghckf",
-    "hghckf1",
-    "hghckf2",
-    "iaukf",
-    "mr_ckf",
-    "rmckf",
-    "rsrckf",
-    "srckf",
-    "ukf",
-]
-
 R = TypeVar("R", bound=Robust)
 
 

@@ -18,7 +18,7 @@ from torchfra.linalg.triangular import apply
 from torchfra.motion.bank import aircraft
 from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration
-from torchfra.register import FILTERS, made
+from torchfra.register import filters, made
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
 from torchfra.types import CompileError, Estimate, Gaussian
@@ -166,9 +166,10 @@ def registered(name: str) -> Filter:
     Raises:
         ValueError: no such name, or its function returns something else.
     """
-    if name not in FILTERS:
-        raise ValueError(f"filter: expected a Filter or one of {', '.join(FILTERS)}, received {name!r}")
-    entry, sensor = FILTERS[name], Position(10.0)
+    known = filters()
+    if name not in known:
+        raise ValueError(f"filter: expected a Filter or one of {', '.join(known)}, received {name!r}")
+    entry, sensor = known[name], Position(10.0)
     motion = aircraft(1.0) if entry.bank else ConstantAcceleration(1.0)
     clutter = {"clutter": Clutter(volume=1e8), "detection": 0.95} if entry.scans else {}
     return made(name, entry.preset(motion, sensor, **clutter), Filter, "(motion, sensor)")
