@@ -20,7 +20,7 @@ LEVELS = [
     {"cli"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
-APART = {("scenarios", "filters"), ("scenarios", "presets")}
+APART = {("scenarios", "filters"), ("scenarios", "presets"), ("evaluation", "readers"), ("evaluation", "cleaning")}
 """The first never imports the second, although it lies below."""
 OPTIONAL = {"train": "nothing", "matplotlib": "plotting"}
 """Packages from outside, and the one part of the library that may import them."""

@@ -5,7 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+
+def plural(word: str) -> str:
+    """Several of ``Source.word``."""
+    return word if word == "aircraft" else f"{word}s"
+
+
+def in_words(repairs: Mapping[str, int]) -> str:
+    """Repairs with their counts as a list, in the singular where the count is 1."""
+    singular = re.compile(r"s(?= |$)")  # the end of the first word that has an s there
+    return ", ".join(f"{n:,} {singular.sub('', what, count=1) if n == 1 else what}" for what, n in repairs.items())
 
 
 def printable(name: str, longest: int = 200) -> str:

@@ -29,6 +29,7 @@ Words:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -240,6 +241,10 @@ class Estimate(NamedTuple):
     def failed(self) -> Tensor:
         """``(...)`` True for each track with NaN or infinity at some step; ``failure`` has the step and the cause."""
         return Gaussian(self.mean, self.scale_tril).failed.any(-1)
+
+
+Fallback = Callable[[str, str], None]
+"""Called with the name of a filter that has no kernel, and the reason."""
 
 
 class CompileError(RuntimeError):

@@ -25,13 +25,11 @@ from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 from torchfra.running.jobs import finished, one_thread
 from torchfra.tables import duration, metres
+from torchfra.types import Fallback
 
 if TYPE_CHECKING:  # the default filter needs none of the others, whose import takes as long as cleaning a track
     from torchfra.filters import Filter
     from torchfra.motion.bank import Bank
-
-Fallback = Callable[[str, str], None]
-"""Called with the name of a filter that has no kernel, and the reason."""
 
 DEFAULT = "gpb"
 """The filter that is used by default."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from torchfra.cleaning.core import Fallback
-from torchfra.types import CompileError
+from torchfra.types import CompileError, Fallback
 
 
 def add_compile_option(parser: argparse.ArgumentParser, default: str) -> None:

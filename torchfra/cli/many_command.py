@@ -14,12 +14,11 @@ from torchfra.cli.command import IncompleteError, add_output_options, check_file
 from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers.datasets import open_data
-from torchfra.readers.repairs import in_words, plural
 from torchfra.running import distributed
 from torchfra.running.jobs import add_jobs_option, finished
 from torchfra.running.progress import progress_bar
 from torchfra.running.versions import write_results
-from torchfra.tables import duration, printable
+from torchfra.tables import duration, in_words, plural, printable
 
 _ABOUT = """Clean the tracks of a data set in Parquet, a million of them say, as torchfra track does those of a file.
 

@@ -9,11 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from torchfra.cleaning.core import Fallback
 from torchfra.filters import Filter
 from torchfra.motion.bank import Bank
 from torchfra.running.progress import progress_bar
-from torchfra.types import CompileError
+from torchfra.types import CompileError, Fallback
 
 
 def compiled(

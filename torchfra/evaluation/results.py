@@ -9,10 +9,9 @@ import numpy as np
 import torch
 
 from torchfra.catalogue import FILTERS
-from torchfra.readers.repairs import in_words
 from torchfra.running.versions import versions
 from torchfra.scenarios import Scenario
-from torchfra.tables import printable, text_table
+from torchfra.tables import in_words, printable, text_table
 
 Result = dict[str, Any]
 """The figures of one filter; each target of a run of several counts as a track.

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torchfra.catalogue import reference_filter, scenario_filters
-from torchfra.cleaning.core import Fallback
 from torchfra.evaluation.compiling import compiled
 from torchfra.evaluation.fixes import fixes
 from torchfra.evaluation.results import Result
@@ -20,7 +19,7 @@ from torchfra.running import distributed
 from torchfra.running.progress import progress_bar
 from torchfra.scenarios import Scenario, Tracks
 from torchfra.steps.engine import INTERPRETED
-from torchfra.types import Estimate
+from torchfra.types import Estimate, Fallback
 
 MOST_RUNS = 10**9
 """Largest number of runs: more would take years, and more memory than there is."""

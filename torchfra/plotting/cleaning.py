@@ -16,7 +16,7 @@ from torchfra.cleaning.outputs.summary import summary
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.plotting.labels import SIZE, Array, beside, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
-from torchfra.readers.repairs import plural
+from torchfra.tables import plural
 
 _MANY = 50
 """Rejected fixes whose marks are small, so that the path is seen."""

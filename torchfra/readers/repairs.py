@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from torchfra.readers.names import MARKS, name_words
 from torchfra.readers.options import AskError
 from torchfra.readers.tables import Table
 from torchfra.readers.times import count_of
+from torchfra.tables import in_words, plural
 
 _MANY = 0.1
 """Share of rows with another position at the time of another row, from which on they are of several targets."""
@@ -37,17 +37,6 @@ _NEIGHBOURS = 1.5
 """How much farther apart rows of a moment may be than those of two moments, if all are of one target."""
 _PLACEHOLDERS, _ENOUGH, _NULL_ISLAND = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0), 25, 1.0
 """Numbers that may stand for none, the fewest others that show it; degrees around 0, 0 without any other fix."""
-
-
-def plural(word: str) -> str:
-    """Several of ``Source.word``."""
-    return word if word == "aircraft" else f"{word}s"
-
-
-def in_words(repairs: Mapping[str, int]) -> str:
-    """Repairs with their counts as a list, in the singular where the count is 1."""
-    singular = re.compile(r"s(?= |$)")  # the end of the first word that has an s there
-    return ", ".join(f"{n:,} {singular.sub('', what, count=1) if n == 1 else what}" for what, n in repairs.items())
 
 
 @dataclass(frozen=True)

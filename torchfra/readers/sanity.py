@@ -10,8 +10,8 @@ from torchfra.readers.layouts import Layout
 from torchfra.readers.names import unit
 from torchfra.readers.options import AskError, listed
 from torchfra.readers.recording import Recording
-from torchfra.readers.repairs import plural
 from torchfra.readers.times import SINCE_1970, STARTS, UNITS, per_second
+from torchfra.tables import plural
 
 _TOO_MANY = 0.2
 """Share of the fixes from which on targets are not left out that a column may part."""

@@ -15,8 +15,7 @@ from torchfra.cleaning.cleaned import FLAGS
 from torchfra.cleaning.kinds import UNKNOWN
 from torchfra.cleaning.outputs.course import course
 from torchfra.cleaning.segments import spans
-from torchfra.readers.repairs import in_words, plural
-from torchfra.tables import duration, metres, printable, text_table
+from torchfra.tables import duration, in_words, metres, plural, printable, text_table
 
 _OF_EACH = ("Sigma of the height",)
 """Beginnings of notes that every target has."""
