@@ -123,3 +123,16 @@ def test_a_confused_start_does_not_take_a_heading_away():
     estimate = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
     off = (estimate.mean - tracks.truth)[..., :2].norm(dim=-1)
     assert (off[:, -10:].mean(-1) < 20 * scenario.sensor.std()).all()
+
+
+def test_three_outliers_at_the_beginning_that_disagree_are_no_prior_that_is_off():
+    """With a wide acceleration any three places would agree, where the third comes later."""
+    scenario = OpenCell(motion="acceleration", index=0.015, dt=4.0).scenario(steps=40)
+    tracks, steps = scenario.simulate(100, 1), [0, 1, *range(12, 20)]
+    dt = torch.full((len(steps),), 4.0, dtype=torch.float64)
+    dt[2] = 44.0
+    z, truth = tracks.z[:, steps].clone(), tracks.truth[:, steps, :2]
+    angle = 6.28 * torch.rand(100, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    z[:, :3] += 3e4 * torch.stack([angle.cos(), angle.sin()], -1)
+    found = presets.gpb(scenario.motion, scenario.sensor)(z, tracks.prior, dt=dt).mean
+    assert (found[..., :2] - truth).norm(dim=-1).max() < 3000

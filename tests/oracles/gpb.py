@@ -595,7 +595,9 @@ def step(
     if c.count < -math.log2(0.7) and not nothing:
         wider = widening(predictions[1, 0], z, model, k)
         predictions |= {
-            key: (mean, wider * P) for key, (mean, P) in predictions.items() if key[0] and key[1] < len(motion) - jumps
+            key: (mean, P * np.outer(*[np.where(np.arange(len(mean)) < 2 * position.stop, wider**0.5, 1.0)] * 2))
+            for key, (mean, P) in predictions.items()
+            if key[0] and key[1] < len(motion) - jumps
         }
         rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.75) * costs[1]) for i in (1, 2)]
     if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:

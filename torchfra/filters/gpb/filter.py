@@ -363,9 +363,10 @@ class GPB(Filter[GPBState]):
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of an outlying prior.
 
         Parameters, biases and angles keep theirs: a heading that is off by more than a turn means nothing.  So do
-        jumps, which are as wide as the measurement asks for by themselves.
+        accelerations: with them any three measurements would agree.  So do jumps, which are as wide as the measurement
+        asks for by themselves.
         """
-        kept = ("angle", "rate", "bias", "parameter")
+        kept = ("angle", "rate", "bias", "parameter", "acceleration")
         inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
         rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
         both, jumps = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1), self.regimes.jump_count
