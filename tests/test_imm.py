@@ -318,7 +318,7 @@ def test_what_does_not_fit_is_named():
         presets.imm(bank(), SENSOR, initial=torch.ones(3) / 3)
     for preset, models in ((presets.srckf, bank()[0]), (presets.gpb, bank()), (presets.imm, bank())):
         with pytest.raises(
-            ValueError, match="inner: expected SRCKF or FRA around a Bank, or a filter with mixes = True"
+            ValueError, match="inner: expected SRCKF or FRA around a Bank, or a filter whose advance takes a mix"
         ):
             IMM(preset(models, SENSOR), self_transition=0.9)
     with pytest.raises(ValueError, match="out, into"):

@@ -7,7 +7,7 @@ import outliers
 import pytest
 import torch
 
-from torchfra.sensors import Correlated
+from torchfra.motion import GaussMarkov
 
 PAGE = (Path(__file__).parent.parent / "torchfra/robust/README.md").read_text(encoding="utf-8")
 
@@ -21,7 +21,7 @@ def test_the_arguments_of_the_page_are_those_of_the_script():
     fitted = {name: kind.fitted() for name, kind in outliers.KINDS.items()}
     assert fitted["bursts"].outliers.outlier_durations().tolist() == pytest.approx([100, 10])
     assert fitted["one side"].outliers.outlier_durations().tolist() == pytest.approx([60, 20])
-    assert isinstance(fitted["lasting"].originals[0], Correlated)
+    assert {type(error) for error in fitted["lasting"].errors} == {GaussMarkov}
     assert float(fitted["second target"].outliers.same_offset()) == pytest.approx(0.9)
 
 

@@ -82,7 +82,7 @@ def test_what_needs_new_points_is_refused():
     with pytest.raises(ValueError, match=r"lost: expected 0 around a filter with redraw=False, received 0\.001"):
         presets.jpda(MOTION, SENSOR, clutter=Clutter(1e-4), lost=1e-3,
                      inner=lambda m, s: presets.ukf(m, s, redraw=False))  # fmt: skip
-    with pytest.raises(ValueError, match="mixes"):
+    with pytest.raises(ValueError, match="takes a mix"):
         presets.imm([MOTION, ConstantVelocity(q=1.0)], SENSOR, inner=lambda m, s: presets.ukf(m, s, redraw=False))
 
 

@@ -12,6 +12,7 @@ from torchfra import tree
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.numbers import as_tensor
+from torchfra.steps.loop import frame_motion
 from torchfra.steps.records import decided, undecided
 from torchfra.types import Gaussian
 
@@ -139,7 +140,7 @@ def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, following, source = _lower(tree.unflatten(like, leaves))
-    dt, u, motion = data["dt"], data.get("u"), f.frame_motion
+    dt, u, motion = data["dt"], data.get("u"), frame_motion(f)
     models = motion.transition_by(dt, u) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise_by(dt, u), motion.adaptation(dt)
     frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured

@@ -45,7 +45,7 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.steps.engine import INTERPRETED, Engine
-from torchfra.steps.loop import Options, one_step
+from torchfra.steps.loop import Options, frame_motion, one_step
 from torchfra.steps.records import Past, Record, Smoothed
 from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 
@@ -112,15 +112,10 @@ class Filter(Part, Generic[S]):
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     zero_dt = True
     """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
-    mixes = False
-    """Whether ``advance`` takes a ``mix``, a function that replaces the belief from which the step starts, as a filter
-    inside of ``IMM`` must."""
     keeps_past = False
     """Whether the backward pass needs more of a step than an estimate holds of it."""
     one_sensor: str | None = None
     """Why the filter takes no other sensor than its own; None where it does."""
-    originals: tuple[Sensor, ...] = ()
-    """The sensors that the filter's own sensor is a copy of: they count as its own."""
     engine: Engine
     """The engine that runs its steps: see ``compile``."""
     motion: Motion
@@ -152,7 +147,8 @@ class Filter(Part, Generic[S]):
     def advance(self, state: S, frame: Frame) -> tuple[S, Record]:
         """One step: the next state, and the record of the step.
 
-        A filter with ``mixes = True`` has one more argument, ``mix``.
+        A filter inside of ``IMM`` has one more argument, ``mix``: a function that replaces the belief from which the
+        step starts, or None.
         """
         raise TypeError(f"{type(self).__name__} needs an advance")
 
@@ -255,11 +251,6 @@ class Filter(Part, Generic[S]):
         if factor is None or self.fading is None:
             return propagated
         return propagated._replace(spread=self.fading.stretch(propagated.spread, factor))
-
-    @property
-    def frame_motion(self) -> Motion:
-        """The motion whose transition and process noise are in the frames."""
-        return self.motion
 
     # ------------------------------------------------------------ to use a filter
 
@@ -479,7 +470,7 @@ class Filter(Part, Generic[S]):
         if sensor is None:
             return self
         f: Any = self.viewed
-        if sensor is f.sensor or any(sensor is x for x in f.originals):
+        if sensor is f.sensor:
             own: Self = f
             return own
         view: Self = f._views(f, sensor)
@@ -538,7 +529,7 @@ class Filter(Part, Generic[S]):
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
-        return make_frames(measurements, self.frame_motion, self.sensor, rank)
+        return make_frames(measurements, frame_motion(self), self.sensor, rank)
 
 
 def _least_rank(f: Filter) -> int:

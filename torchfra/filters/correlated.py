@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
+from torchfra.filters.several_sensors import SensorViews
 from torchfra.gaussian.inputs import BackwardStep, Frame, Time
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.augmented import Augmented
@@ -70,7 +71,7 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
 
     def __init__(self, inner: Filter, sensor: Sensor) -> None:
         super().__init__()
-        self.inner, self.originals = inner, (sensor,)
+        self.inner, self._views = inner, SensorViews(sensor)
 
     # ------------------------------------------------------------ the models
 
@@ -87,11 +88,6 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         """The sensor without its errors."""
         sensor = self.inner.sensor
         return sensor.unbiased if self.viewed is self else sensor  # type: ignore[return-value]  # it is Biased
-
-    @property
-    def frame_motion(self) -> Motion:
-        """The motion of target and errors."""
-        return self.inner.frame_motion
 
     @property
     def errors(self) -> list[GaussMarkov]:

@@ -170,7 +170,6 @@ class FRA(Soft, Filter[FRAState]):
     """
 
     fading: Fading
-    mixes = True
 
     def __init__(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import math
 from collections.abc import Collection
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from torchfra.filters.interaction import (
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
+from torchfra.filters.several_sensors import SensorViews
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
@@ -106,11 +108,13 @@ class IMM(Filter[IMMState]):
         durations: Value | None = None, initial: Value | None = None, subset: LikelyModels | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
-        if not isinstance(inner.motion, Bank) or not getattr(inner, "mixes", False):
+        # A mix has the moments of beliefs alone, for which new points are to be drawn.
+        takes_mix = "mix" in inspect.signature(inner.advance).parameters and getattr(inner, "redraw", True)
+        if not isinstance(inner.motion, Bank) or not takes_mix:
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
-            expected = "SRCKF or FRA around a Bank, or a filter with mixes = True"
+            expected = "SRCKF or FRA around a Bank, or a filter whose advance takes a mix"
             raise ValueError(f"inner: expected {expected}, received {received}")
-        self.inner, self.originals = copy.deepcopy(inner), (inner.sensor,)
+        self.inner, self._views = copy.deepcopy(inner), SensorViews(inner.sensor)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():

@@ -27,16 +27,22 @@ _VIEWS = 32
 
 
 class SensorViews:
-    """A filter's views around other sensors; each is made at the first call for its sensor."""
+    """A filter's views around other sensors; each is made at the first call for its sensor.
 
-    def __init__(self) -> None:
-        self._views: dict[int, Any] = {}
+    Args:
+        originals: sensors that the filter's own is a copy of: they count as its own.
+    """
 
-    def __reduce__(self) -> tuple[type[SensorViews], tuple[()]]:
-        return SensorViews, ()  # a copy of the filter makes its own
+    def __init__(self, *originals: Sensor) -> None:
+        self._originals, self._views = originals, dict[int, Any]()
+
+    def __reduce__(self) -> tuple[type[SensorViews], tuple[Sensor, ...]]:
+        return SensorViews, self._originals  # a copy of the filter makes its own
 
     def __call__(self, f: Any, sensor: Sensor) -> Any:
         """The view of ``f`` around ``sensor``, brought up to date with the filter."""
+        if any(sensor is x for x in self._originals):
+            return f
         view = self._views.pop(id(sensor), None)
         if view is None or any(f._modules[name] is not part for name, part in view.replaced.items()):
             check_models(f.motion, sensor)

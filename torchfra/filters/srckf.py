@@ -76,8 +76,6 @@ class SRCKF(Filter[State]):
     (22)-(24) are one triangularisation; neither changes the result.
     """
 
-    mixes = True
-
     def __init__(
         self,
         motion: Motion,
@@ -97,7 +95,6 @@ class SRCKF(Filter[State]):
         }
         check_parts(**{name: part for name, part in parts.items() if part[0] is not None})
         self.robust, self.noise, self.redraw = robust, noise, redraw
-        self.mixes = redraw  # a mix has the moments of beliefs alone, for which new points are drawn
         self.fading = None if fading is None else fading.for_motion(motion)
         if fading is not None:
             check_weights(self, " beside fading factors")

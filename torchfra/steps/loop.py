@@ -11,6 +11,7 @@ import torch
 from torchfra import tree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.hyper import same_values
+from torchfra.motion.base import Motion
 from torchfra.steps.records import Kept, Record, Smoothed, innovation, undecided
 from torchfra.types import Estimate, Gaussian, Innovation
 
@@ -41,6 +42,14 @@ def finish(f: Any, state: Any, kept: Kept) -> Estimate:
     """The estimate of whole tracks, from the last state and the kept parts of all steps."""
     (mean, root), info = f.finish(state, kept.belief, kept.info)
     return Estimate(mean, root, kept.nis, kept.log_likelihood, info)
+
+
+def frame_motion(f: Any) -> Motion:
+    """The motion whose transition and process noise are in the frames: that of the innermost filter."""
+    while hasattr(f, "inner"):
+        f = f.inner
+    motion: Motion = f.motion
+    return motion
 
 
 def one_step(f: Any, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Record]:
