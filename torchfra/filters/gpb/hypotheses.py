@@ -170,13 +170,12 @@ def by_layer(belief: Gaussian, count: int) -> Gaussian:
     more = belief.mean.shape[MOTION] - count
     if not more:
         return belief
-    first, rest = (Gaussian(*(x[:, part] for x in belief)) for part in (slice(count), slice(count, None)))
-    return Gaussian(
-        *(
-            torch.cat([x, y.transpose(0, MOTION).expand(more, count, *y.shape[2:])])
-            for x, y in zip(first, rest, strict=True)
-        )
-    )
+
+    def layered(x: Tensor) -> Tensor:
+        rest = x[:, count:]
+        return torch.cat([x[:, :count], rest.transpose(0, MOTION).expand(more, count, *rest.shape[2:])])
+
+    return Gaussian(layered(belief.mean), layered(belief.scale_tril))
 
 
 def models_last(belief: Gaussian) -> Gaussian:
@@ -193,23 +192,20 @@ def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], coun
         axes: the axes of hypotheses that these two dimensions become.
         count: number of axes of hypotheses.
     """
-
-    def placed(event: int, x: Tensor) -> Tensor:
-        x = x.movedim((-2 - event, -1 - event), sorted(range(2), key=axes.__getitem__))  # in the order of their axes
-        return _reinserted(x, [axis for axis in range(count) if axis not in axes])
-
-    every: Hypotheses = tree.map_ranked(placed, Hypotheses(belief, log_weight))
-    return every
+    order = (0, 1) if axes[0] < axes[1] else (1, 0)
+    others = [axis for axis in range(count) if axis not in axes]
+    mean, root, log_weight = (
+        _reinserted(x.movedim((-2 - event, -1 - event), order), others)
+        for x, event in ((belief.mean, 1), (belief.scale_tril, 2), (log_weight, 0))
+    )
+    return Hypotheses(Gaussian(mean, root), log_weight)
 
 
 def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypotheses:
     """The inverse of ``from_state``; all other axes must have size 1."""
-
-    def placed(event: int, x: Tensor) -> Tensor:
-        return _behind(x, axes, count, event)
-
-    state: Hypotheses = tree.map_ranked(placed, every)
-    return state
+    (mean, root), log_weight = every
+    belief = Gaussian(_behind(mean, axes, count, 1), _behind(root, axes, count, 2))
+    return Hypotheses(belief, _behind(log_weight, axes, count, 0))
 
 
 def batch_first(values: Tensor, axis: int) -> Tensor:
