@@ -69,6 +69,7 @@ HELP_ONLY = {
     "torchfra compare --scenario bearings-outliers --runs 200 --table": "run by test_compare.py",
     "torchfra compare --ranges FOLDER": "run by test_cli.py",
     "scripts/examples/": "run by test_examples.py",
+    "scripts/mutants.py": "runs many tests: run with few by test_mutants.py",
     "scripts/export.py": "compiles a program for each filter: run by test_export.py",
     "scripts/benchmark.py --what layer": "compiles a filter with gradients: run by test_scripts.py",
     "scripts/benchmark.py --what training": "compiles four filters with gradients: run by test_scripts.py",

@@ -294,6 +294,10 @@ def test_a_covariance_of_any_rank_has_a_root_and_what_is_none_is_refused():
     ):
         with pytest.raises(ValueError, match=f"Q: expected a? ?{said}"):
             covariance_root(torch.tensor(bad), "Q")
+    several = torch.eye(2).repeat(2, 3, 1, 1)
+    several[1, 0, 1, 1] = -1.0
+    with pytest.raises(ValueError, match=r"received \[\[1\.0, 0\.0\], \[0\.0, -1\.0\]\]$"):
+        covariance_root(several)
 
 
 def test_while_traced_a_covariance_of_any_rank_has_its_root_and_what_is_none_has_nan():

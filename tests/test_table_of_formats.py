@@ -378,7 +378,8 @@ def test_the_first_filled_sheet_of_a_workbook_is_read_as_csv_is(tmp_path):
     assert (track.name, track.time[0], len(track.time)) == ("Van 1", START, ROWS)
 
 
-def test_records_of_fit_are_read_and_laps_are_not(tmp_path):
+def fit_file():
+    """Records, and laps between them."""
     utils = pytest.importorskip("fitdecode.utils")
     fields = bytes([253, 4, 0x86, 0, 4, 0x85, 1, 4, 0x85])  # timestamp, position_lat, position_long
     lap = bytes([0x41, 0, 0]) + struct.pack("<HB", 19, 1) + bytes([253, 4, 0x86])
@@ -389,7 +390,21 @@ def test_records_of_fit_are_read_and_laps_are_not(tmp_path):
         body += b"\x01" + struct.pack("<I", START + i - 631_065_600)
     head = struct.pack("<BBHI4s", 14, 0x10, 2132, len(body), b".FIT")
     data = head + struct.pack("<H", utils.compute_crc(head)) + body
-    (tmp_path / "run.fit").write_bytes(data + struct.pack("<H", utils.compute_crc(data)))
+    return data + struct.pack("<H", utils.compute_crc(data))
+
+
+def test_records_of_fit_are_read_and_laps_are_not(tmp_path):
+    (tmp_path / "run.fit").write_bytes(fit_file())
     (track,) = read(tmp_path / "run.fit")
     assert track.time.tolist() == [START + i for i in range(ROWS)]
     assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)
+
+
+def test_damaged_fit_is_refused_whatever_its_library_stumbles_over(tmp_path):
+    whole, path = fit_file(), tmp_path / "run.fit"
+    cut = [whole[:k] for k in range(12, len(whole) - 2, 11)]
+    changed = [whole[:k] + bytes([whole[k] ^ 0xFF]) + whole[k + 1 :] for k in (0, 5, 7, 19, 20, 22, 25)]
+    for data in [*cut, *changed, b"<?xml ve.FIT" + bytes([255] * 200)]:
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match=r"run\.fit: expected "):
+            read(path)

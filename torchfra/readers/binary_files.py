@@ -66,14 +66,14 @@ def fit_sheet(file: Any) -> Sheet:
     """
     fitdecode, records = optional("fitdecode", "FIT", "formats"), list[dict[str, Any]]()
     try:
-        with fitdecode.FitReader(file) as reader:
+        with fitdecode.FitReader(file, check_crc=fitdecode.CrcCheck.RAISE) as reader:
             for frame in reader:
                 if frame.frame_type == fitdecode.FIT_FRAME_DATA and frame.name == "record":
                     cells = {field.name: field.value for field in frame.fields}
                     record = {_FIT.get(name, name): value for name, value in cells.items() if _is_cell(value)}
                     places = {axis: record[axis] * _SEMICIRCLE for axis in ("latitude", "longitude") if axis in record}
                     records.append({**record, **places})
-    except fitdecode.FitError as error:
+    except Exception as error:  # what is damaged can lead to errors of many types
         raise ValueError(f"expected a complete FIT file, received none ({error})") from error
     if not records:
         raise ValueError("expected FIT with messages called record, received none: no track was recorded")
