@@ -62,3 +62,17 @@ def test_no_standard_deviation_is_written_as_nothing():
     header, *rows = encode([one]).decode().splitlines()
     at = header.split(",").index("std_along")
     assert all(float(row.split(",")[at]) > 0 for row in rows)
+
+
+def test_motion_that_may_be_noise_does_not_move_a_path_from_fixes_that_state_to_be_better_and_digits_show_it():
+    rng = np.random.default_rng(3)
+    truth = np.cumsum(np.cumsum(0.002 * rng.standard_normal((150, 2)), 0), 0)
+    z = truth + 2e-6 * rng.standard_normal(truth.shape)
+    (one,) = clean_tracks([Recording("probe", 0.2 * np.arange(150), z, None, {}, sigma=np.full(150, 2e-6))])
+    assert np.abs(one.position - truth).max() < 1e-5
+    assert one.std.max() < 3e-6
+    assert (one.found.sigma, one.found.sigma_unsure) == (1, "")
+    assert any("as stated" in note for note in one.found.notes)
+    header, *rows = encode([one]).decode().splitlines()
+    written = np.array([row.split(",")[header.split(",").index("x")] for row in rows], dtype=float)
+    assert np.abs(written - one.position[:, 0]).max() < 2e-7

@@ -41,6 +41,7 @@ _OPEN = 0.5
 """Sigma is unsure if one below this share of it is not ruled out."""
 _REPEATED = 0.5
 """Factor on the stated standard deviations below which a track does not show them: its receiver has smoothed it."""
+_AS_STATED = "Standard deviations are as stated: fixes differ from the path by less than that, or are too far apart"
 _SWIMS = 3.0
 """Speed, m/s, that seals and turtles do not keep up, as filters of Argos take it.
 
@@ -222,7 +223,20 @@ def _clean_batch(
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
     else:
         results = _by_filter(recordings, tracks, every, own, compile, fallback)
+    again = [i for i, one in enumerate(results) if _is_stated(one) and one.found.sigma > 1 and one.found.sigma_unsure]
+    if again:  # motion that is no noise may explain why fixes are farther off than they state
+        some = _clean_batch(
+            [recordings[i] for i in again], coarse=[coarse[i] for i in again], name=name, bank=bank,
+            settings=settings._replace(sigma=1.0), dt=dt, compile=compile, fallback=fallback,
+        )  # fmt: skip
+        for i, one in zip(again, some, strict=True):
+            results[i] = replace(one, found=replace(one.found, notes=(*one.found.notes, _AS_STATED)))
     return [_as_stated(*of) for of in zip(results, tracks, strict=True)]
+
+
+def _is_stated(one: Cleaned) -> bool:
+    """Whether fixes state their accuracy, and a factor on it was looked for."""
+    return one.recording.sigma is not None and "sigma" in one.found.estimated
 
 
 def _as_stated(one: Cleaned, steps: Steps) -> Cleaned:
@@ -232,17 +246,15 @@ def _as_stated(one: Cleaned, steps: Steps) -> Cleaned:
     no estimate is more certain than its fix.
     """
     found = one.found
-    shown = found.sigma >= _REPEATED and not found.sigma_unsure
-    if one.recording.sigma is None or "sigma" not in found.estimated or shown:
+    if not _is_stated(one) or (found.sigma >= _REPEATED and not found.sigma_unsure):
         return one
     d = one.raw.shape[1]
     at = np.maximum.accumulate(np.where(one.row >= 0, np.arange(len(one.time)), 0))  # of the last fix
     more = np.maximum(steps.std[at] ** 2 - np.diagonal(one.covariance, axis1=1, axis2=2)[:, :d], 0.0)
     covariance = one.covariance.copy()
     covariance[:, range(d), range(d)] += more
-    note = "Standard deviations are as stated: fixes differ from the path by less than that, or are too far apart"
     found = replace(
-        found, sigma=1.0, estimated=found.estimated - {"sigma"}, sigma_unsure="", notes=(*found.notes, note)
+        found, sigma=1.0, estimated=found.estimated - {"sigma"}, sigma_unsure="", notes=(*found.notes, _AS_STATED)
     )
     return replace(one, covariance=covariance, found=found)
 
