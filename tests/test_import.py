@@ -50,6 +50,9 @@ print("loaded:", *(name for name in set(sys.modules) - before
 print("loaded:", *{{"sympy", "torch._dynamo"}} & (set(sys.modules) - before))
 loaded()
 f.compile()(torch.ones(5, 2).requires_grad_(), prior).mean.sum().backward()
+from torchfra.evaluation.fixes import fixes
+scenario = torchfra.scenarios.bearings_outliers()
+assert fixes(scenario, scenario.simulate(1, 0)).isfinite().any()
 print("loaded:", *{{"sympy", "torch._dynamo", "torch.distributed.tensor"}} & (set(sys.modules) - before))
 """
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, vmap
-from torch.func import jacfwd
+from torch import Tensor
 
 from torchfra.scenarios import Scenario, Tracks
+from torchfra.scenarios.bounds import slopes
 from torchfra.sensors.base import Sensor
 
 _ITERATIONS = 40
@@ -58,8 +58,7 @@ def deviations(scenario: Scenario, tracks: Tracks) -> Tensor:
 
 def _gauss_newton(sensor: Sensor, z: Tensor, x: Tensor, u: Tensor | None, places: list[int]) -> tuple[Tensor, Tensor]:
     """The step ``(..., d)`` of the components ``places`` of states ``x``, and the slope of the measurement there."""
-    inputs = (x.flatten(0, -2),) if u is None else (x.flatten(0, -2), u.flatten(0, -2))
-    slope = vmap(jacfwd(sensor))(*inputs)[..., places].unflatten(0, x.shape[:-1])
+    slope = slopes(sensor, x, u)[..., places]
     slope = sensor.measurement_noise(z).whiten(torch.where(z.isnan().unsqueeze(-1), 0.0, slope))
     residual = _residual(sensor, z, x, u)
     good = slope.isfinite().flatten(-2).all(-1) & residual.isfinite().all(-1)

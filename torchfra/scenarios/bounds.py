@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, vmap
-from torch.func import jacfwd
+from torch import Tensor
 
 from torchfra.metrics.bounds import cramer_rao
 from torchfra.motion.base import Motion
@@ -66,7 +65,7 @@ def bound(scenario: Scenario, *, runs: int = RUNS, seed: int = 0) -> Bound:
 def _slopes(law: Law, scenario: Scenario, tracks: Tracks, truth: Tensor) -> Tensor:
     """``(B, T, m, n)`` slopes of the measurements, whitened; 0 where missing."""
     u = None if tracks.u is None else tracks.u.expand(*truth.shape[:-1], -1)
-    slope = _each(law.sensor, truth, u)
+    slope = slopes(law.sensor, truth, u)
     std = torch.as_tensor(law.std, dtype=truth.dtype).expand(truth.shape[1], slope.shape[-2])
     information = torch.as_tensor(law.information, dtype=truth.dtype).expand(truth.shape[1]) * scenario.detection
     slope = slope * (information.sqrt().unsqueeze(-1) / std).unsqueeze(-1)
@@ -86,14 +85,17 @@ def _transitions(law: Law, scenario: Scenario, tracks: Tracks, truth: Tensor) ->
         raise ValueError("law: expected a linear motion where filters have other coordinates than the truth")
     start = tracks.prior.mean.to(truth).expand(len(truth), -1).unsqueeze(1)  # near enough: it is one slope of many
     u = None if tracks.u is None else tracks.u.expand(*truth.shape[:-1], -1)
-    return _each(lambda x, u: motion(x, dt.expand(x.shape[:-1]), u), torch.cat([start, truth[:, :-1]], 1), u)
+    return slopes(lambda x, u: motion(x, dt.expand(x.shape[:-1]), u), torch.cat([start, truth[:, :-1]], 1), u)
 
 
-def _each(function: Measured, x: Tensor, u: Tensor | None) -> Tensor:
-    """Slopes ``(B, T, m, n)`` of a function of states ``x (B, T, n)`` and ``u``."""
-    if u is None:
-        found: Tensor = vmap(jacfwd(lambda x: function(x, None)))(x.flatten(0, 1))
-    else:
-        found = vmap(jacfwd(function))(x.flatten(0, 1), u.flatten(0, 1))
-    slopes: Tensor = found.unflatten(0, x.shape[:2])
-    return slopes
+def slopes(function: Measured, x: Tensor, u: Tensor | None) -> Tensor:
+    """Slopes ``(..., m, n)`` of a function of states ``x (..., n)`` and ``u``, which takes each state by itself.
+
+    (Forward mode, and ``torch.func``, would import torch's compiler for some operations, which takes seconds.)
+    """
+    with torch.enable_grad():
+        at = x.detach().requires_grad_()
+        values = function(at, u)
+        sums = values.flatten(0, -2).sum(0)
+        rows = [torch.autograd.grad(total, at, retain_graph=True, materialize_grads=True)[0] for total in sums]
+    return torch.stack(rows, -2)
