@@ -1,5 +1,8 @@
 """Simulated harbours: how boats move, what each sensor has of them, and that a seed says it all."""
 
+import json
+
+import harbours
 import pytest
 import torch
 
@@ -71,3 +74,20 @@ def test_a_seed_says_it_all():
 def test_arguments_out_of_range_are_named(kind, options, name):
     with pytest.raises(ValueError, match=f"{name}: expected"):
         scenarios.harbour(kind, **{"seed": 0} | options)
+
+
+def test_the_script_follows_ships_and_counts_scans_with_two_tracks(tmp_path, capsys):
+    out = tmp_path / "harbours.json"
+    options = ["--kinds", "ship", "--runs", "1", "--detection", "0.95", "--sensors", "radar", "--json", str(out)]
+    assert harbours.main(options) == 0
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["kind"], row["twice"]) == ("ship", 0)
+    assert 0.5 < row["followed"] <= 1.0
+    assert "ship" in capsys.readouterr().out
+    ship = scenarios.harbour("ship", seed=0)
+    own = ship.truth[:, ~ship.lidar, :2]
+    more = own.clone()
+    more[0, 5:9] += 10.0
+    more[0, 9:] += 50.0
+    more[0, :2] = torch.nan
+    assert harbours.twice(torch.cat([own, more]), ship) == 7

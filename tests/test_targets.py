@@ -15,7 +15,7 @@ from torchfra.gaussian.inputs import Measurements
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, RandomWalk, aircraft
 from torchfra.sensors import Bearings, Position, RangeBearing, Stacked
 from torchfra.steps.checks import check_step
-from torchfra.targets import SPRT, Deletion, Existence, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
+from torchfra.targets import SPRT, Deletion, Merging, MOfN, OnePoint, Targets, TwoPoint, collect
 from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.types import Gaussian
 
@@ -211,6 +211,13 @@ def test_there_may_be_any_number_of_targets():
     assert [len(s.identity) for s in states[4:]] == [side**2, side**2, 2, 2, 2]
 
 
+def test_a_target_that_is_faster_than_any_ends():
+    _, z = moving([(0, 0, 12.0, 0), (0, 50, 12.0, 9.0)], 12)
+    for speed, count in ((13.0, 1), (16.0, 2)):
+        states = run(Targets(plane(), birth=TwoPoint(20.0), deletion=Deletion(3, speed=speed)), z)
+        assert len(states[-1].identity) == count
+
+
 def test_two_tracks_of_one_target_become_one_and_targets_that_cross_stay_two():
     f, track = plane(), [(0.0, 0.0, 5.0, 0.0)]
     _, z = moving(track, 12)
@@ -223,38 +230,6 @@ def test_two_tracks_of_one_target_become_one_and_targets_that_cross_stay_two():
     _, z = moving([(-60, 0, 5, 0), (0, -60, 0, 5)], 24)
     crossing = run(Targets(f, birth=TwoPoint(20.0), merging=Merging()), z)
     assert crossing[-1].identity.tolist() == [0, 1]
-
-
-def test_no_target_begins_beside_a_confirmed_one_within_its_extent_and_confirmed_ones_may_cross():
-    f = plane()
-    _, z = moving([(0.0, 0.0, 5.0, 0.0), (-15.0, 0.0, 5.0, 0.0)], 16)  # the bow of a ship, and its stern
-    z[:6, 1] = math.nan
-    for extent, count in ((None, 2), (20.0, 1), (10.0, 2)):
-        targets = Targets(f, birth=OnePoint(10.0), merging=Merging(extent=extent))
-        assert len(run(targets, z)[-1].identity) == count
-    _, z = moving([(-60, 0, 5, 0), (0, -60, 0, 5)], 24)
-    crossing = run(Targets(f, birth=TwoPoint(20.0), merging=Merging(extent=20.0)), z)
-    assert crossing[-1].identity.tolist() == [0, 1]
-
-
-def test_a_target_that_ends_in_a_scan_forbids_no_birth_beside_it_in_that_scan():
-    _, z = moving([(0.0, 0.0, 1.0, 0.0), (60.0, 0.0, 0.0, 0.0)], 40)
-    z[:8, 1] = math.nan
-    z[8:, 0] = math.nan
-    targets = Targets(plane(), birth=OnePoint(2.0), confirmation=Existence(confirmed=0.9, deleted=0.05),
-                      merging=Merging(extent=100.0))  # fmt: skip
-    states = run(targets, z)
-    assert states[7].identity.tolist() == [0]
-    end = next(state for state in states[8:] if 0 not in state.track.identity)
-    assert len(end.track.identity) == 1
-
-
-def test_a_target_of_one_scene_is_no_part_of_one_in_another():
-    _, z = moving([(0.0, 0.0, 5.0, 0.0)], 16)
-    later = z.clone()
-    later[:6] = math.nan
-    targets = Targets(plane(), birth=OnePoint(10.0), merging=Merging(extent=20.0))
-    assert (targets(torch.stack([z, later])).identity == 0).all()
 
 
 @pytest.mark.parametrize("birth", [OnePoint(60.0), TwoPoint(90.0)], ids=["one point", "two points"])
@@ -447,9 +422,10 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     (lambda: MOfN(0, 3), "m, n: expected whole numbers"),
     (lambda: SPRT(0.6, 0.6), "false, missed: expected probabilities"),
     (lambda: SPRT(0.0), "false, missed: expected probabilities"),
-    (lambda: Deletion(None), "misses, score_drop, spread: expected at least one"),
+    (lambda: Deletion(None), "misses, score_drop, spread, speed: expected at least one"),
     (lambda: Deletion(0), "misses: expected 1 scan or more"),
     (lambda: Deletion(score_drop=2.0), "score_drop: expected a probability"),
+    (lambda: Deletion(speed=-1.0), "speed: expected a finite number above 0"),
     (lambda: Deletion(spread=0.0), "spread: expected finite metres above 0"),
     (lambda: Targets(plane(), birth_threshold="x"), "birth_threshold: expected a probability"),
     (lambda: OnePoint("x"), "velocity: expected a finite number above 0, received 'x'"),
@@ -461,7 +437,6 @@ def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     (lambda: Targets(plane()).init(1.5), "scenes: expected 1 or more"),
     (lambda: Targets(plane()).init(dtype=torch.float16), "dtype: expected torch.float32 or torch.float64"),
     (lambda: Merging(0.0), "distance: expected a finite number above 0"),
-    (lambda: Merging(extent=0.0), "extent: expected finite metres above 0, received 0.0"),
 ])  # fmt: skip
 def test_arguments_that_do_not_fit_are_named(make, message):
     with pytest.raises(ValueError, match=message):

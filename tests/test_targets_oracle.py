@@ -16,6 +16,7 @@ from torchfra.targets import (
     ClutterMap,
     Deletion,
     Existence,
+    Extent,
     FieldOfView,
     MOfN,
     OnePoint,
@@ -181,6 +182,57 @@ def test_broken_tracks_are_stitched_as_in_plain_loops(confirmation, misses, lear
     first, last = ({t.identity for t in expected[k] if t.confirmed} for k in (8, -1))
     assert len(first) == 3
     assert first == last
+
+
+HULL = {
+    "longest": 30.0,
+    "shortest": 5.0,
+    "beam": 2.5,
+    "both": 0.3,
+    "speed": 1.5,
+    "seconds": 25.0,
+    "two": 0.4,
+    "sure": 0.8,
+}
+
+
+def beside(seed, steps=40):
+    """A ship that shows its bow, its stern, both or nothing, and then turns; two boats side by side."""
+    rng, found = np.random.default_rng(seed), []
+    for k in range(steps):
+        course = 0.05 * max(0, k - 20)
+        ahead = np.array([math.cos(course), math.sin(course)])
+        middle = np.array([-60.0 + 5 * k, -30.0])
+        ends = [(1,), (-1,), (1, -1), ()][rng.choice(4, p=[0.4, 0.4, 0.15, 0.05]) if k > 8 else 0]
+        z = [middle + 9 * s * ahead for s in ends]
+        z += [np.array([60.0 - 4 * k, y]) for y in (40.0, 54.0) if rng.random() < PD]
+        z = [x + 0.7 * STD * rng.standard_normal(2) for x in z]
+        found.append(rng.permutation(np.array(z).reshape(-1, 2)))
+    return found
+
+
+@pytest.mark.parametrize("stitch", [None, {"seconds": 20.0, "metres": 30.0, "probability": 0.99}])
+def test_two_boats_and_the_ends_of_a_hull_are_those_of_plain_loops(stitch):
+    z, confirmation, how = beside(3), *HASTY["score"]
+    limit = 13.2767041  # of the whole state, 0.99
+    expected = manage(
+        z, std=STD, q=Q, dt=DT, PD=PD, PG=PG, limit=-2 * math.log(1 - PG), density=RATE / WIDTH**2,
+        birth=BIRTHS["one point"][1], confirm=how, misses=3, extent=HULL | {"turn": 0.05},
+        stitch=None if stitch is None else stitch | {"limit": limit},
+    )  # fmt: skip
+    targets = manager(
+        BIRTHS["one point"][0], confirmation, Deletion(3), extent=Extent(**HULL),
+        stitching=None if stitch is None else Stitching(**stitch),
+    )  # fmt: skip
+    states = follow(targets, z, expected, [{"dt": DT}] * len(z))
+    shared, parts = 0, 0
+    for state, there in zip(states, expected, strict=True):
+        assert state.track.beside.host.tolist() == [t.host_identity for t in there]
+        np.testing.assert_allclose(state.track.beside.odds, [t.odds for t in there], rtol=1e-7, atol=1e-7)
+        shared += sum(t.host is not None and t.confirmed for t in there)
+        parts += sum(t.host is not None and t.odds < 0 for t in there)
+    assert shared > 5  # two boats were found to be two
+    assert parts > 5
 
 
 def follow(targets, z, expected, options):

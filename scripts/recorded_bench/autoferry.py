@@ -29,10 +29,10 @@ from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.motion import ConstantVelocity
 from torchfra.plotting.style import TITLE, finish, words
 from torchfra.sensors import Position
-from torchfra.targets import SPRT, ClutterMap, Deletion, FieldOfView, Merging, OnePoint, Stitching, Targets
+from torchfra.targets import SPRT, ClutterMap, Deletion, Extent, FieldOfView, Merging, OnePoint, Stitching, Targets
 
 METRIC = "gospa"
-PARTS = (METRIC, "followed", "followed_seen", "switches", "false_per_minute")
+PARTS = (METRIC, "hota", "idf1", "followed", "followed_seen", "switches", "false_per_minute")
 OWN_PRESETS = ("radar", "radar_lidar")
 """Which sensors are used; there are no others."""
 STITCHING = Stitching(30.0, 80.0, probability=1 - 1e-9)
@@ -61,9 +61,9 @@ Q, SPEED = 0.3, 5.0
 STD, DETECTION, RATE = {RADAR: 2.0, LIDAR: 2.0}, {RADAR: 0.85, LIDAR: 0.5}, {RADAR: 4.0, LIDAR: 1.0}
 """Of each sensor: standard deviation of a position, m; probability that a boat is measured; false measurements of a
 scan, in a square of ``WIDTH`` m."""
-WIDTH, REACH, SPREAD, EXTENT = 600.0, 70.0, 2.0, 20.0
+WIDTH, REACH, SPREAD = 600.0, 70.0, 2.0
 """m; how far the lidar sees boats for sure; standard deviation of a kernel of the map of clutter: what stays is off by
-some metres for long, but only 1 to 2 m from scan to scan; and from a ship within which no other begins."""
+some metres for long, but only 1 to 2 m from scan to scan."""
 EMPTY = 8.0
 """Scans without measurements with which the map begins: after 2 of them a third of what is seen first counts as land,
 boats too."""
@@ -142,8 +142,8 @@ def manager(name: str) -> Targets:
     )  # fmt: skip
     both = name == "radar_lidar"
     return Targets(
-        radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(4),
-        merging=Merging(extent=EXTENT), clutter_map=ClutterMap(SPREAD, 60.0, EMPTY), stitching=STITCHING,
+        radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(4, speed=3 * SPEED),
+        merging=Merging(), extent=Extent(), clutter_map=ClutterMap(SPREAD, 60.0, EMPTY), stitching=STITCHING,
         sensors={"lidar": lidar} if both else None, views={"lidar": FieldOfView(REACH)} if both else None,
     )  # fmt: skip
 
@@ -192,6 +192,8 @@ def figures_of(name: str, scene: Scene, mean: Tensor) -> Figures:
     minutes = (scene.z[-1].time - scene.z[0].time) / 60
     return {
         METRIC: float(metrics.gospa(mean, truth, states, cutoff=CUTOFF).distance.mean()),
+        "hota": float(metrics.hota(mean, truth, states, cutoff=CUTOFF).score),
+        "idf1": float(metrics.idf1(mean, truth, states, cutoff=CUTOFF).score),
         "followed": float((lives.followed / lives.length).mean()),
         "followed_seen": float((lives_seen.followed / lives_seen.length).nanmean()),
         "switches": int(lives.switches.sum()),

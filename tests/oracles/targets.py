@@ -11,6 +11,7 @@ import numpy as np
 
 from oracles.basics import Array
 from oracles.events import joint_events, joint_visibility
+from oracles.extent import decide, take_over, weigh
 
 
 @dataclass(eq=False)
@@ -30,6 +31,10 @@ class Target:
     lived: float = 0.0
     gone: float = 0.0
     visible: list[float] = field(default_factory=lambda: [1.0, 1.0])
+    host: Target | None = None
+    host_identity: int = -1
+    scans: float = 0.0
+    odds: float = 0.0
 
 
 def manage(
@@ -37,6 +42,7 @@ def manage(
     birth: dict[str, float], confirm: dict[str, Any], misses: int | None, drop: float | None = None,
     looks: list[dict[str, Any]] | None = None, clutter_map: dict[str, float] | None = None,
     stitch: dict[str, float] | None = None, hide: dict[int, dict[str, float]] | None = None,
+    extent: dict[str, float] | None = None,
 ) -> list[list[Target]]:  # fmt: skip
     """After each scan (J, 2) copies of the targets that are there; constant velocity, positions, Poisson clutter.
 
@@ -110,11 +116,13 @@ def manage(
                 if beta[j, t] > 0.01 and not target.confirmed
             ]
             counted[sensor] += 1
+        outside = []
         for t, target in enumerate(targets):
             update(target, z, beta[:, t], missed[t], H, R)
             hit, (target.score, score) = bool(missed[t] < 0.5), scores[t]
             target.since, target.lived = 0.0 if hit else target.since + dt, target.lived + dt
             if "farthest" in look and not hit and np.linalg.norm(target.mean[:2] - look["place"]) > look["farthest"]:
+                outside.append((target, target.host, target.scans, target.odds))
                 continue
             target.score, target.visible[sensor] = score - explained[t], 1 - hidden[t]
             target.best = max(target.best, target.score)
@@ -126,8 +134,15 @@ def manage(
             claimed = beta / (1 + np.exp([-t.score for t in targets]))
         for target in over:
             target.since, target.gone = target.since + dt, target.gone + dt
-        over += [t for t in targets if t.confirmed and ends(t, misses, drop)]
-        targets = [t for t in targets if not ends(t, misses, drop)]
+        ending = [t for t in targets if ends(t, misses, drop)]
+        if extent is not None:
+            weigh(targets, missed, PD * PG, dt, extent)
+            for target, host, scans_of_it, odds in outside:
+                target.host, target.scans, target.odds = host, scans_of_it, odds
+            kept = take_over(targets)
+            ending = [t for t in ending if t not in kept]
+        over += [t for t in ending if t.confirmed]
+        targets = [t for t in targets if t not in ending]
         unclaimed = 1 - claimed.sum(1)
         free = [(z[j], R, 0.0, unclaimed[j] * math.exp(-excess[j])) for j in range(len(z)) if unclaimed[j] > 0.5]
         waiting = {s: [(x, S, since + dt, w) for x, S, since, w in old] for s, old in waiting.items()}
@@ -144,9 +159,13 @@ def manage(
         before = [t for t in targets if t.confirmed]
         targets = [t for t in targets if stays(t, confirm)]
         over += [t for t in before if t not in targets]
+        if extent is not None:
+            decide(targets, before, extent)
         if stitch is not None:
             found = [t for t in targets if t.confirmed and t not in before]
             targets, over = stitched(targets, over, found, q, stitch)
+        for t in targets:
+            t.host_identity = -1 if t.host is None else t.host.identity
         shown.append([replace(t, hits=list(t.hits), visible=list(t.visible)) for t in targets])
     return shown
 

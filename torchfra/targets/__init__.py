@@ -5,6 +5,7 @@
 
 from torchfra.targets.births import Birth, OnePoint, PoissonBirths, TwoPoint
 from torchfra.targets.clutter_map import ClutterMap
+from torchfra.targets.extent import Extent
 from torchfra.targets.manager import Targets
 from torchfra.targets.merging import Merging
 from torchfra.targets.rules import SPRT, Confirmation, Deletion, Existence, MOfN
@@ -21,6 +22,7 @@ __all__ = [
     "Confirmation",
     "Deletion",
     "Existence",
+    "Extent",
     "FieldOfView",
     "MOfN",
     "Merging",

@@ -24,12 +24,23 @@ from torchfra.targets.checks import check_filter, check_parts, check_scan, check
 from torchfra.targets.clusters import Group
 from torchfra.targets.clutter_map import ClutterMap, Mapped
 from torchfra.targets.detections import check_linkage, linked
+from torchfra.targets.extent import Extent
 from torchfra.targets.late import Passed, kept, put_in
 from torchfra.targets.merging import Merging
 from torchfra.targets.places import place, positions
 from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
-from torchfra.targets.state import Ended, TargetsEstimate, TargetsState, Track, Unassociated, collect, joined, rows
+from torchfra.targets.state import (
+    Ended,
+    TargetsEstimate,
+    TargetsState,
+    Track,
+    Unassociated,
+    collect,
+    joined,
+    renamed,
+    rows,
+)
 from torchfra.targets.stitching import Parts, Stitching, lost
 from torchfra.targets.triangulation import Lines, Triangulation, check_triangulation, sights
 from torchfra.targets.views import FieldOfView, check_place, check_views
@@ -57,7 +68,8 @@ class Targets(Part):
         confirmation: when tentative targets are confirmed or deleted, ``SPRT()`` if None; scores need clutter of a
             Poisson rate.
         deletion: when targets end, ``Deletion()`` if None, and if the confirmation deletes none that are confirmed.
-        merging: which tracks are of one target, and how large targets are; None for never.
+        merging: which tracks are of one target; None for never.
+        extent: whether a target beside another is a part of its hull; None if targets are points.
         birth_threshold: a measurement may begin a target if it belongs to no other with a probability above this.
         sensors: others that scan the same targets, by name, each as a ``JPDA`` with its sensor, gate, clutter and
             detection; targets are followed by the inner filter of ``filter``, around that sensor.  A scan of any sensor
@@ -91,12 +103,14 @@ class Targets(Part):
         views: Mapping[str | None, FieldOfView] | None = None, clutter_map: ClutterMap | None = None,
         lag: float = 0.0, stitching: Stitching | None = None, linkage: Mapping[str | None, float] | None = None,
         visibility: Mapping[str | None, Visibility] | None = None, triangulation: Triangulation | None = None,
+        extent: Extent | None = None,
     ) -> None:  # fmt: skip
         super().__init__()
         check_filter(filter, births=triangulation is None)
         check_parts(birth=(birth, Birth), confirmation=(confirmation, Confirmation), deletion=(deletion, Deletion),
                     merging=(merging, Merging), clutter_map=(clutter_map, ClutterMap),
-                    stitching=(stitching, Stitching), triangulation=(triangulation, Triangulation))  # fmt: skip
+                    stitching=(stitching, Stitching), triangulation=(triangulation, Triangulation),
+                    extent=(extent, Extent))  # fmt: skip
         if not 0 <= as_number(lag) < math.inf:
             raise ValueError(f"lag: expected finite seconds of 0 or more, received {lag}")
         self.filter = copy.deepcopy(filter)
@@ -105,7 +119,9 @@ class Targets(Part):
         self.deletion = Deletion() if deletion is None and not self.confirmation.deletes else deletion
         self.merging, self.clutter_map, self.lag = merging, clutter_map, float(lag)
         self.birth_threshold = fraction("birth_threshold", birth_threshold)
-        self.stitching, self.triangulation = stitching, triangulation
+        self.stitching, self.triangulation, self.extent = stitching, triangulation, extent
+        if extent is not None and self.filter.motion.dims != 2:
+            raise ValueError(f"extent: expected targets in the plane, received {self.filter.motion.dims} dimensions")
         more = _of_sensors(self.filter, sensors)
         self.sensors, self.views = nn.ModuleDict(more), check_views(views, list(more), self.filter.motion.dims)
         check_triangulation(triangulation, self.filter, more)
@@ -141,9 +157,11 @@ class Targets(Part):
         nothing = torch.zeros(0, dtype=dtype, device=device)
         none = torch.zeros(0, dtype=torch.int64, device=device)
         hits = none.bool().reshape(0, self.confirmation.window)
-        track = Track(none, none, none.bool(), hits, none, *[nothing] * 6)
+        track = Track(none, none, none.bool(), hits, none, nothing, nothing, nothing, nothing, nothing, nothing)
         if self.visibility is not None:
             track = track._replace(visible=self.visibility.first(nothing, 0))
+        if self.extent is not None:
+            track = track._replace(beside=self.extent.first(nothing))
         empty = Gaussian(nothing.reshape(0, n), nothing.reshape(0, n, n))
         position = Gaussian(nothing.reshape(0, dims), nothing.reshape(0, dims, dims))
         next_identity = torch.zeros(scenes, dtype=torch.int64, device=device)
@@ -216,7 +234,8 @@ class Targets(Part):
         scan = check_scan(filter, state, measurements, self.confirmation.window, self.lag)
         parts = (("a map of clutter", state.clutter, self.clutter_map), ("stitching", state.ended, self.stitching),
                  ("visibility", state.track.visible, self.visibility),
-                 ("triangulation", state.lines, self.triangulation))  # fmt: skip
+                 ("triangulation", state.lines, self.triangulation),
+                 ("an extent", state.track.beside, self.extent))  # fmt: skip
         for name, has, part in parts:
             if (has is None) != (part is None):
                 expected, received = ("none", "one") if part is None else ("one", "none")
@@ -284,9 +303,15 @@ class Targets(Part):
         track = _aged(state.track, log_missed, density, gained, miss_or_hidden / own, scan.dt[scene])
         if self.visibility is not None and track.visible is not None:
             track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
+        if self.extent is not None:
+            seen = -torch.expm1(miss)
+            track = self.extent.weighed(filter.motion, after.belief, track, log_missed, seen, scan.dt[scene])
         if sensor in self.views:
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
         gone, merged = self._deleted(after.belief, track, groups)
+        if self.extent is not None:
+            track, ends_not = self.extent.kept(track, ~gone)
+            gone = ~ends_not
         stays = ~(gone | merged)
         exists = self.confirmation.exists(track.score)
         claims = association if exists is None else association * exists.unsqueeze(-1)
@@ -298,6 +323,8 @@ class Targets(Part):
         begun, next_identity = _begun(newborn, self.confirmation, state.next_identity)
         if self.visibility is not None:
             begun = begun._replace(visible=self.visibility.first(begun.score, number))
+        if self.extent is not None:
+            begun = begun._replace(beside=self.extent.first(begun.score))
         if self.clutter_map is not None and mapped is not None and _maps(filter):
             mapped = self.clutter_map.begun(mapped, newborn.newest, len(located.scene), begun.identity)
         was, track = track, joined(rows(track, stays), begun)
@@ -305,9 +332,9 @@ class Targets(Part):
         if len(newborn.scene):
             everyone = joined(everyone, self.filter.init(newborn.belief))
         confirmed, deleted = self.confirmation(track)
-        if self.merging is not None:
-            there = track._replace(confirmed=track.confirmed & ~deleted)  # an ended target has no parts
-            deleted = deleted | self.merging.parts(self.filter.motion, everyone.belief, there)
+        if self.extent is not None:
+            now = confirmed & ~deleted  # an ended target has no parts
+            confirmed, track = self.extent.decided(self.filter.motion, everyone.belief, track.confirmed, now, track)
         ended, found = state.ended, (confirmed & ~track.confirmed)[~deleted]
         if self.stitching is not None and ended is not None:
             over = lost(after, was, was.confirmed & gone & ~merged), lost(everyone, track, track.confirmed & deleted)
@@ -348,7 +375,7 @@ class Targets(Part):
             begun = Parts(rows(everyone.belief, new), *rows((track.scene, track.lived), new))
             i, j = self.stitching(self.filter.motion, Parts(now, scene, since), begun)
         names = track.scene[new[j]], track.identity[new[j]], identity[i]
-        track = track._replace(identity=track.identity.index_put((new[j],), identity[i]))
+        track = renamed(track, *names)
         left, stays = torch.ones_like(ended.scene, dtype=torch.bool), torch.ones_like(found)
         left[i[i < count]], stays[there[i[i >= count] - count]] = False, False
         return *rows((everyone, track), stays), rows(ended, left), names
@@ -394,7 +421,7 @@ class Targets(Part):
         """Two ``(N,)`` bool: targets that the rule of deletion ends, and those that are merged with another."""
         motion = self.filter.motion
         none = torch.zeros_like(track.confirmed)
-        gone = none if self.deletion is None else self.deletion(track, positions(motion, belief).scale_tril)
+        gone = none if self.deletion is None else self.deletion(track, motion, belief)
         return gone, none if self.merging is None else self.merging(motion, belief, track, groups)
 
     def _births(

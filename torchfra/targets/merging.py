@@ -9,7 +9,6 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import positive
 from torchfra.targets.assignment import squared_distance
 from torchfra.targets.clusters import Group
-from torchfra.targets.places import positions
 from torchfra.targets.state import Track, rows
 from torchfra.types import Gaussian
 
@@ -20,26 +19,20 @@ class Merging(nn.Module):
     Whole states are compared, so that targets whose paths cross are not merged.  Tracks of one target share its
     measurements, so that their difference is far smaller than the sum of their covariances.
 
-    A target that is large beside the noise, such as a ship whose bow and stern a radar detects in turn, gives rise to
-    others beside it.  With an ``extent`` a tentative target that is no farther than that from a confirmed one is part
-    of it, and deleted; two confirmed targets are not merged, however close they are.
-
     Args:
         distance: root of the mean square of the difference, in standard deviations of each component, below which two
             are one.
-        extent: metres from a confirmed target within which no other begins; None if targets are points.
 
     Raises:
-        ValueError: a distance or an extent that is not finite and above 0.
+        ValueError: a distance that is not finite and above 0.
 
     Source: the test of Bar-Shalom (1981), "On the Track-to-Track Correlation Problem", with a threshold far below that
     of chance.
     """
 
-    def __init__(self, distance: float = 0.3, *, extent: float | None = None) -> None:
+    def __init__(self, distance: float = 0.3) -> None:
         super().__init__()
         self.distance = positive("distance", distance)
-        self.extent = None if extent is None else positive("extent", extent, "finite metres")
 
     def forward(self, motion: Motion, belief: Gaussian, track: Track, groups: list[Group]) -> Tensor:
         """Which targets ``(N,)`` are deleted as duplicates of another.
@@ -61,23 +54,6 @@ class Merging(nn.Module):
             deleted[torch.where(stays, other, one)[same]] = True
         return deleted
 
-    @torch.no_grad()
-    def parts(self, motion: Motion, belief: Gaussian, track: Track) -> Tensor:
-        """Which tentative targets ``(N,)`` are parts of a confirmed one.
-
-        Args:
-            motion: of the targets.
-            belief: ``(N,)``.
-            track: of each.
-        """
-        if self.extent is None or not bool(track.confirmed.any()):
-            return torch.zeros_like(track.confirmed)
-        position = positions(motion, belief).mean
-        gap = position.unsqueeze(1) - position[track.confirmed]
-        same = track.scene.unsqueeze(1) == track.scene[track.confirmed]
-        near: Tensor = (same & (gap.norm(dim=-1) <= self.extent)).any(-1)
-        return ~track.confirmed & near
-
     def extra_repr(self) -> str:
-        """The distance and the extent."""
-        return f"distance={self.distance:g}, extent={self.extent}"
+        """The distance."""
+        return f"distance={self.distance:g}"

@@ -75,3 +75,9 @@ def positions(motion: Motion, belief: Gaussian) -> Gaussian:
     mean, root = belief_to_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
     at = known_components(motion)[: motion.dims]
     return Gaussian(mean[..., at], root[..., at, :])
+
+
+def velocities(motion: Motion, belief: Gaussian) -> Tensor:
+    """Cartesian velocities ``(..., dims)``, m/s, of the means of beliefs in the coordinates of a motion."""
+    mean = belief_to_cartesian(belief, motion.azimuth_from).mean if isinstance(motion, Spherical) else belief.mean
+    return mean[..., known_components(motion)[motion.dims :].to(mean.device)]

@@ -7,8 +7,11 @@ import math
 import torch
 from torch import Tensor, nn
 
+from torchfra.motion.base import Motion
 from torchfra.numbers import as_number, fraction, is_integer, positive
+from torchfra.targets.places import positions, velocities
 from torchfra.targets.state import Track
+from torchfra.types import Gaussian
 
 
 class Confirmation(nn.Module):
@@ -165,7 +168,7 @@ class Existence(Confirmation):
 
 
 class Deletion(nn.Module):
-    """Deletion of targets, tentative or confirmed, by any of three criteria; None for one that is not used.
+    """Deletion of targets, tentative or confirmed, by any of four criteria; None for one that is not used.
 
     Args:
         misses: successive misses by the filter's own sensor.  A miss by another sensor counts as many as have the same
@@ -173,30 +176,36 @@ class Deletion(nn.Module):
             detection within the gate times that of being visible to the sensor.
         score_drop: probability such that the score has fallen by more than its log below the highest so far.
         spread: largest standard deviation of the position in any direction, m.
+        speed: highest speed, m/s: a target that was led away by false measurements soon exceeds it.
 
     Raises:
-        ValueError: a number of scans below 1, a probability that is not in (0, 1), a length that is not above 0, or
-            nothing at all, so that no target would ever end.
+        ValueError: a number of scans below 1, a probability that is not in (0, 1), a length or a speed that is not
+            above 0, or nothing at all, so that no target would ever end.
 
     Source: Blackman & Popoli (1999), chapter 6, for the drop of the score.
     """
 
-    def __init__(self, misses: int | None = 5, *, score_drop: float | None = None, spread: float | None = None) -> None:
+    def __init__(
+        self, misses: int | None = 5, *, score_drop: float | None = None, spread: float | None = None,
+        speed: float | None = None,
+    ) -> None:  # fmt: skip
         super().__init__()
-        if misses is None and score_drop is None and spread is None:
-            raise ValueError("misses, score_drop, spread: expected at least one of them, received none")
+        if misses is None and score_drop is None and spread is None and speed is None:
+            raise ValueError("misses, score_drop, spread, speed: expected at least one of them, received none")
         if misses is not None and not is_integer(misses, 1):
             raise ValueError(f"misses: expected 1 scan or more, received {misses!r}")
         self.misses = misses
         self.score_drop = None if score_drop is None else fraction("score_drop", score_drop)
         self.spread = None if spread is None else positive("spread", spread, "finite metres")
+        self.speed = None if speed is None else positive("speed", speed)
 
-    def forward(self, track: Track, position: Tensor) -> Tensor:
+    def forward(self, track: Track, motion: Motion, belief: Gaussian) -> Tensor:
         """Which targets ``(N,)`` are deleted.
 
         Args:
             track: of the targets.
-            position: ``(N, dims, n)`` a root of the covariance of each position, m.
+            motion: of them.
+            belief: ``(N,)`` in its coordinates.
         """
         deleted = torch.zeros_like(track.confirmed)
         if self.misses is not None:
@@ -204,9 +213,11 @@ class Deletion(nn.Module):
         if self.score_drop is not None:
             deleted = deleted | (track.score - track.best < math.log(self.score_drop))
         if self.spread is not None:
-            deleted = deleted | (torch.linalg.matrix_norm(position, 2) > self.spread)
+            deleted = deleted | (torch.linalg.matrix_norm(positions(motion, belief).scale_tril, 2) > self.spread)
+        if self.speed is not None:
+            deleted = deleted | (velocities(motion, belief).norm(dim=-1) > self.speed)
         return deleted
 
     def extra_repr(self) -> str:
-        """Values of the three criteria."""
-        return f"misses={self.misses}, score_drop={self.score_drop}, spread={self.spread}"
+        """Values of the four criteria."""
+        return f"misses={self.misses}, score_drop={self.score_drop}, spread={self.spread}, speed={self.speed}"

@@ -13,6 +13,17 @@ from torchfra import tree
 from torchfra.types import Gaussian
 
 
+class Beside(NamedTuple):
+    """What speaks for two targets ``(N,)`` against one hull."""
+
+    host: Tensor
+    """Identity of the confirmed target whose hull each may be a part of; -1 for none."""
+    scans: Tensor
+    """The part of the log odds that the scans have given."""
+    odds: Tensor
+    """Log odds of two targets against one hull; 0 without a host."""
+
+
 class Track(NamedTuple):
     """Quantities of targets ``(N,)`` from which rules confirm and delete them."""
 
@@ -42,6 +53,8 @@ class Track(NamedTuple):
     visible: Tensor | None = None
     """``(N, S)`` probability that each sensor, the filter's own first, sees a target, if it exists; None without
     ``Visibility``."""
+    beside: Beside | None = None
+    """Whether it is a part of another; None without ``Extent``."""
 
 
 class Ended(NamedTuple):
@@ -139,8 +152,13 @@ def joined(*trees: Any) -> Any:
 
 def renamed(of: Any, scene: Tensor, new: Tensor, old: Tensor) -> Any:
     """Rows with a ``scene`` and an ``identity``, where ``new (S,)`` ones of scenes ``(S,)`` have become ``old``."""
-    same = (of.scene[:, None] == scene) & (of.identity[:, None] == new)
-    return of._replace(identity=torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, of.identity))
+
+    def changed(names: Tensor) -> Tensor:
+        same = (of.scene[:, None] == scene) & (names[:, None] == new)
+        return torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, names)
+
+    of, beside = of._replace(identity=changed(of.identity)), getattr(of, "beside", None)
+    return of if beside is None else of._replace(beside=beside._replace(host=changed(beside.host)))
 
 
 def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:

@@ -1,0 +1,137 @@
+"""Two boats side by side are two, both ends of a hull are one, and boats that meet stay what they are."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from joint import plane
+
+from torchfra import presets
+from torchfra.association import Clutter
+from torchfra.motion import ConstantVelocity
+from torchfra.sensors import Position
+from torchfra.targets import Deletion, Extent, OnePoint, Stitching, Targets
+
+STD, P = 2.0, 0.9
+
+
+def manager(**options):
+    sensor, clutter = Position(STD), Clutter(600.0**2, rate=1.0)
+    f = presets.jpda(ConstantVelocity(0.3, continuous=True), sensor, clutter=clutter, detection=P)
+    return Targets(f, birth=OnePoint(5.0), deletion=Deletion(4), extent=Extent(), **options)
+
+
+def run(targets, scans):
+    """The states after each scan of a stream."""
+    state, states = targets.init(), []
+    for z in scans:
+        state = targets.step(state, torch.from_numpy(z), dt=1.5)
+        states.append(state)
+    return states
+
+
+def scans(paths, seed, steps=40, shown=lambda rng, k: rng.random(2) < P):
+    """Scans of two points, each seen where ``shown`` says so."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(steps):
+        seen = shown(rng, k)
+        z = [x + 0.5 * STD * rng.standard_normal(2) for x, sees in zip(paths(k), seen, strict=True) if sees]
+        found.append(rng.permutation(np.array(z).reshape(-1, 2)))
+    return found
+
+
+def beside(apart):
+    return lambda k: np.array([[4.0 * k, 0.0], [4.0 * k, apart]])
+
+
+def hull(turning=0.0):
+    """Bow and stern of a ship of 24 m."""
+
+    def ends(k):
+        course = turning * max(0, k - 15)
+        ahead = np.array([math.cos(course), math.sin(course)])
+        middle = np.array([4.0 * min(k, 15), 0.0])
+        for i in range(16, k + 1):
+            middle = middle + 4.0 * np.array([math.cos(turning * (i - 15)), math.sin(turning * (i - 15))])
+        return np.stack([middle + 12 * ahead, middle - 12 * ahead])
+
+    return ends
+
+
+def in_turn(rng, k):
+    """Bow and stern, mostly one of them; each for some scans on end."""
+    bow = (k // 4) % 2 == 0
+    return [rng.random() < (0.9 if sees else 0.1) for sees in (bow, not bow)]
+
+
+@pytest.mark.parametrize("apart", [10.0, 15.0, 35.0])
+def test_two_boats_side_by_side_are_two_from_soon_on(apart):
+    for seed in range(2):
+        states = run(manager(), scans(beside(apart), seed))
+        assert all(len(state.identity) == 2 for state in states[20:])
+        assert len({i for state in states for i in state.identity.tolist()}) == 2
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.06])
+def test_a_hull_that_shows_its_ends_in_turn_is_one_target(turning):
+    for seed in range(2):
+        states = run(manager(), scans(hull(turning), seed, shown=in_turn))
+        assert all(len(state.identity) == 1 for state in states[8:])
+        assert {i for state in states for i in state.identity.tolist()} == set(states[8].identity.tolist())
+
+
+def test_a_part_takes_over_where_its_host_is_seen_no_more():
+    """After 15 scans of the stern alone the ship shows its bow alone: the track goes there and keeps its name."""
+    states = run(manager(), scans(hull(), 0, shown=lambda rng, k: (k >= 15, k < 15)))
+    (identity,) = states[14].identity.tolist()
+    assert all(state.identity.tolist() == [identity] for state in states[14:])
+    before, after = (states[k].confirmed.mean[0, 0].item() for k in (14, 30))
+    assert (before, after) == pytest.approx((4.0 * 14 - 12, 4.0 * 30 + 12), abs=3.0)
+
+
+def test_boats_that_meet_stay_two_in_line_at_one_speed():
+    """One comes from behind and stays 15 m astern, as the stern of a hull would."""
+    states = run(manager(), scans(lambda k: np.array([[3 * k, 0.0], [3 * k - 15 - 3 * max(0, 20 - k), 0.0]]), 1, 60))
+    assert len(states[14].identity) == 2
+    assert all(state.identity.tolist() == states[14].identity.tolist() for state in states[14:])
+
+
+def test_a_target_of_one_scene_is_no_part_of_one_in_another():
+    targets = manager()
+    z = torch.stack([torch.from_numpy(x) for x in scans(beside(15.0), 0, 16, lambda rng, k: (True, True))])
+    alone = targets(z)
+    later = torch.full_like(z, math.nan)
+    later[4:] = z[4:]
+    both = targets(torch.stack([z, later]))
+    assert torch.equal(both.mean[0, :2].nan_to_num(-1.0), alone.mean.nan_to_num(-1.0))
+
+
+def test_a_stream_with_parts_goes_on_from_what_was_saved():
+    targets, z = manager(stitching=Stitching(20.0, 50.0)), scans(hull(), 2, shown=in_turn)
+    states = run(targets, z)
+    state = targets.restored(targets.saved(states[19]))
+    for scan in z[20:]:
+        state = targets.step(state, torch.from_numpy(scan), dt=1.5)
+    assert torch.equal(state.track.beside.odds, states[-1].track.beside.odds)
+    assert (torch.stack([(s.track.beside.host >= 0).any() for s in states])).any()
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: Extent(0.0), "longest: expected finite metres above 0"),
+    (lambda: Extent(4.0, 4.0), "shortest, longest: expected shortest < longest, received 4.0, 4.0"),
+    (lambda: Extent(beam=-1.0), "beam: expected finite metres above 0"),
+    (lambda: Extent(both=1.0), "both: expected a probability"),
+    (lambda: Extent(speed=0.0), "speed: expected a finite number above 0"),
+    (lambda: Extent(seconds=math.inf), "seconds: expected a finite number above 0"),
+    (lambda: Extent(two=0.0), "two: expected a probability"),
+    (lambda: Extent(sure=0.4), r"sure: expected a probability in \[0.5, 1\), received 0.4"),
+    (lambda: Targets(plane(), extent=20.0), "extent: expected a Extent"),
+    (lambda: Targets(presets.jpda(ConstantVelocity(1.0, 3), Position(1.0, dims=3), clutter=Clutter(1e6, rate=1.0)),
+                     extent=Extent()), "extent: expected targets in the plane, received 3 dimensions"),
+    (lambda: manager().step(Targets(plane()).init(), torch.zeros(1, 2).double()), "state: expected one of a manager"),
+])  # fmt: skip
+def test_what_does_not_fit_is_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
