@@ -64,7 +64,7 @@ scan, in a square of ``WIDTH`` m."""
 WIDTH, REACH, SPREAD = 600.0, 70.0, 2.0
 """m; how far the lidar sees boats for sure; standard deviation of a kernel of the map of clutter: what stays is off by
 some metres for long, but only 1 to 2 m from scan to scan."""
-EMPTY = 8.0
+EMPTY = 16.0
 """Scans without measurements with which the map begins: after 2 of them a third of what is seen first counts as land,
 boats too."""
 

@@ -53,10 +53,10 @@ def weigh(targets: list[Any], missed: Array, PD: float, dt: float, how: dict[str
         target.odds = target.scans + by_place(target, target.host, how)
 
 
-def take_over(targets: list[Any]) -> list[Any]:
+def take_over(targets: list[Any], how: dict[str, float]) -> list[Any]:
     """The hosts that no rule ends; a part that is measured where its host is not becomes the host."""
-    stays = []
-    shown = [t for t in targets if t.host is not None and t.odds < 0 and t.misses == 0 and not t.confirmed]
+    stays, limit = [], -math.log(how["sure"] / (1 - how["sure"]))
+    shown = [t for t in targets if t.host is not None and t.odds < limit and t.misses == 0 and not t.confirmed]
     for part in shown:
         stays.append(part.host)
     last = {id(part.host): part for part in shown if part.host.misses >= 2}

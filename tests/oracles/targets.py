@@ -139,7 +139,7 @@ def manage(
             weigh(targets, missed, PD * PG, dt, extent)
             for target, host, scans_of_it, odds in outside:
                 target.host, target.scans, target.odds = host, scans_of_it, odds
-            kept = take_over(targets)
+            kept = take_over(targets, extent)
             ending = [t for t in ending if t not in kept]
         over += [t for t in ending if t.confirmed]
         targets = [t for t in targets if t not in ending]

@@ -46,7 +46,7 @@ class Extent(nn.Module):
     - the motion: both ends have the same velocity but for the rate of turn, targets that stay together one that differs
       by ``speed`` in each direction.
 
-    Place and motion are those of the two beliefs now, as if they were independent.  While one hull is more probable,
+    Place and motion are those of the two beliefs now, as if they were independent.  While one hull is as sure as that,
     the host is not deleted as long as its part is measured, and a part that is measured in two scans in which the host
     is not takes over its identity.
 
@@ -58,7 +58,7 @@ class Extent(nn.Module):
         speed: standard deviation of the difference of the velocities of two targets side by side, m/s.
         seconds: after which what a scan has said counts ``1 / e``.
         two: probability of two targets before anything is known.
-        sure: probability of two that confirms a target, and of one that takes it back.
+        sure: probability of two that confirms a target, and of one that takes it back or lets it take over.
 
     Raises:
         ValueError: lengths, a speed or seconds that are not finite and above 0, a shortest hull that is not below the
@@ -81,7 +81,7 @@ class Extent(nn.Module):
         self.both, self.two, self.seconds = fraction("both", both), fraction("two", two), positive("seconds", seconds)
         if not 0.5 <= as_number(sure) < 1:
             raise ValueError(f"sure: expected a probability in [0.5, 1), received {sure}")
-        self.sure = float(sure)
+        self.sure, self.limit = float(sure), math.log(sure / (1 - sure))
 
     def first(self, like: Tensor) -> Beside:
         """Of new targets ``(N,)``: no host."""
@@ -149,7 +149,7 @@ class Extent(nn.Module):
         """
         assert track.beside is not None
         part, hull = self.pairs(track)
-        shown = (track.beside.odds[part] < 0) & (track.misses[part] == 0) & ~track.confirmed[part]
+        shown = (track.beside.odds[part] < -self.limit) & (track.misses[part] == 0) & ~track.confirmed[part]
         part, hull = part[shown], hull[shown]
         stays = stays.index_fill(0, hull, True)
         over = track.misses[hull] >= 2
@@ -194,9 +194,8 @@ class Extent(nn.Module):
         if len(some):
             nearest = torch.where(able, gap, torch.inf).argmin(-1)
             found = torch.where(has, track.identity[some][nearest], -1)
-        limit = math.log(self.sure / (1 - self.sure))
         new = ~near & (found >= 0)
-        held = near & (odds < torch.where(was, -limit, limit)) | new
+        held = near & (odds < torch.where(was, -self.limit, self.limit)) | new
         host = torch.where(near, host, found)
         zero = torch.zeros_like(odds)
         beside = Beside(host, torch.where(near, scans, zero), torch.where(near, odds, zero))
