@@ -162,3 +162,10 @@ def test_an_infinite_false_measurement_is_no_target_s(name):
     estimate = f(other, prior)
     assert not estimate.failed.any()
     torch.testing.assert_close(estimate.mean, f(z, prior).mean, rtol=1e-4, atol=1e-3)
+
+
+def test_roots_of_other_targets_than_the_means_are_refused():
+    with pytest.raises(
+        ValueError, match=r"^prior\.scale_tril: expected one for each of 3 targets, received \(2, 4, 4\)$"
+    ):
+        plane()(torch.zeros(5, 3, 2), Gaussian(torch.zeros(3, 4), torch.eye(4).expand(2, 4, 4)))

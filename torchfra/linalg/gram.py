@@ -64,8 +64,8 @@ def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
     root, share = (1 / inside - 1).sqrt(), (inside - inside.square()).sqrt()
 
     def function(value: Tensor, slope: Tensor) -> Tensor:
-        both = kept.unsqueeze(-1) & kept.unsqueeze(-2)
-        return _of_gram(h, u, eigenvalues, torch.where(kept, value, 0.0), kept, torch.where(both, slope, 0.0))
+        slope = torch.where(kept.unsqueeze(-1), slope, 0.0)
+        return _of_gram(h, u, eigenvalues, torch.where(kept, value, 0.0), kept, slope)
 
     # Divided differences of a(p) = sqrt(1 / p - 1) and of 1 / s(p), s(p) = sqrt(p - p^2), between p and q, with
     # b = a(q) and t = s(q); without the difference p - q, in which digits would be lost.
