@@ -15,8 +15,9 @@ COSTS = {"constant": 0, "input": 0, "div": 8, "sqrt": 12, "norm": 20, "atan2": 4
 """Of operations in those of a multiplication, roughly; 1 for what is not here."""
 _WORTH, _SHARE = 300, 0.02
 """What a region costs at least, in multiplications and of the whole step: a smaller one is computed always."""
-_PIECE = 1500
-"""Expressions of a piece, about: compilers take time that grows faster than the length of a function."""
+_PIECE = 6000
+"""Expressions of a piece, about: compilers take time that grows faster than the length of a function, which keeps more
+values in registers."""
 
 Condition = tuple[int, bool]
 """A truth value, and the value of it for which something is needed."""

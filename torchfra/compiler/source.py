@@ -23,6 +23,8 @@ SCALARS = {torch.float64: "double", torch.float32: "float"}
 """The dtypes that kernels compute in, and what C++ calls them."""
 THREADS = 128
 """Threads of a block on a GPU."""
+_PART = 1500
+"""Expressions of a function in C++ for a CPU, about."""
 _PIECE, _LONG = 6000, 20_000
 """Expressions of a function there, about; and those of a step whose functions are called: one of all takes too long to
 compile."""
@@ -113,7 +115,7 @@ class Scan:
 
     def parts(self, name: str) -> tuple[str, str]:
         """In C++ for one track: what any scan of this dtype needs, and the namespace of this one with ``block``."""
-        return self._parts(name, Plan(self.loop(), True))
+        return self._parts(name, Plan(self.loop(), True, _PART))
 
     def _parts(self, name: str, plan: Plan, in_step: bool = False) -> tuple[str, str]:
         head, block = (text.replace("SCALAR", SCALARS[self.dtype]) for text in template())
