@@ -7,10 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from numpy.lib.stride_tricks import sliding_window_view
 
-from torchfra.cleaning.circles import IN_A_ROW, off_circles
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.second_differences import second_differences, spread
 from torchfra.readers.recording import Recording
@@ -53,11 +50,6 @@ _MANY = 25
 """Fixes from which on this ratio is checked."""
 _MOST, _RARE_MOVES = 0.98, 8
 """Share of the moves over long gaps that are no outliers, and the fewest such moves that tell a speed."""
-_OFF, _STRETCHES = 0.1, 20
-"""How far off a circle fixes are at most, as a share of the way between two, so that these ways tell the speed; and
-stretches of fixes of which that is asked."""
-_CLEAR = 10.0
-"""How many times as far as that second differences are at least, so that they tell the acceleration."""
 _CHANGES, _LEAST_CHANGE = 4.3, 6.0
 """Largest change of the velocity of an unknown target in a step, in units of its own speed, and m/s at least."""
 _HARDEST = 2.8
@@ -98,9 +90,8 @@ def kind_of(recording: Recording) -> tuple[str, Kind]:
     word = _OTHER_WORDS.get(recording.source.word, recording.source.word)
     if word in KINDS:
         return word, KINDS[word]
-    around, turn = _speed_and_turn(recording)
-    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording), around)
-    hardest = max(min(max(_HARDEST * speed**0.25, turn, 3.0), 10.0), _HARDER * _acceleration(recording))
+    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording))
+    hardest = max(min(max(_HARDEST * speed**0.25, 3.0), 10.0), _HARDER * _acceleration(recording))
     return UNKNOWN, Kind(hardest, 2.0, max(_CHANGES * speed, _LEAST_CHANGE))
 
 
@@ -137,23 +128,3 @@ def _speed_of_rare_moves(recording: Recording) -> float:
     one, two = (np.linalg.norm(position[k:] - position[:-k], axis=1) for k in (1, 2))
     move = np.minimum(one[1:-1], np.minimum(two[:-1], two[1:]))
     return float(np.quantile((move / gap)[rare], _MOST))
-
-
-def _speed_and_turn(recording: Recording) -> tuple[float, float]:
-    """The median speed from fix to fix, m/s, and acceleration, m/s^2, where hardly any of them is noise; 0 elsewhere.
-
-    Who circles in less than half a minute is much faster than over half a minute.
-    """
-    there = np.isfinite(recording.position[:, :2]).all(1)
-    time, position = recording.time[there], recording.position[there, :2]
-    if len(time) < IN_A_ROW + _STRETCHES:
-        return 0.0, 0.0
-    gap, ways = np.diff(time), np.diff(position, axis=0)
-    gaps = torch.from_numpy(np.concatenate([gap[:1], gap])[:, None])
-    off = off_circles(torch.from_numpy(position[..., None]), gaps)[:, 0].numpy()
-    way, turn = np.linalg.norm(ways, axis=1), np.linalg.norm(np.diff(ways, axis=0), axis=1)
-    usual = sliding_window_view(way, IN_A_ROW - 1).mean(1)
-    if (off < _OFF * usual).sum() < max(_STRETCHES, len(off) / 2):
-        return 0.0, 0.0
-    clear = np.median(turn) > _CLEAR * np.nanmedian(off)
-    return float(np.median(way / gap)), float(np.median(turn / (gap[1:] * gap[:-1]))) if clear else 0.0
