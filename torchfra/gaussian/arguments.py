@@ -252,7 +252,7 @@ def warn_of_degrees(z: Tensor, sensor: Sensor) -> None:
 
     Nothing is checked while code is traced.
     """
-    if is_traced(z) or not bool(sensor.angles.any()):
+    if is_traced(z) or not z.numel() or not bool(sensor.angles.any()):
         return
     large = z.detach().reshape(-1, z.shape[-1])[:1000].abs().nanmedian(0).values > 4 * math.pi
     wrong = (large & sensor.angles.to(large.device)).nonzero().flatten().tolist()
