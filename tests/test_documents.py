@@ -32,7 +32,6 @@ DOCUMENTS = [
     ROOT / ".github/CONTRIBUTING.md",
     ROOT / "scripts/docs/gradients.md",
     ROOT / "scripts/docs/layer.md",
-    ROOT / "scripts/docs/start.md",
     *(p for d in ("torchfra", "train", "scripts") for p in sorted((ROOT / d).rglob("README.md"))),
     *sorted((ROOT / "scripts/results").glob("[a-z]*.md")),
 ]

@@ -125,8 +125,8 @@ def test_a_call_with_thousands_of_results_stays_in_one_piece():
     book = Expressions()
     inner = book.nested()
     x = inner.input()
-    outputs = [inner.apply("add", x, inner.constant(k)) for k in range(1, 3001)]
-    results = book.call(Routine("many_r0", inner, [x], outputs, outputs, 3000), [book.input()])
+    outputs = [inner.apply("add", x, inner.constant(k)) for k in range(1, 9001)]
+    results = book.call(Routine("many_r0", inner, [x], outputs, outputs, 9000), [book.input()])
     total = book.sum(results)
     numbers = book.needed([total])
     parts = cut(book, numbers)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from test_smoothing import DT, ROOT, START, walk
 
-from torchfra import Gaussian, losses, presets
+from torchfra import Gaussian, presets
 from torchfra.motion import ConstantVelocity, Motion
 from torchfra.sensors import Position
 
@@ -34,7 +34,7 @@ class Pairs(Motion):
 def gradients():
     """Of the log likelihood, by q and by the standard deviation: as autograd has them."""
     f = presets.srckf(ConstantVelocity(Q), Position(STD), learn=("q", "std"))
-    loss = losses.innovation_nll(f(walk(ConstantVelocity(Q)), Gaussian(START, ROOT), dt=DT)) * len(DT)
+    loss = -f(walk(ConstantVelocity(Q)), Gaussian(START, ROOT), dt=DT).log_likelihood.sum()
     values = {"q": f.motion.q, "std": f.sensor.std}
     raw = torch.autograd.grad(-loss, [value.raw for value in values.values()])
     slopes = {}

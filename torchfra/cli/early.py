@@ -15,7 +15,8 @@ from torchfra.running.jobs import cores, prepare
 _LARGE = 1_000_000
 """Bytes of a file from which on it may have work for several processes."""
 OPTIONS: dict[type, str] = {
-    str: "out format html json bank filter time x y z lat lon alt id sigma-column units delimiter decimal time-format",
+    str: "out format html json bank filter time x y z lat lon alt id sigma-column units delimiter decimal time-format "
+    "missing",
     float: "sigma q dt", int: "jobs max-bytes",
     bool: "plots no-plots compile no-compile share-script no-share-script no-smooth no-repair quiet verbose",
 }  # fmt: skip

@@ -130,6 +130,12 @@ def _flat_records(several: Any) -> list[dict[str, Any]]:
             raise ValueError(f"expected a list of records or a table of columns, received {kind} instead of an object")
         records.append(record := dict[str, Any]())
         _add(record, "", value)
+    plain = {name for record in records for name, cell in record.items() if cell is not None}
+    for row, record in enumerate(records, 1):
+        for name in record:
+            column = name.rpartition(".")[0]
+            if column in plain:  # an object in one record, and not in another
+                raise ValueError(f"expected a number in data row {row}, column {column}, received an object or a list")
     nested = {name for record in records for name, cell in record.items() if _holds_records(cell)}
     if nested and not places_in({name for record in records for name in record}):
         raise ValueError(
