@@ -85,7 +85,7 @@ def test_a_filter_runs_without_symbolic_algebra_and_the_compiler_of_torch(import
 def test_a_filter_loads_what_filters_need_and_nothing_else(imported):
     command = set(imported[1])  # which the help has loaded
     parts = {name.split(".")[1] for name in set(imported[4]) - command if name.startswith("torchfra.")}
-    assert parts == CORE - {"coordinates", "entries"} - {"loading", "suggestions", "tables", "version"}  # and those
+    assert parts == CORE - {"coordinates", "entries"} - {"loading", "suggestions", "tables", "version"}
 
 
 def test_a_compiled_srckf_and_its_gradient_are_made_without_what_torch_takes_half_a_second_to_load(imported):

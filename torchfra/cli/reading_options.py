@@ -23,7 +23,7 @@ _ABOUT = {
     "units": ("UNIT", "unit of x, y, z, or of altitudes: " + ", ".join(METRES)),
     "delimiter": ("CHAR", "character between cells; or tab, space"),
     "decimal": ("CHAR", "decimal separator: . or ,"),
-    "missing": ("NUMBERS", "numbers that stand for none, such as -999,9999"),
+    "missing": ("NUMBERS", "numbers that stand for none: --missing=-999,9999"),
     "time_format": ("FORM", f"how times are written: {', '.join(FORMS)}; 25fps for numbers of frames; or a form such "
                     "as %%d.%%m.%%Y %%H:%%M:%%S, or %%M:%%S for a stopwatch (12:34.5)"),
 }  # fmt: skip

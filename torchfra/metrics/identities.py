@@ -30,8 +30,8 @@ class HOTA(NamedTuple):
     detection: Tensor
     """``(...)`` pairs over pairs, missed targets and false estimates together."""
     association: Tensor
-    """``(...)`` mean over the pairs: scans in which this track and this target are a pair, over those in which either
-    is there and they are not, or are; 0 where there is no pair."""
+    """``(...)`` mean over the pairs: scans in which this track and this target are a pair, over the scans in which
+    either is there; 0 where there is no pair."""
     localisation: Tensor
     """``(...)`` mean similarity of the pairs; 0 where there is no pair."""
 

@@ -121,15 +121,19 @@ def _too_few(targets: list[Target], word: str) -> str:
     return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
-def _check_placeholders(several: Mapping[str, Array]) -> None:
-    """Refuses numbers such as -999, far from all others, in all of several columns: nobody says that they are none."""
+def _check_placeholders(several: Mapping[str, Array], stated: str | None) -> None:
+    """Refuses numbers such as -999, far from all others, in all of several columns: nobody says that they are none.
+
+    Those that are ``stated`` to be none are so already.
+    """
+    before = f"{stated}," if stated else ""
     for number in _PLACEHOLDERS:
         at = np.all([np.isclose(values, number, rtol=0, atol=1e-6) for values in several.values()], axis=0)
         rest = [np.sign(number) * values[~at & np.isfinite(values)] for values in several.values()]
         if at.any() and all(len(one) >= _ENOUGH and one.max() < abs(number) / 2 for one in rest):
             raise AskError(f"received {number:g} as {' and '.join(several)} in data row {int(at.argmax()) + 1}, far "
-                           "from all others: say ", {"missing": f"{number:g}"}, " if it stands for none, or ",
-                           {"missing": "none"})  # fmt: skip
+                           "from all others: say ", {"missing": f"{before}{number:g}"}, " if it stands for none, or ",
+                           {"missing": f"{before}none"})  # fmt: skip
 
 
 class _Columns:
@@ -150,13 +154,13 @@ class _Columns:
         zero = self.height == 0
         self.no_height = zero & (layout.degrees and (zero | np.isnan(self.height)).all())
         self.height = np.where(self.no_height, np.nan, self.height)
-        if layout.stated.missing is None:
+        if "none" not in (layout.stated.missing or "").split(","):
             names = {role: layout.columns[role] for role in ("x", "y", "altitude", "z") if role in layout.columns}
             columns = {names[role]: column(role) / layout.source.unit for role in names}
             if not layout.degrees:
-                _check_placeholders({names[role]: columns[names[role]] for role in ("x", "y")})
+                _check_placeholders({names[role]: columns[names[role]] for role in ("x", "y")}, layout.stated.missing)
             for height in [names[role] for role in ("altitude", "z") if role in names]:
-                _check_placeholders({height: columns[height]})
+                _check_placeholders({height: columns[height]}, layout.stated.missing)
         self.update = column("update")
         self.sent = self._times_of_positions()
         self.time = np.where(self.sent, self._updated(), self.time)

@@ -33,8 +33,9 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     """The recordings of possible speeds; the others are left out, and named in the repairs of the first one.
 
     Raises:
-        ValueError: no recording has possible speeds, or some with a fifth of the fixes have not; or x and y are
-            degrees, or have another unit than metres.
+        ValueError: no recording that is long enough to be judged has possible speeds, or some with a fifth of the fixes
+            have not, and a column that was not read may part them; or x and y are degrees, or have another unit than
+            metres.
     """
     options, source = layout.stated, layout.source
     if not layout.degrees and not options.units:
@@ -44,7 +45,8 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
     good = [recording for recording in recordings if recording not in wrong]
     fixes, total = (sum(len(recording.time) for recording in several) for several in (wrong, recordings))
-    if wrong and (not good or (any(layout.unread) and fixes > _TOO_MANY * total)):
+    judged = sum(len(recording.time) >= _MANY for recording in recordings)
+    if wrong and (len(wrong) == judged or (any(layout.unread) and fixes > _TOO_MANY * total)):
         recording, said = next(iter(wrong.items()))
         raise AskError(f"{said} of {source.word} {recording.name}; ", *_cause(recording, layout))
     if wrong:

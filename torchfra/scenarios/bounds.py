@@ -93,8 +93,8 @@ def slopes(function: Measured, x: Tensor, u: Tensor | None) -> Tensor:
 
     (Forward mode, and ``torch.func``, would import torch's compiler for some operations, which takes seconds.)
     """
-    with torch.enable_grad():
-        at = x.detach().requires_grad_()
+    with torch.inference_mode(False), torch.enable_grad():
+        at = x.detach().clone().requires_grad_()
         values = function(at, u)
         sums = values.flatten(0, -2).sum(0)
         rows = [torch.autograd.grad(total, at, retain_graph=True, materialize_grads=True)[0] for total in sums]
