@@ -176,8 +176,7 @@ def jumped(
         m = read((mean, P), z, model, k)
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
-        rarer, beyond = cost(m.e, z, model, k, outlying, transition, position.stop)
-        costs.append(rarer)
+        costs.append(cost(m.e, z, model, k, outlying, transition, position.stop))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
@@ -194,24 +193,17 @@ def jumped(
                     widen[i] = min(width, max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
-            carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
-            spread = np.diag(J + Q)[position.stop :]
-            wider = widen[position.stop :] ** 2 * np.diag(P)[position.stop :] / np.where(spread > 0, spread, np.inf)
-            given = 0.5 * np.log(np.maximum(wider, 1.0)).sum()
-        given *= min(max((regimes.burst - 1) / 3, 0.0), 1.0)
-        given -= max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
-        rare = min(beyond, 1.0) * given - (regimes.burst - 0.6) * rarer if rarer > 0 else 0.0
+            given = np.log(widen[position.stop :]).sum()
+        rare = given - (regimes.burst - 0.65) * costs[q] if costs[q] > 0 else 0.0
         rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [rare] * len(regimes.jumps))
     return after, np.array(rarity), factors, costs
 
 
-def cost(
-    e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int
-) -> tuple[float, float]:
-    """Log of how much less likely a measurement is as outliers that last than as stated; how far above its least."""
+def cost(e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int) -> float:
+    """Log of how much less likely a measurement is as outliers that last than as stated."""
     measured = present(z)
     if not measured:
-        return 0.0, 0.0
+        return 0.0
     whole = np.zeros(len(z))
     whole[measured] = np.linalg.solve(np.linalg.cholesky(measurement_noise(model, k, measured)), e)
     rare = -math.log(max(transition[:, 1])) - math.log(q.shares[-1])
@@ -221,8 +213,7 @@ def cost(
         size = max(square / max(count, 1), 1.0)
         total += min(square / 2, rare + count / 2 * (math.log(size) - EXPECTED))
         least += rare + len(block) / 2 * (math.log(LEAST) - EXPECTED)
-    total, least = total * min(1.0, dims / len(measured)), least * min(1.0, dims / len(z))
-    return max(total, least), max(total - least, 0.0)
+    return max(total * min(1.0, dims / len(measured)), least * min(1.0, dims / len(z)))
 
 
 def paths(

@@ -299,9 +299,8 @@ class GPB(Filter[GPBState]):
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        cost, least = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
-        first = self.outliers.first_rarer(frame.measured, relaxation)
-        surprise = Surprise(nis, self.regimes.rarity(cost, cost - least, first, propagated, nis, self.motion), cost)
+        cost = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
+        surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion), cost)
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)

@@ -27,9 +27,6 @@ from torchfra.types import Gaussian, Whitened
 LEAST_OUTLIER = 30.0
 """Mean square in units of the noise of the smallest outliers beside which a jump is seen."""
 
-NEVER = 1e-12
-"""Probability of an outlier below which it counts as that rare beside a jump."""
-
 EXPECTED = 0.7
 """How much less likely an element is as predicted than with its noise alone: twice the log, where they vary alike."""
 
@@ -220,13 +217,8 @@ class Outliers(Part):
         begins, lasts = relaxation * faulty / (without + faulty), 1 - relaxation * without / (without + faulty)
         return begins.unsqueeze(-1), lasts.unsqueeze(-1)
 
-    def first_rarer(self, like: Tensor, relaxation: Tensor | None) -> Tensor:
-        """Log ``(...)`` of how much rarer the first of several outliers is than each later one; ``like (..., m)``."""
-        begins, lasts = self._probabilities(like, relaxation)
-        return (lasts / begins.clamp_min(NEVER)).clamp_min(1.0).log()[..., 0]
-
-    def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int) -> tuple[Tensor, Tensor]:
-        """Log ``(...)`` of how much less likely a measurement is as outliers in bursts than as stated, and its least.
+    def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int) -> Tensor:
+        """Log ``(...)`` of how much less likely a measurement is as outliers in bursts than as stated.
 
         Each block is whichever is likelier.  Of more elements than tell a place it is the share of so many.  It is at
         least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0 without a measurement.
@@ -247,9 +239,8 @@ class Outliers(Part):
             total = total + torch.minimum(0.5 * square, rare + 0.5 * count * (mean.log() - EXPECTED))
             least = least + rare + 0.5 * len(block) * (math.log(LEAST_OUTLIER) - EXPECTED)
         elements = measured.sum(-1)
-        least = least * min(1.0, dims / measured.shape[-1])
-        total = torch.maximum(total * (dims / elements.clamp_min(dims)), least)
-        return torch.where(elements > 0, total, 0.0), least
+        total = torch.maximum(total * (dims / elements.clamp_min(dims)), least * min(1.0, dims / measured.shape[-1]))
+        return torch.where(elements > 0, total, 0.0)
 
     def update(
         self,

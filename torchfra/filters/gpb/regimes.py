@@ -24,13 +24,11 @@ from torchfra.types import Gaussian
 
 LARGEST_FACTOR = 1e10
 """Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
-SOONER = 0.6
+SOONER = 0.65
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 FASTER = 3.0
 """Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
-LEARNED = 3.0
-"""Measurements after a jump that tell of the velocity all that counts against it."""
 NEVER = 1e-12
 """Probability at a restart up to which a jump hardly ever begins, however far off a measurement is."""
 MANOEUVRE_NIS = 30.0
@@ -280,35 +278,26 @@ class Regimes(Part):
         same = torch.eye(count, dtype=stay.dtype, device=stay.device)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
-    def rarity(
-        self, cost: Tensor, beyond: Tensor, first: Tensor, propagated: Propagated, nis: Tensor, motion: Motion
-    ) -> Tensor:
+    def rarity(self, cost: Tensor, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
         A jump and a burst of equal outliers are the same until the burst ends.  Besides its own density, which is about
         that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is
         less likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What
-        it will lose until then, as it knows less of the velocity than was stated, it is given before, where a
-        measurement is beyond the least of outliers: nearer by, the target need not have jumped.
+        it will lose at the next measurements, as it knows no velocity any more, it is given before.
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
                 ``Outliers.cost``.  It is 0 without a measurement.
-            beyond: by how much that is above its least, as of the smallest outliers beside which a jump is seen.
-            first: ``(...)`` log of how much rarer the first outlier is: see ``Outliers.first_rarer``.
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
             motion: as in ``predictions``.
         """
         if not self.jump_count:
             return -cost
-        stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1])
-        before, agile = (x.square().sum(-1) for x in (stated, self.agile_root(propagated)))
-        wider = self._widths(propagated, nis, motion)[:, -1:].squeeze(-1).square() * safe_divide(agile, before)
-        still = 0.5 - 0.5 * self._chosen(range(motion.size)[motion.position], wider)
-        burst = self.burst(cost)
-        given = ((burst - 1) / LEARNED).clamp(0.0, 1.0) * (still * wider.clamp_min(1.0).log()).sum(-1)
-        return torch.where(cost > 0, beyond.clamp(0.0, 1.0) * (given - first) - cost * (burst - SOONER), 0.0)
+        wider = self._widths(propagated, nis, motion)[:, -1:].squeeze(-1).log()
+        still = 1 - self._chosen(range(motion.size)[motion.position], wider)
+        return torch.where(cost > 0, (still * wider).sum(-1) - cost * (self.burst(cost) - SOONER), 0.0)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
