@@ -71,6 +71,18 @@ def test_a_track_runs_so_only_where_that_is_worth_it(stretches):
     check_same(turning(track(STEPS), PRIOR), batched(turning(in_a_batch(track(STEPS)), PRIOR)))
 
 
+def test_a_covariance_that_goes_round_has_not_converged(stretches):
+    """Two states that nobody measures turn by a right angle at each step, without noise."""
+    moves = [[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]]
+    sensor = sensors.Linear([[1, 0, 0, 0]], [1.0])
+    f = presets.srckf(motion.Linear(moves, [0.1, 0.1, 0, 0]), sensor).compile()
+    z, prior = track(STEPS)[:, :1], Gaussian.from_std([0.0] * 4, [1.0, 1.0, 4.0, 1.0])
+    std = f(z, prior).covariance.diagonal(dim1=-2, dim2=-1)[:, 2:].sqrt()
+    at = (torch.arange(STEPS) + 1) % 2 == 0
+    expected = torch.where(at[:, None], torch.tensor([4.0, 1.0]), torch.tensor([1.0, 4.0])).to(std)
+    torch.testing.assert_close(std, expected)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_random_tracks_are_those_of_a_batch(seed, stretches):

@@ -81,7 +81,8 @@ def nll(estimate: Estimate, truth: Tensor, states: slice | None = None, *, angle
 def innovation_nll(estimate: Estimate) -> Tensor:
     """Negative log density of a measurement under its prediction, the mean over measured steps.  It needs no truth.
 
-    A network that makes the measurements itself must not learn by it alone: constant measurements are easy to predict.
+    A step without a measurement does not count; of several targets a scan without any is a miss of all, and counts.  A
+    network that makes the measurements itself must not learn by it alone: constant measurements are easy to predict.
 
     Where the model is linear its gradient is, to rounding, the one made of smoothed moments (Fisher's identity), so
     that a loss of smoothed estimates would add nothing but the backward pass.
@@ -90,7 +91,8 @@ def innovation_nll(estimate: Estimate) -> Tensor:
     the identity.
     """
     density = estimate.log_likelihood
-    return -_over_time(density, density != 0)  # a step without a measurement has a likelihood of exactly 1
+    nothing = density.abs() <= 64 * torch.finfo(density.dtype).eps  # a step without a measurement has a likelihood of 1
+    return -_over_time(density, ~nothing)
 
 
 def calibration(

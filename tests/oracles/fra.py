@@ -35,9 +35,9 @@ def scores(ahead: dict[str, Prior], odds: dict[str, float], decision: str, row: 
 class Row:
     """Outliers in a row, with which the filter has patience: innovations beyond noise that do not grow by a third."""
 
-    def __init__(self, patience: float, size: int) -> None:
+    def __init__(self, patience: float, size: int, gate: float) -> None:
         self.patience, self.repeated = patience, patience
-        self.far = size * (1 - 2 / (9 * size) + 3.2 * math.sqrt(2 / (9 * size))) ** 3
+        self.far = max(gate, size * (1 - 2 / (9 * size) + 3.2 * math.sqrt(2 / (9 * size))) ** 3)
 
     def is_far(self, p: Prior) -> bool:
         return bool(p.seen) and p.nis > self.far
@@ -98,7 +98,7 @@ def fra(
     odds = prior_odds(preference, plain)
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
-    row = Row(patience, z.shape[1])
+    row = Row(patience, z.shape[1], gate)
     p = compare(np.array(mean0, dtype=float), np.array(P0, dtype=float), z[0], model, 0, rule)
     for k in range(len(z)):
         psi = huber(p.v, np.broadcast_to(threshold, z.shape[1])[p.seen])
@@ -157,7 +157,7 @@ def soft_fra(
     rule, options, V = third_degree(len(mean0)), Fade(**fade), no_memory(z)
     steps: list[dict[str, Any]] = []
     mean, P = np.array(mean0, dtype=float), np.array(P0, dtype=float)
-    row = Row(patience, z.shape[1])
+    row = Row(patience, z.shape[1], gate)
     for k in range(len(z)):
         p = compare(mean, P, z[k], model, k, rule)
         psi = huber(p.v, threshold)

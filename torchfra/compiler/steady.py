@@ -190,9 +190,19 @@ class Track:
         return int(self.breaks[k]) if k < len(self.breaks) else self.steps
 
     def _has_converged(self, first: int, behind: int) -> bool:
-        """Whether what converges is after step ``behind - 1`` as it was after another one, from ``first`` on."""
+        """Whether what converges is after step ``behind - 1`` as it was after another one, from ``first`` on.
+
+        Between the two it may differ by rounding alone, in the last half of an entry's digits or beside the largest
+        entry: a covariance may also go round and round.
+        """
         rows = self._rows(first, behind)
-        return bool((rows[:-1] == rows[-1]).all(-1).any())
+        same = (rows[:-1] == rows[-1]).all(-1).nonzero()
+        if not len(same):
+            return False
+        since, rounding = rows[int(same[-1]) :], torch.finfo(rows.dtype).eps
+        size = rows.abs().amax(0)
+        allowed = rounding**0.5 * size + _FLICKER * rounding * size.max()
+        return bool((since.amax(0) - since.amin(0) <= allowed).all())
 
     def _left(self, first: int, behind: int) -> int:
         """How many more steps it will change, by how much less it does at the last step than in the middle."""

@@ -203,8 +203,6 @@ class FRA(Soft, Filter[FRAState]):
         self.plain = None if plain is None else Hyper(plain, constraints.real, name="plain")
         self.decision, self.memory, self.provisional, self.final = decision, memory, provisional, final
         self.temperature, self.patience = temperature, patience
-        part = 2 / (9 * sensor.size)
-        self.far = sensor.size * (1 - part + _FAR * math.sqrt(part)) ** 3  # chi squared, Wilson and Hilferty (1931)
 
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: after a normal step, with an empty memory."""
@@ -300,8 +298,11 @@ class FRA(Soft, Filter[FRAState]):
         return repeats & (repeated < self.patience), repeated
 
     def is_far(self, excess: Tensor) -> Tensor:
-        """``(...)`` bool, whether a step was far off."""
-        far: Tensor = excess > self.far - self.gate(excess)
+        """``(...)`` bool, whether a step was far off, and abnormal."""
+        size = self.sensor.size
+        part = 2 / (9 * size)
+        least = size * (1 - part + _FAR * math.sqrt(part)) ** 3  # chi squared, Wilson and Hilferty (1931)
+        far: Tensor = excess > (least - self.gate(excess)).clamp_min(0.0)
         return far
 
     def odds(self, like: Tensor) -> Tensor:

@@ -194,8 +194,10 @@ def _batched(item: dict[str, Any], rank: int) -> dict[str, Tensor]:
         dt = torch.as_tensor(item["dt"], dtype=torch.float64)
         each = many and dt.dim() == 1 and len(dt) == count  # a loader has put the numbers of its tracks together
         batch["dt"] = _expanded("dt", dt.unsqueeze(-1) if each else dt, (count, steps))
-    for name in {"u", "std"} & item.keys():
-        batch[name] = _expanded(name, as_tensor(item[name]), (count, steps, -1))
+    if "u" in item:
+        batch["u"] = _expanded("u", as_tensor(item["u"]), (count, steps, -1))
+    if "std" in item:
+        batch["std"] = _expanded("std", as_tensor(item["std"]), z.shape)
     if "truth" in item:
         truth = as_tensor(item["truth"])
         batch["truth"] = truth if many else truth.unsqueeze(0)

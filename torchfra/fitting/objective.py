@@ -220,7 +220,7 @@ def objective_of(
     kind = loss or ("likelihood" if tracks.truth is None else "robust")
     if isinstance(kind, str) and kind in NEEDS_TRUTH and tracks.truth is None:
         raise ValueError(f"loss: expected 'likelihood' or 'smoothed' for data without a truth, received {kind!r}")
-    own = [path for path in vector.hypers if path.startswith("sensor.") and path.endswith(".std")]
+    own = [path for path in vector.hypers if "sensor" in path.split(".") and path.endswith(".std")]
     if tracks.std is not None and own:
         raise ValueError(f"learn: expected none of {', '.join(own)}, which data with std do not use")
     if not is_integer(skip, 0) or skip >= tracks.z.shape[1]:

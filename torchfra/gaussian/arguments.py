@@ -258,7 +258,7 @@ def warn_of_degrees(z: Tensor, sensor: Sensor) -> None:
     wrong = (large & sensor.angles.to(large.device)).nonzero().flatten().tolist()
     if wrong:
         expected = f"angles in rad in elements {wrong}, received half of them beyond two turns"
-        warnings.warn(f"z: expected {expected}: degrees? torch.deg2rad(z) of these", RuntimeWarning, stacklevel=2)
+        warnings.warn(f"z: expected {expected}: degrees (torch.deg2rad), or unwrapped?", RuntimeWarning, stacklevel=2)
 
 
 _WIDEST = 1e12
