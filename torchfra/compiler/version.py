@@ -68,9 +68,8 @@ class Version:
     def __init__(self, f: nn.Module) -> None:
         self.kernels: dict[tuple[Any, ...], Kernels] = {}
         self.steps: dict[tuple[Any, ...], Task] = {}
-        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(
-            ReadySteps
-        )  # of complete scans, with a copy of the belief
+        # Of complete scans or not, with a copy of the belief or not.
+        self.ready: dict[tuple[bool, bool], ReadySteps] = defaultdict(ReadySteps)
         self.tracks = AllReadyTracks()
         self.frozen = frozen(f)
         self.scans = bool(getattr(f, "scans", False))

@@ -153,7 +153,7 @@ class IMM(Filter[IMMState]):
         return {"inner": self.inner.with_sensor(sensor)}
 
     def remembering(self, state: Any, before: Any = None) -> Any:
-        """A state whose models have the memory of those of the state ``before``; before a step they forget it."""
+        """A state whose models have the memory of those of the state ``before``; without that as it is."""
         return state if before is None else state._replace(inner=self.inner.remembering(state.inner, before.inner))
 
     def begin(self, belief: Gaussian) -> IMMState:

@@ -92,9 +92,8 @@ class Batch(NamedTuple):
         They are of means over time, and of deviations from these, which large coordinates would hide.  On another
         processor they differ by rounding, as computed coordinates do.
         """
-        given = flatten(
-            (self.z, self.prior[:2], self.dt, self.u, self.truth, self.std)
-        )  # a ``First`` has more, which z says
+        # A ``First`` has more, which z says.
+        given = flatten((self.z, self.prior[:2], self.dt, self.u, self.truth, self.std))
         parts = torch.cat([_means_and_deviations(x.detach().to("cpu", torch.float64)) for x in given], -1)
         weights = torch.linspace(1.0, 2.0, parts.shape[-1], dtype=torch.float64)
         sums: list[list[float]] = (parts.nan_to_num(math.pi) * weights).sum(-1).T.tolist()
