@@ -149,7 +149,7 @@ def test_degrees_in_place_of_radians_bring_a_warning_and_unwrapped_angles_do_not
     f = presets.srckf(ConstantVelocity(1.0), RangeBearing([5.0, 0.01]))
     prior = Gaussian.from_std([1000.0, 1000.0, 0.0, 0.0], 100.0)
     z = torch.tensor([[1414.2, 45.0], [1415.0, 45.1], [np.nan, np.nan], [1415.0, np.nan]], dtype=torch.float64)
-    with pytest.warns(RuntimeWarning, match=r"z: expected angles in rad in elements \[1\], .*: degrees\?"):
+    with pytest.warns(RuntimeWarning, match=r"z: expected angles in rad in elements \[1\], .*: degrees "):
         f(z, prior)
     f(z.new_zeros(0, 3, 2), prior)
     f(torch.stack([z[:, 0], z[:, 1].deg2rad() + 4 * np.pi * (torch.arange(4) % 2)], 1), prior)
