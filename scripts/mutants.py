@@ -29,7 +29,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("linalg", "gaussian", "robust", "filters")
+ROOMS = ("linalg", "gaussian", "robust", "steps", "filters")
 TESTS = """
     alarms alphabeta alphabeta_gaps autocast branches certainty check_model choices composed_sensors considered
     continuous_noise correlated_errors divisions failed_steps failures filters fixed_lag gaps gpb gpb_doubt

@@ -165,4 +165,5 @@ def test_stated_deviations_stay_where_fixes_are_too_far_apart_to_show_them():
     (one,) = clean_tracks([replace(recording, sigma=np.full(40, 400.0))])
     assert "sigma as stated" in settings_lines([one])[0]
     assert one.found.sigma == 1
+    assert (one.std > 350.0).all()
     assert 0.5 < (((one.position - truth) / one.std) ** 2).mean() < 2

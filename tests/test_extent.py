@@ -11,7 +11,8 @@ from torchfra import presets
 from torchfra.association import Clutter
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
-from torchfra.targets import Deletion, Extent, OnePoint, Stitching, Targets
+from torchfra.targets import Deletion, Extent, OnePoint, Stitching, Targets, Visibility
+from torchfra.targets.state import Beside
 
 STD, P = 2.0, 0.9
 
@@ -96,6 +97,29 @@ def test_boats_that_meet_stay_two_in_line_at_one_speed():
     states = run(manager(), scans(lambda k: np.array([[3 * k, 0.0], [3 * k - 15 - 3 * max(0, 20 - k), 0.0]]), 1, 60))
     assert len(states[14].identity) == 2
     assert all(state.identity.tolist() == states[14].identity.tolist() for state in states[14:])
+
+
+def test_boats_that_are_hidden_stay_two():
+    """A shadow of 18 s says nothing about one hull or two boats, if targets may be hidden."""
+    for seed in range(3):
+        targets = manager(visibility={None: Visibility(60.0, 20.0)})
+        states = run(targets, scans(beside(15.0), seed, 36, lambda rng, k: [not 20 <= k < 32] * 2))
+        assert all(len(state.identity) == 2 for state in states[20:])
+        assert all(state.track.beside.odds.max() > 0 for state in states[20:])
+
+
+@pytest.mark.parametrize(("odds", "missed", "kept"), [(-3.0, 0, True), (-2.0, 0, False), (-3.0, 1, False)])
+def test_a_hull_is_not_ended_while_its_part_is_measured(odds, missed, kept):
+    """Of two targets the second is a part of the first; a rule ends the first, which has one miss."""
+    track = run(manager(), scans(beside(15.0), 0, 20))[-1].track
+    hull, zero = track.identity[0], torch.zeros(2).double()
+    track = track._replace(
+        confirmed=torch.tensor([True, False]), misses=torch.tensor([1.0, missed]).double(),
+        beside=Beside(torch.tensor([-1, hull]), zero, torch.tensor([0.0, odds]).double()),
+    )  # fmt: skip
+    after, stays = Extent(sure=0.9).kept(track, torch.tensor([False, True]))
+    assert stays.tolist() == [kept, True]
+    assert torch.equal(after.identity, track.identity)
 
 
 def test_a_target_of_one_scene_is_no_part_of_one_in_another():

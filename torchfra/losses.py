@@ -91,7 +91,8 @@ def innovation_nll(estimate: Estimate) -> Tensor:
     the identity.
     """
     density = estimate.log_likelihood
-    nothing = density.abs() <= 64 * torch.finfo(density.dtype).eps  # a step without a measurement has a likelihood of 1
+    # A step without a measurement has a likelihood of 1, of mixtures but for rounding, and nothing that differs.
+    nothing = (estimate.nis == 0) & (density.abs() <= 64 * torch.finfo(density.dtype).eps)
     return -_over_time(density, ~nothing)
 
 

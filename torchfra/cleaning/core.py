@@ -41,7 +41,7 @@ _OPEN = 0.5
 """Sigma is unsure if one below this share of it is not ruled out."""
 _REPEATED = 0.5
 """Factor on the stated standard deviations below which a track does not show them: its receiver has smoothed it."""
-_AS_STATED = "Standard deviations are as stated: fixes differ from the path by less than that, or are too far apart"
+_AS_STATED = "Standard deviations are as stated: the track does not show which ones its fixes have"
 _SWIMS = 3.0
 """Speed, m/s, that seals and turtles do not keep up, as filters of Argos take it.
 

@@ -73,6 +73,8 @@ def fit_sheet(file: Any) -> Sheet:
                     record = {_FIT.get(name, name): value for name, value in cells.items() if _is_cell(value)}
                     places = {axis: record[axis] * _SEMICIRCLE for axis in ("latitude", "longitude") if axis in record}
                     records.append({**record, **places})
+    except MemoryError:
+        raise
     except Exception as error:  # what is damaged can lead to errors of many types
         raise ValueError(f"expected a complete FIT file, received none ({error})") from error
     if not records:

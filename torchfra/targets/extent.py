@@ -37,7 +37,7 @@ class Extent(nn.Module):
     is tentative again.  A target that was farther than that from its host has none, so that boats that meet stay two.
     The log odds add three parts:
 
-    - the scans: in one whose sensor detects a target with probability ``P``, two have both, one or no measurement with
+    - the scans: in one whose sensor detects a target with probability ``P``, less while it may be hidden, two have both, one or no measurement with
       ``P^2``, ``P (1 - P)`` each and ``(1 - P)^2``, a hull with ``P both``, ``P (1 - both) / 2`` each and ``1 - P``;
       their logs are summed, weighted by the probabilities of the association, and forgotten exponentially;
     - the place: a hull has its parts along its course, to both sides of one another, with a length whose logarithm is
@@ -99,7 +99,7 @@ class Extent(nn.Module):
             belief: ``(N,)`` after the scan.
             track: of each.
             log_missed: ``(N,)`` log probability that each was missed.
-            detection: probability ``()`` or ``(N,)`` that the sensor measures a target.
+            detection: probability ``()`` or ``(N,)`` that the sensor measures a target, which may be hidden.
             dt: ``(N,)`` seconds since the last scan.
         """
         assert track.beside is not None
@@ -109,7 +109,7 @@ class Extent(nn.Module):
         missed, P = log_missed.exp(), detection.expand_as(odds)[part]
         one, other = missed[part], missed[hull]
         said = (
-            (1 - one) * (1 - other) * torch.log(P / self.both)
+            torch.xlogy((1 - one) * (1 - other), P / self.both)
             + (one * (1 - other) + (1 - one) * other) * torch.log(2 * (1 - P) / (1 - self.both))
             + one * other * torch.log1p(-P)
         )

@@ -304,7 +304,7 @@ class Targets(Part):
         if self.visibility is not None and track.visible is not None:
             track = track._replace(visible=self.visibility.updated(track.visible, number, log_missed, miss))
         if self.extent is not None:
-            seen = -torch.expm1(miss)
+            seen = -torch.expm1(miss_or_hidden)
             track = self.extent.weighed(filter.motion, after.belief, track, log_missed, seen, scan.dt[scene])
         if sensor in self.views:
             track, after = self._not_missed(state, track, after, self.views[sensor], scan)
