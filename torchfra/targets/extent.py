@@ -37,8 +37,8 @@ class Extent(nn.Module):
     is tentative again.  A target that was farther than that from its host has none, so that boats that meet stay two.
     The log odds add three parts:
 
-    - the scans: in one whose sensor detects a target with probability ``P``, less while it may be hidden, two have both,
-      one or no measurement with ``P^2``, ``P (1 - P)`` each and ``(1 - P)^2``, a hull with ``P both``,
+    - the scans: in one whose sensor detects a target with probability ``P``, less while it may be hidden, two have
+      both, one or no measurement with ``P^2``, ``P (1 - P)`` each and ``(1 - P)^2``, a hull with ``P both``,
       ``P (1 - both) / 2`` each and ``1 - P``; their logs are summed, weighted by the probabilities of the association,
       and forgotten exponentially;
     - the place: a hull has its parts along its course, to both sides of one another, with a length whose logarithm is
