@@ -33,6 +33,14 @@ def test_jumps_between_places_are_refused_with_the_columns_that_may_part_them(wr
     assert len(read(write(table(rows)), id="number")) == 3
 
 
+def test_a_target_too_short_to_be_judged_does_not_vouch_for_one_of_impossible_speed(write):
+    bus, van = (
+        [f"{k},{name},{k * speed},0" for k in range(n)] for name, speed, n in (("bus", 55_000, 60), ("van", 9, 5))
+    )
+    with pytest.raises(ValueError, match=r"received 55 km/s as the median of target bus"):
+        read(write(["t,id,x,y", *bus, *van]))
+
+
 def test_a_number_that_two_operators_have_is_refused_with_both_columns(write):
     path = write(table(fleet()))
     with pytest.raises(ValueError, match=r"of target 7; .*such as id='number,ID'; .*not read: load, version, operator"):

@@ -2,7 +2,8 @@
 
 In a linear filter with one time step and one noise the root of the covariance follows from the root before it alone.
 Once it comes back, bit for bit, to one that it has had, and differed by rounding alone between, with nothing missing,
-it would stay within its own rounding for ever.  So it is a constant from there on, and so are gains, until something is missing or changes.
+it would stay within its own rounding for ever.  So it is a constant from there on, and so are gains, until something is
+missing or changes.
 """
 
 from __future__ import annotations
