@@ -163,11 +163,12 @@ class GPB(Filter[GPBState]):
 
     @property
     def regime_names(self) -> tuple[str, ...]:
-        """What each regime is, in the order of ``info.probabilities``."""
+        """What each regime is, in the order of ``info.probabilities``; levels of a batch of values are the first ones."""
         regimes, (first, *others) = self.regimes, self.bank.names
-        levels = [f"{first}, noise x {level:.3g}" for level in regimes.noise_levels().flatten().tolist()]
+        levels = regimes.noise_levels().flatten()[: regimes.level_count].tolist()
         counts = {"climb": regimes.climb_count, "manoeuvre": regimes.manoeuvre_count, "jump": regimes.jump_count}
-        return (*levels, *others, *(name for name, count in counts.items() for _ in range(count)))
+        named = (f"{first}, noise x {level:.3g}" for level in levels)
+        return (*named, *others, *(name for name, count in counts.items() for _ in range(count)))
 
     @property
     def bank(self) -> Bank:
