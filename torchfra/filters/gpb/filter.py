@@ -163,7 +163,7 @@ class GPB(Filter[GPBState]):
 
     @property
     def regime_names(self) -> tuple[str, ...]:
-        """What each regime is, in the order of ``info.probabilities``; levels of a batch of values are the first ones."""
+        """What each regime is, in the order of ``info.probabilities``; of a batch of values by its first levels."""
         regimes, (first, *others) = self.regimes, self.bank.names
         levels = regimes.noise_levels().flatten()[: regimes.level_count].tolist()
         counts = {"climb": regimes.climb_count, "manoeuvre": regimes.manoeuvre_count, "jump": regimes.jump_count}
