@@ -4,9 +4,9 @@ import copy
 import math
 from dataclasses import replace
 
+import gpb_loops as cases
 import numpy as np
 import pytest
-import test_gpb_oracle as cases
 import torch
 from cleaned_tracks import straight
 from oracles import gpb as oracle

@@ -4,8 +4,8 @@ import copy
 
 import pytest
 import torch
+from alike import close
 from conftest import STEPS, without_acceleration
-from test_compile import close
 
 from torchfra import metrics, presets, scenarios
 from torchfra.hyper import hypers

@@ -8,10 +8,10 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from alike import both, close
+from gpb_cases import FEWER
 from joint import flat_prior, make, plane
 from test_association import log_ratio, random_scan
-from test_compile import both, close
-from test_gpb import FEWER
 
 from torchfra import learnable, presets
 from torchfra.association import Clutter, Euclidean, associate

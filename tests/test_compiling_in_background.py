@@ -10,7 +10,7 @@ import time
 
 import pytest
 import torch
-from test_compile import close
+from alike import close
 
 from torchfra import presets, scenarios, tree
 from torchfra.compiler import jit, program

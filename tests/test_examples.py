@@ -1,31 +1,17 @@
 """The numbered examples run, print what they promise, and stay short."""
 
-import importlib.util
 import re
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from numbered_examples import EXAMPLES, load
 from two_processes import run_in_two
 
 from torchfra import presets
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
-
-FOLDER = Path(__file__).parent.parent / "scripts" / "examples"
-EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py"))}
-
-
-def load(name):
-    """An example as a module; its name begins with a digit, so that ``import`` cannot."""
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES[name])
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def numbers(pattern, text):

@@ -6,7 +6,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
-from test_gpb_oracle import PRIOR, VALUES, carried, expected, position, same, tensor
+from gpb_loops import PRIOR, VALUES, carried, expected, position, same, tensor
 from test_gpb_promises import agree
 
 from torchfra import presets

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, same, tensor
+from gpb_cases import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, same, tensor
 
 from torchfra import presets
 from torchfra.filters import GPB, Outliers, Regimes

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from test_compile import close
-from test_gpb import ANCHORS, MOTION, PRIOR, VALUES, measured
+from alike import close
+from gpb_cases import ANCHORS, MOTION, PRIOR, VALUES, measured
 from torch.testing import assert_close
 
 from torchfra import metrics, presets, scenarios, tree

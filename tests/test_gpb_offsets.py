@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from gpb_cases import FEWER, SENSORS
+from gpb_loops import PRIOR, bank, carried, expected, position, regimes, same, tensor
 from oracles import gpb as oracle
-from test_gpb import FEWER, SENSORS
-from test_gpb_oracle import PRIOR, bank, carried, expected, position, regimes, same, tensor
 from torch.testing import assert_close
 
 from torchfra import presets

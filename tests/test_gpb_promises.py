@@ -5,9 +5,9 @@ import math
 
 import pytest
 import torch
+from alike import close
+from gpb_cases import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
 from short_tracks import SMALL_GPB
-from test_compile import close
-from test_gpb import ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, measured, tensor
 from torch.testing import assert_close
 
 from torchfra import presets, scenarios, tree

@@ -2,10 +2,10 @@
 
 from functools import partial
 
+import gpb_loops
 import numpy as np
 import oracles
 import pytest
-import test_gpb_oracle as gpb_oracle
 import test_imm
 import torch
 from oracles import gpb as oracle
@@ -140,10 +140,10 @@ def test_gradients_of_a_subset_are_finite_where_no_time_passes(run):
 
 @pytest.mark.parametrize("motions", [1, 3])
 def test_gpb_is_what_loops_over_hypotheses_say(motions):
-    case, last, restart = gpb_oracle.position(), (40.0, 9.0, 6.0, 0.8), (0.5, 0.3, 0.15, 0.05)
+    case, last, restart = gpb_loops.position(), (40.0, 9.0, 6.0, 0.8), (0.5, 0.3, 0.15, 0.05)
     bank = [ConstantAcceleration(0.05), ConstantVelocity(0.5, orders=3), CoordinatedTurn(-0.2, 0.1, orders=3)][:motions]
-    dt = np.linspace(0.3, 2.0, gpb_oracle.STEPS)
-    of_steps, regimes = gpb_oracle.regimes((0.5,) * 4, restart, (0.1, 30.0), motions=motions)
+    dt = np.linspace(0.3, 2.0, gpb_loops.STEPS)
+    of_steps, regimes = gpb_loops.regimes((0.5,) * 4, restart, (0.1, 30.0), motions=motions)
     options = {name: x for name, x in of_steps.items() if name not in ("self_transition", "outlier_transition")}
     f = presets.gpb(Bank(bank), case.sensor, durations=last, outlier_durations=(15.0, 2.5), **options)
 
@@ -157,10 +157,10 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
     )
     modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
                                  (15.0, 2.5), dt)  # fmt: skip
-    prior, models = gpb_oracle.PRIOR, [gpb_oracle.carried(m, dt) for m in bank]
+    prior, models = gpb_loops.PRIOR, [gpb_loops.carried(m, dt) for m in bank]
     r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, modes,
                    options["prior_outlier"], options["prior_inflation"])  # fmt: skip
-    gpb_oracle.same(f(torch.from_numpy(case.z), prior, dt=torch.from_numpy(dt)), r)
+    gpb_loops.same(f(torch.from_numpy(case.z), prior, dt=torch.from_numpy(dt)), r)
 
 
 def test_rows_without_a_measurement_change_no_estimate_of_gpb_where_the_motion_holds():

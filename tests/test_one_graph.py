@@ -2,10 +2,9 @@
 
 import pytest
 import torch
+from alike import close
+from gpb_cases import FEWER
 from one_graph import needs_one_graph
-from test_branches import THREE
-from test_compile import close
-from test_gpb import FEWER
 
 from torchfra import presets
 from torchfra.motion import ConstantVelocity
@@ -20,7 +19,9 @@ def sees_one_graph(f, z, prior, u=None):
     close(graph(z, prior, u=u).mean, f(z, prior, u=u).mean, 1e-9)
 
 
-@pytest.mark.parametrize(("name", "options"), [("ekf", {}), ("fra", THREE)])
+@pytest.mark.parametrize(
+    ("name", "options"), [("ekf", {}), ("fra", {"plain": 1.0, "provisional": "likeliest", "final": "likeliest"})]
+)
 def test_a_filter_is_one_graph(name, options, make, tracks):
     """Slopes; points, weights of outliers, fading, branches that are decided between."""
     z = tracks.z[:, :1].clone()

@@ -6,8 +6,8 @@ import weakref
 
 import pytest
 import torch
+from gpb_cases import FEWER
 from one_graph import needs_one_graph
-from test_gpb import FEWER
 from torch import nn
 
 from torchfra import Gaussian, presets

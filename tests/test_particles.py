@@ -5,7 +5,7 @@ import json
 import particles
 import pytest
 import torch
-from test_gpb import ALMOST_NONE, MOTION, PRIOR, SENSORS, VALUES, close, measured
+from gpb_cases import ALMOST_NONE, MOTION, PRIOR, SENSORS, VALUES, close, measured
 
 from torchfra import presets
 

@@ -6,7 +6,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 import torch
-from test_examples import load
+from numbered_examples import load
 
 import torchfra
 from torchfra.adapters.points import noise_and_motion

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from test_compile import close
+from alike import close
 from test_regions import make_small, program
 
 from torchfra import presets, scenarios

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
+from gpb_cases import FEWER
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_gpb import FEWER
 from torch.nn import Module
 
 import torchfra

@@ -7,9 +7,9 @@ import random
 
 import pytest
 import torch
+from alike import both, close
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_compile import both, close
 
 from torchfra.compiler import schedule
 from torchfra.compiler.expressions import ZERO, Expressions, Routine

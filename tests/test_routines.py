@@ -5,8 +5,8 @@ import re
 
 import pytest
 import torch
-from test_compile import close
-from test_gpb import FEWER
+from alike import close
+from gpb_cases import FEWER
 from torch.autograd import forward_ad
 
 from torchfra import Gaussian, presets

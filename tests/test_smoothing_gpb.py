@@ -6,7 +6,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
-from test_gpb import measured
+from gpb_cases import measured
 from test_gpb_promises import FILTERS, PRIOR, STEPS
 from test_smoothing_models import START, models
 
