@@ -1,15 +1,18 @@
 """Every filter keeps what filters promise: the battery that users have for their own."""
 
 import copy
+import math
 
 import pytest
 import torch
+from gpb_cases import ANCHORS, PRIOR, VALUES, measured
 from short_tracks import SMALL_GPB
 
+from torchfra import presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
-from torchfra.motion import Bank, ConstantVelocity
-from torchfra.sensors import Position, Sensor
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.sensors import Position, Ranges, Sensor
 from torchfra.testing import CHECKS, check_filter
 from torchfra.types import Gaussian
 
@@ -50,6 +53,21 @@ def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, reque
     report = check_filter(f, **tracks, compiled=name in COMPILED or thorough, thorough=thorough, skip=(HOLDS,))
     assert len(report.of("passed")) > 15
     assert {outcome.check for outcome in report.of("skipped")} <= {HOLDS}
+
+
+OF_TRACKS = (
+    "a_single_track_needs_no_batch_and_no_company", "steps_give_what_whole_tracks_give",
+    "time_steps_may_differ_per_step_and_per_track", "single_precision_stays_single",
+    "a_track_that_fails_leaves_the_others_alone", "it_maps_over_tracks",
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_gpb_keeps_it_with_several_blocks_and_motions_too():
+    motions = [ConstantAcceleration(0.05), CoordinatedTurn(math.pi / 20, 0.1, orders=3)]
+    f = presets.gpb(motions, Ranges(ANCHORS[:2], 2.0), **VALUES)
+    z = measured("ranges", 3)[:, 2:8, :2]
+    assert len(check_filter(f, z, PRIOR, compiled=False, only=OF_TRACKS).of("passed")) == len(OF_TRACKS)
 
 
 def test_a_robust_filter_is_found_to_be_worse_where_the_models_hold(scenario, crossing):
