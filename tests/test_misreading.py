@@ -67,42 +67,39 @@ def test_the_bound_on_memory_holds_for_every_format(write, name):
         read(write(text, name), max_bytes=size - weight)
 
 
-@pytest.mark.parametrize("kind", ["parquet", "feather"])
-def test_the_bound_on_memory_holds_for_columns_that_are_packed_well(tmp_path, kind):
+def test_the_bound_on_memory_holds_for_columns_that_are_packed_well(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import feather, parquet
+    from pyarrow import parquet
 
     data = pyarrow.table({"t": np.arange(200_000.0), "x": np.zeros(200_000), "y": np.zeros(200_000)})
-    path = tmp_path / f"a.{kind}"
-    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
+    path = tmp_path / "a.parquet"
+    parquet.write_table(data, path)
     assert len(read(path)[0].time) == 200_000
     with pytest.raises(ValueError, match="of columns, of which a row counts for 64 or more"):
         read(path, max_bytes=10_000_000)
 
 
-@pytest.mark.parametrize("kind", ["parquet", "feather"])
-def test_texts_that_are_packed_well_are_refused_before_they_unfold(tmp_path, kind):
+def test_texts_that_are_packed_well_are_refused_before_they_unfold(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import feather, parquet
+    from pyarrow import parquet
 
     names = pyarrow.array(["x" * 2**14 + str(i % 500) for i in range(1000)])
     data = pyarrow.table({"t": np.arange(1000.0), "x": np.zeros(1000), "y": np.zeros(1000), "id": names})
-    path = tmp_path / f"a.{kind}"
-    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
+    path = tmp_path / "a.parquet"
+    parquet.write_table(data, path)
     assert path.stat().st_size < 1_000_000
     with pytest.raises(ValueError, match="of columns, of which a row counts for 64 or more"):
         read(path, max_bytes=5_000_000)
     assert len(read(path)) == 500
 
 
-@pytest.mark.parametrize("kind", ["parquet", "feather"])
-def test_a_damaged_table_of_columns_is_read_or_refused_with_a_value_error(tmp_path, kind):
+def test_a_damaged_table_of_columns_is_read_or_refused_with_a_value_error(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import feather, parquet
+    from pyarrow import parquet
 
     data = pyarrow.table({"t": np.arange(50.0), "x": np.zeros(50), "y": np.zeros(50), "id": ["a"] * 50})
-    path = tmp_path / f"a.{kind}"
-    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
+    path = tmp_path / "a.parquet"
+    parquet.write_table(data, path)
     whole, random = path.read_bytes(), np.random.default_rng(2)
     for _ in range(100):
         damaged = bytearray(whole)

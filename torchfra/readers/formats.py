@@ -179,7 +179,6 @@ class Xml(NamedTuple):
 XML = (
     Xml("TrainingCenterDatabase", "Trackpoint", "Activity"),  # watches
     Xml("fcd-export", "vehicle"),  # SUMO
-    Xml("Tracks", "detection", "particle"),  # TrackMate
 )
 
 
