@@ -406,7 +406,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS), help="packages whose code is changed")
-    parser.add_argument("--tests", nargs="+", metavar="NAME", default=TESTS.split(), help="files tests/test_NAME.py")
+    parser.add_argument("--tests", nargs="+", metavar="NAME", default=TESTS.split(), help="files test_NAME.py")
     parser.add_argument("--sample", type=int, metavar="N", help="so many mutants, drawn at random (default: all)")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (default: %(default)s)")
     parser.add_argument("--minutes", type=float, help="end after so long, with those tried until then")
@@ -417,7 +417,7 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     os.environ["OMP_NUM_THREADS"] = "1"
     os.chdir(ROOT)
-    files = [f"tests/test_{name}.py" for name in options.tests]
+    files = [str(next(Path("tests").glob(f"*/test_{name}.py"))) for name in options.tests]
     plugins = [f"-pno:{name}" for name in ("terminal", "logging", "cacheprovider", "xdist")]
     given = [*files, "-m", "not slow", "-o", "addopts=--strict-markers", *plugins]
     return int(pytest.main(given, plugins=[Mutants(options)]))

@@ -20,7 +20,7 @@ ruff format --check .
 case $what in
   --quick)
     # Square roots and their gradients, and filters against what is written in numpy from their papers alone.
-    arguments=(-m "not slow" tests/test_{tria,oracles,gpb_oracle,imm,states}.py "${arguments[@]}") ;;
+    arguments=(-m "not slow" tests/{linalg/test_tria,filters/test_oracles,filters/test_gpb_oracle,filters/test_imm,motion/test_states}.py "${arguments[@]}") ;;
   --all) mypy --strict ;;
   *)
     mypy --strict

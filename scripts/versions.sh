@@ -85,11 +85,11 @@ try() {
   installed=$((SECONDS - begin))
   torch=$("$work/venv/bin/python" -c 'import torch; print(torch.__version__)') || torch="$torch, which cannot be imported"
   echo "Python $python, torch $torch: installed in $installed s"
-  files=("${tests[@]/#/tests/test_}")
+  files=("${tests[@]/#/tests/*/test_}")
   (
     cd "$work/tree"
     OMP_NUM_THREADS=1 timeout 600 "$work/venv/bin/python" -m pytest -p no:cacheprovider -n auto --dist worksteal \
-      "${quick[@]}" "${files[@]/%/.py}"
+      "${quick[@]}" ${files[@]/%/.py}
   ) || status=$?
   if [ $status = 0 ]; then why=passed; else why="failed (pytest: $status)" failed=1; fi
   said+=("Python $python, torch $torch: $why, $((SECONDS - begin)) s")

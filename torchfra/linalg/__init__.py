@@ -2,7 +2,7 @@
 
 No covariance is formed here.  Everything works on a square root ``A`` of it, ``P = A A^T``, and on the unique
 lower-triangular root with a non-negative diagonal, ``L = tria(A)``.  Behind it stands the QR decomposition of ``A^T``,
-in three ways that agree to rounding (``tests/test_tria.py`` holds all of them, and their gradients, to those of
+in three ways that agree to rounding (``tests/linalg/test_tria.py`` holds all of them, and their gradients, to those of
 ``torch.linalg.qr``):
 
 - traced code (``torch.func``) calls ``torch.linalg.qr(mode="r")``;

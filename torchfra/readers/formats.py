@@ -1,7 +1,7 @@
 """The formats that are known: a row for each, which says what the general rules of ``torchfra.readers`` do not.
 
-Whoever adds a format adds a row, and a file of ten rows to ``tests/test_formats.py``.  Names of columns are those of
-``names.plain``: small letters without signs and units.
+Whoever adds a format adds a row, and a file of ten rows to ``tests/readers/test_formats.py``.  Names of columns are
+those of ``names.plain``: small letters without signs and units.
 """
 
 from __future__ import annotations

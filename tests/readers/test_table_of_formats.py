@@ -118,7 +118,7 @@ REFUSED = {
     "SLEAP": table("track,frame_idx,instance.score,nose.x,nose.y", lambda i, a, o: f"track_0,{i},0.9,{i},3"),
 }  # fmt: skip
 OF_ADSB = {"ADS-B"}
-"""Rows of columns that a reader of JSON makes: ``tests/test_readsb.py``."""
+"""Rows of columns that a reader of JSON makes: ``tests/readers/test_readsb.py``."""
 
 
 def test_every_row_of_the_table_has_a_file():

@@ -26,7 +26,7 @@ from train.runs import configured
 
 pytestmark = pytest.mark.usefixtures("short_tracks", "rough_figures")  # with which code and commands run as well
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / ".github/CONTRIBUTING.md",

@@ -110,8 +110,10 @@ for tracks in range(3, 15):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for its address space")
 def test_code_and_its_constants_may_lie_far_apart(tmp_path):
-    environment = {**os.environ, "TORCHFRA_CACHE": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", CROWDED], cwd=Path(__file__).parent, env=environment, check=True)
+    here = Path(__file__).parent
+    paths = map(str, (here, here.parent, here.parents[1]))
+    environment = {**os.environ, "TORCHFRA_CACHE": str(tmp_path), "PYTHONPATH": os.pathsep.join(paths)}
+    subprocess.run([sys.executable, "-c", CROWDED], cwd=here, env=environment, check=True)
 
 
 def test_a_kernel_needs_no_other_compiler(monkeypatch, tmp_path):

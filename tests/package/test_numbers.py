@@ -15,7 +15,7 @@ from torchfra.motion import ConstantVelocity
 from torchfra.numbers import as_tensor
 from torchfra.sensors import Position, RangeBearing
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NUMBERS = {
     "float": 0.1, "int": 1, "float of numpy": np.float64(0.1), "rough float of numpy": np.float32(0.1),
     "int of numpy": np.int64(1), "unsigned int of numpy": np.uint64(1),

@@ -29,7 +29,7 @@ from torchfra.running import home
 from torchfra.tables import printable, text_table
 from train import tune
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TOLD = ["--sigma", "25", "--q", "1", "--bank", "aircraft"]
 """Nothing has to be found."""
 COMPARE = ["compare", "--scenario", "bearings-outliers", "--filters", "srckf", "--no-compile"]

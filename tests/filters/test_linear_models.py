@@ -357,7 +357,7 @@ def test_a_missing_matrix_of_a_step_fails_the_track_and_is_not_replaced():
 
 # ---------------------------------------------------------------- lines from other libraries to here
 
-PAGE = (Path(__file__).parent.parent / "torchfra/motion/README.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "torchfra/motion/README.md").read_text(encoding="utf-8")
 LINES = re.findall(r"^\| (\S+) \| `(.*?)` \| `(.*?)` \|$", PAGE, re.M)
 NAMES = {
     "filterpy": "from filterpy.kalman import KalmanFilter",

@@ -12,7 +12,7 @@ import pytest
 
 import torchfra
 
-LIBRARY, TESTS = Path(torchfra.__file__).parent, Path(__file__).parent
+LIBRARY, TESTS = Path(torchfra.__file__).parent, Path(__file__).parents[1]
 CORE = {
     "adaptive", "angles", "association", "coordinates", "entries", "filters", "gaussian", "hyper", "linalg", "loading",
     "motion", "numbers", "presets", "register", "robust", "sensors", "steps", "suggestions", "tables", "tree", "types",
@@ -152,7 +152,7 @@ def core(tmp_path_factory):
 @pytest.mark.slow
 def test_filters_and_their_tests_run_where_every_part_that_they_do_not_need_is_deleted(core):
     lines = "".join(FILTER.format(preset=preset) for preset in ("gpb", "fra", "hghckf", "iaukf"))
-    files = [f"tests/test_{name}.py" for name in ("own_sides", "predict")]
+    files = [f"tests/filters/test_{name}.py" for name in ("own_sides", "predict")]
     arguments = ["--noconftest", "-p", "no:cacheprovider", "-k", "not compiled", *files]
     code = f"import pytest, torch, torchfra{lines}print(torchfra.presets.jpda, torchfra.__file__)\n"
     done = core("-c", f"{code}raise SystemExit(pytest.main({arguments}))")

@@ -9,7 +9,7 @@ import torch
 
 from torchfra.motion import GaussMarkov
 
-PAGE = (Path(__file__).parent.parent / "torchfra/robust/README.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "torchfra/robust/README.md").read_text(encoding="utf-8")
 
 
 def test_each_kind_of_outliers_has_its_row_and_argument():

@@ -139,6 +139,6 @@ def test_a_soft_decision_agrees_with_its_oracle(experiment, preset, options, tem
 def test_oracles_never_import_what_they_are_compared_with():
     code = "import sys, oracles; print({'torch', 'torchfra', 'train'} & set(sys.modules))"
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], cwd=Path(__file__).parents[1], capture_output=True, text=True, check=True
     )
     assert done.stdout == "set()\n"

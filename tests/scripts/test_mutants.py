@@ -9,7 +9,7 @@ from pathlib import Path
 import mutants
 import pytest
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def changes(tmp_path, code):

@@ -22,7 +22,7 @@ from torchfra.catalogue import SCENARIOS
 
 pytestmark = pytest.mark.usefixtures("rough_figures")
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.slow
