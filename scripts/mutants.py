@@ -32,14 +32,12 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("linalg", "gaussian", "robust", "steps", "filters")
 TESTS = """
     alarms alphabeta alphabeta_gaps autocast branches certainty check_model choices composed_sensors considered
-    continuous_noise correlated_errors divisions failed_steps failures filters fixed_lag gaps gpb gpb_doubt
-    gpb_errors gpb_gaps gpb_manoeuvres gpb_noise gpb_offsets gpb_oracle gpb_promises gpb_robust gradients
-    hessian high_degree huber huber_determined imm imm_even inputs inputs_alike likelihood linear_models
-    long_tracks manoeuvre_models many_rejected masked_arrays mean_durations missing_inputs mixed_angles mixture
-    models moving_noise noise_estimate okf one_gpb oracles outliers outputs own_sides poses predict presets
-    protection ready_gradients ready_steps regions relations several_sensors smoothed_likelihood smoothing
-    smoothing_gpb smoothing_in_float32 smoothing_models smoothing_promises spherical states tangents tria
-    typed_calls values vsimm wide_priors written_functions zeros
+    continuous_noise correlated_errors divisions failed_steps failures filters gaps gpb gpb_oracle gpb_promises
+    gpb_robust gradients hessian high_degree huber huber_determined imm imm_even inputs inputs_alike likelihood
+    linear_models long_tracks manoeuvre_models many_rejected masked_arrays mean_durations missing_inputs
+    mixed_angles mixture models moving_noise noise_estimate okf one_gpb oracles outliers outputs own_sides poses
+    predict presets protection ready_gradients ready_steps regions relations several_sensors smoothing
+    smoothing_banks spherical states tangents tria typed_calls values vsimm wide_priors written_functions zeros
     absurd_measurements compile compiled_scans jpda jpda_limits jpda_models late_scans processors same_points
     second_order
 """

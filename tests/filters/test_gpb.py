@@ -1,16 +1,22 @@
-"""GPB becomes the filters it generalises, weighs hypotheses by what comes after, and names what does not fit."""
+"""GPB becomes the filters it generalises, weighs hypotheses by what comes after, and learns what it is asked to."""
 
 import math
 
+import alike
 import pytest
 import torch
 from gpb_cases import ALMOST_NONE, ANCHORS, MOTION, PRIOR, SENSORS, STEPS, VALUES, close, measured, same, tensor
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch.testing import assert_close
 
-from torchfra import presets
+from torchfra import metrics, presets, scenarios, tree
+from torchfra.association import Clutter
+from torchfra.filters.gpb.noise import NoiseScale
 from torchfra.hyper import hypers
-from torchfra.motion import Bank, ConstantVelocity, CoordinatedTurn
+from torchfra.metrics import nees, rmse
+from torchfra.motion import Augmented, Bank, ConstantVelocity, CoordinatedTurn, GaussMarkov, Odometry
+from torchfra.scenarios import as_stated
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
@@ -218,3 +224,241 @@ def test_a_sensor_with_a_forward_of_its_own_is_not_taken_for_linear():
     prior = Gaussian(torch.zeros(3, 4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
     plain, shifted = (presets.gpb(ConstantVelocity(1.0), sensor(2.0)) for sensor in (Position, Shifted))
     torch.testing.assert_close(plain(z, prior).mean, shifted(z + 100, prior).mean)
+
+
+# ---------------------------------------------------------------- what a target may do
+
+
+STD, TURNING, TURNS = 10.0, 80, 20
+AHEAD = Gaussian(torch.tensor([0.0, 0, 40, 0]).double(), torch.diag(torch.tensor([STD, STD, 3, 3]).double()))
+
+
+def turn(outliers=0.0):
+    """40 m/s and a half turn at 10 deg/s, by fixes of 10 m, some of which may be 100 m off."""
+    rng = torch.Generator().manual_seed(5)
+    rate = torch.zeros(TURNING, dtype=torch.float64)
+    rate[40:58] = math.radians(10.0)
+    heading = rate.cumsum(0)
+    truth = (40 * torch.stack([heading.cos(), heading.sin()], -1)).cumsum(0).expand(TURNS, -1, -1)
+    noise = torch.randn(truth.shape, dtype=torch.float64, generator=rng)
+    wrong = torch.rand(TURNS, TURNING, 1, dtype=torch.float64, generator=rng) < outliers
+    return truth, truth + STD * torch.where(wrong, 10.0, 1.0) * noise
+
+
+FEW_OUTLIERS = {"outlier_sizes": (100.0,), "outlier_shares": (1.0,), "adaptive_largest_size": False}
+"""Of one size, for the compiler's time."""
+
+
+def gpb(manoeuvres, motion=None, **options):
+    return presets.gpb(
+        motion or ConstantVelocity(0.1, continuous=True), Position(STD), manoeuvres=manoeuvres, **options
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("outliers", [0.0, 0.05])
+def test_a_hard_turn_of_one_motion_is_not_taken_for_outliers(outliers):
+    truth, z = turn(outliers)
+    error = {word: (gpb(word)(z, AHEAD).mean[..., :2] - truth).norm(dim=-1) for word in ("some", "hard")}
+    for found in error.values():
+        assert found.square().mean() < (2 * STD) ** 2
+        assert found[:, 60:].median() < 2 * STD
+
+
+@pytest.mark.slow
+def test_smoothed_a_hard_turn_is_nearer_than_filtered():
+    truth, z = turn()
+    smoothed = gpb("hard").smooth(z, AHEAD)
+    filtered, later = (rmse(e.mean, truth, slice(0, 2)).square().mean() for e in (smoothed.info.filtered, smoothed))
+    assert later < 0.7 * filtered
+
+
+@pytest.mark.parametrize("word", ["none", "hard"])
+def test_where_the_model_holds_each_is_a_kalman_filter(word):
+    scenario = as_stated("velocity", index=0.1, steps=60)
+    tracks = scenario.simulate(100, 11)
+    f = presets.gpb(scenario.motion, scenario.sensor, manoeuvres=word)
+    found, plain = (g(tracks.z, tracks.prior) for g in (f, presets.srckf(scenario.motion, scenario.sensor)))
+    errors = [rmse(e.mean, tracks.truth, scenario.position)[20:].mean() for e in (found, plain)]
+    assert errors[0] < 1.02 * errors[1]
+    assert 0.9 < nees(found, tracks.truth)[:, 20:].mean() / 4 < 1.1
+
+
+def test_with_none_a_target_moves_as_it_is_stated_to_and_outliers_are_still_found():
+    _, z = turn()
+    z = z.clone()
+    z[:, 20] += 300
+    e = gpb("none")(z[:, :30], AHEAD)
+    assert e.info.probabilities.shape[-1] == 1
+    assert (e.info.outlier[:, 20] > 0.99).all()
+
+
+def test_what_is_given_wins_over_the_word():
+    f = gpb("none", noise_levels=(2.0,))
+    assert f.regimes.noise_levels().tolist() == [2.0]
+
+
+@pytest.mark.slow
+def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
+    line = ConstantVelocity(0.1, dims=1, continuous=True)  # and no bank, for the compiler's time
+    prior = Gaussian(torch.zeros(2).double(), torch.diag(torch.tensor([10, 40]).double()))
+    z, found = turn(0.05)[1][:3, 36:46, 1:], []
+    for compiled in (False, True):
+        learn = ("manoeuvre_factors", "noise_levels")
+        f = presets.gpb(line, Position(STD, dims=1), manoeuvres="hard", learn=learn, **FEW_OUTLIERS)
+        f = f.compile() if compiled else f
+        e = f(z - z[:, :1], prior)
+        (e.mean.square().sum() + e.info.filtered.mean.square().sum()).backward()
+        found.append([e.mean, e.covariance, e.info.outlier, *(p.grad for p in f.parameters())])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-7, atol=1e-9 * float(one.detach().abs().max()))
+
+
+def test_an_unknown_word_is_an_error():
+    with pytest.raises(ValueError, match="manoeuvres: expected one of none, jumps, some, hard, received 'wild'"):
+        gpb("wild")
+
+
+def test_a_motion_that_measures_itself_has_no_manoeuvres_unless_it_is_asked_for_some():
+    own, plain = Odometry(0.01, 1e-4, 1e-6), ConstantVelocity(0.1)
+    levels = {
+        name: presets.gpb(motion, Position(STD), **options).regimes.level_count
+        for name, motion, options in (
+            ("odometry", own, {}), ("with a bias", Augmented(own, GaussMarkov(1.0, 60.0)), {}),
+            ("asked for", own, {"manoeuvres": "some"}), ("any other", plain, {}),
+        )
+    }  # fmt: skip
+    assert levels == {"odometry": 1, "with a bias": 1, "asked for": 5, "any other": 5}
+
+
+# ---------------------------------------------------------------- noise that is learned
+
+
+RANGES = Ranges(ANCHORS[:2], 2.0)
+
+
+def learned(sensor=RANGES, **options):
+    values = VALUES | {"noise": "learned", "noise_doubt": 0.9, "noise_memory": 8.0}
+    return presets.gpb(MOTION, sensor, **values | options)
+
+
+def seen(runs=3):
+    """Ranges of which some are missing."""
+    return measured("ranges", runs)[..., :2]
+
+
+def position_rmse(estimate, tracks):
+    return metrics.rmse(estimate.mean, tracks.truth, slice(0, 2)).mean().item()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [0.5, 2.0])
+def test_noise_that_is_stated_twice_off_is_found(stated):
+    cell = scenarios.as_stated("velocity", index=0.1, std=stated)
+    tracks = cell.simulate(runs=32, seed=71)
+    f = presets.gpb(cell.motion, cell.sensor, noise="learned").compile()
+    best, found = (g(tracks.z, tracks.prior, dt=cell.dt) for g in (presets.iaukf(cell.motion, cell.sensor), f))
+    assert position_rmse(found, tracks) < 1.08 * position_rmse(best, tracks)
+    assert 0.6 < found.info.noise[:, -1].log().mean().exp() * stated**2 < 1.6
+
+
+def test_noise_that_is_stated_right_costs_little():
+    cell = scenarios.as_stated("velocity", index=0.1)
+    tracks = cell.simulate(runs=64, seed=72)
+    each = (presets.gpb(cell.motion, cell.sensor, noise=noise).compile() for noise in ("stated", "learned"))
+    stated, found = (f(tracks.z, tracks.prior, dt=cell.dt) for f in each)
+    assert position_rmse(found, tracks) < 1.01 * position_rmse(stated, tracks)
+    assert (stated.info.noise == 1).all()
+
+
+def test_what_is_not_measured_says_nothing_about_the_noise():
+    f, z = learned(), seen(1)[0]
+    z[5:, 1] = math.nan
+    noise = f(z, PRIOR).info.noise
+    assert (noise[5:, 1] == noise[4, 1]).all()
+    assert noise[-1, 0] != noise[4, 0]
+
+
+@pytest.mark.slow
+def test_a_track_is_its_steps_and_smooths_and_compiles_alike():
+    f, z = learned(), seen()
+    whole, state = f(z, PRIOR), f.init(tree.map_tensors(lambda x: x.expand(3, *x.shape), PRIOR))
+    for k in range(z.shape[-2]):
+        state, _ = f.step(state, z[:, k])
+    alike.close(state.belief.mean, whole.mean[:, -1])
+    alike.close(state.noise.log_scale.exp(), whole.info.noise[:, -1])
+    smoothed = f.smooth(z, PRIOR)
+    alike.close(smoothed.mean[:, -1], whole.mean[:, -1])
+    kernels = learned().compile()
+    alike.close(kernels(z, PRIOR).mean, whole.mean)
+    alike.close(kernels(z, PRIOR).info.noise, whole.info.noise)
+    alike.close(kernels.smooth(z, PRIOR).mean, smoothed.mean)
+
+
+def test_a_step_of_another_sensor_leaves_what_was_learned_as_it_is():
+    f, z = learned(), seen()[:, 0]
+    state, _ = f.step(f.init(tree.map_tensors(lambda x: x.expand(3, *x.shape), PRIOR)), z)
+    after, _ = f.step(state, z[..., :2] * 0 + 50.0, sensor=Position(5.0))
+    assert_close(after.noise, state.noise, rtol=0, atol=0)
+
+
+def test_a_forecast_has_the_noise_that_was_learned():
+    f, z = learned(), seen()
+    e = [learned(noise_doubt=doubt)(z, PRIOR) for doubt in (1e-6, 0.9)]
+    stated = presets.gpb(MOTION, RANGES, **VALUES)(z, PRIOR)
+    assert_close(e[0].nis, stated.nis, rtol=1e-5, atol=1e-5)
+    assert_close(e[0].log_likelihood, stated.log_likelihood, rtol=1e-5, atol=1e-5)
+    assert (e[1].log_likelihood - stated.log_likelihood).abs().max() > 0.01
+    state, louder = f.init(PRIOR), f.init(PRIOR)
+    louder = louder._replace(noise=louder.noise._replace(log_scale=louder.noise.log_scale + math.log(4.0)))
+    each = [f.predict(x, 1.0).measurement.covariance.diagonal(dim1=-2, dim2=-1) for x in (state, louder)]
+    kept = math.exp(-1 / 8.0)
+    assert_close(each[1] - each[0], torch.full((2,), (4**kept - 1) * 4.0, dtype=torch.float64))
+
+
+@pytest.mark.slow
+def test_gradients_are_those_of_finite_differences_and_finite_at_extreme_outliers():
+    z = seen(1)[0, :5].nan_to_num(nan=100.0)
+
+    def end(z):
+        return learned()(z, PRIOR).info.noise[-1].sum()
+
+    assert torch.autograd.gradcheck(end, z.requires_grad_(True), rtol=1e-4, atol=1e-7, fast_mode=True)
+    for dtype in (torch.float32, torch.float64):
+        far = seen(1)[0].to(dtype).nan_to_num(nan=100.0)
+        far[3] = torch.finfo(dtype).max ** 0.45
+        far.requires_grad_(True)
+        e = learned()(far, tree.map_tensors(lambda x, d=dtype: x.to(d), PRIOR))
+        (slope,) = torch.autograd.grad(e.info.noise.sum() + e.mean.sum(), far)
+        assert e.info.noise.isfinite().all()
+        assert slope.isfinite().all()
+
+
+def test_in_clutter_each_target_has_learned_noise_of_its_own():
+    sensor, prior = Position(5.0), tree.map_tensors(lambda x: x.expand(2, *x.shape), PRIOR)
+    f = presets.jpda(MOTION, sensor, clutter=Clutter(1e6), inner=lambda motion, own: learned(own))
+    mean = prior.mean.clone()
+    mean[1, :2] += 400.0
+    path = mean[:, None, :2] + torch.arange(1, 13, dtype=torch.float64)[:, None] * torch.tensor([9.0, 0.0])
+    noise = torch.randn(2, 12, 2, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    z = path + noise * torch.tensor([2.0, 12.0])[:, None, None]
+    scans = torch.cat([z.transpose(0, 1), z[:1, :, :].transpose(0, 1) + 150.0], 1)  # (12, 3, 2), the last clutter
+    state = f.init(prior._replace(mean=mean))
+    for scan in scans:
+        state, _ = f.step(state, scan)
+    assert all(x.isfinite().all() for x in tree.flatten(state))
+    known = next(x for x in walk(state) if isinstance(x, NoiseScale))
+    assert known.log_scale[0] < 0 < known.log_scale[1]
+
+
+def walk(x):
+    """A tree's named tuples."""
+    if isinstance(x, tuple):
+        yield x
+        for part in x:
+            yield from walk(part)
+
+
+def test_another_word_is_refused():
+    with pytest.raises(ValueError, match=r"noise: expected one of \('stated', 'learned'\), received 'known'"):
+        presets.gpb(MOTION, RANGES, noise="known")

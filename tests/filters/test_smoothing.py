@@ -4,12 +4,16 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from conftest import STEPS
 
-from torchfra import Gaussian, presets, scenarios
+from torchfra import presets, scenarios
 from torchfra.adaptive import Fading
 from torchfra.angles import wrap
+from torchfra.association import Clutter, Euclidean
+from torchfra.compiler import backward
 from torchfra.coordinates import AZIMUTH, belief_from_cartesian, from_cartesian
 from torchfra.filters import SRCKF
+from torchfra.filters.whole_tracks import WholeTracks
 from torchfra.gaussian import fifth_degree
 from torchfra.motion import (
     Augmented,
@@ -22,6 +26,7 @@ from torchfra.motion import (
 )
 from torchfra.scenarios.reentry import Reentry
 from torchfra.sensors import Biased, InfraredLaser, Position, RangeBearing
+from torchfra.types import Gaussian
 
 nan = float("nan")
 START = torch.tensor([30.0, -20.0, 12.0, -8.0]).double()
@@ -263,3 +268,400 @@ def test_a_target_that_passes_north_is_smoothed_as_one_that_passes_elsewhere():
     elsewhere = f.smooth(z + turned, Gaussian(prior.mean + away, prior.scale_tril))
     torch.testing.assert_close(wrap(elsewhere.mean - north.mean), away.expand(40, 6), rtol=0, atol=1e-8)
     torch.testing.assert_close(elsewhere.scale_tril, north.scale_tril, rtol=1e-6, atol=1e-9)
+
+
+# ---------------------------------------------------------------- Fisher's identity
+
+
+Q, STD = 0.5, 2.0
+
+
+class Pairs(Motion):
+    """Constant velocity with the state before kept beside the state: what smoothing says of both together."""
+
+    linear = True
+
+    def __init__(self):
+        super().__init__(2, 4, None, size=8)
+        self.inside = ConstantVelocity(Q)
+
+    def transition(self, dt):
+        step, nothing = self.inside.transition(dt), torch.zeros(*dt.shape, 4, 4, dtype=dt.dtype)
+        eye = torch.eye(4, dtype=dt.dtype).expand_as(step)
+        return torch.cat([torch.cat([step, nothing], -1), torch.cat([eye, nothing], -1)], -2)
+
+    def process_noise(self, dt):
+        noise = self.inside.process_noise(dt)
+        return torch.cat([noise, torch.zeros_like(noise)], -2)
+
+
+@pytest.fixture(scope="module")
+def gradients():
+    """Of the log likelihood, by q and by the standard deviation: as autograd has them."""
+    f = presets.srckf(ConstantVelocity(Q), Position(STD), learn=("q", "std"))
+    loss = -f(walk(ConstantVelocity(Q)), Gaussian(START, ROOT), dt=DT).log_likelihood.sum()
+    values = {"q": f.motion.q, "std": f.sensor.std}
+    raw = torch.autograd.grad(-loss, [value.raw for value in values.values()])
+    slopes = {}
+    for (name, value), gradient in zip(values.items(), raw, strict=True):
+        natural = value(DT)
+        (slope,) = torch.autograd.grad(natural.sum(), value.raw)
+        slopes[name] = (gradient / slope).item()
+    return slopes
+
+
+def test_that_by_the_measurement_noise_is_the_expected_square_of_what_is_left(gradients):
+    z = walk(ConstantVelocity(Q))
+    smoothed = presets.srckf(ConstantVelocity(Q), Position(STD)).smooth(z, Gaussian(START, ROOT), dt=DT)
+    variance = smoothed.covariance.diagonal(dim1=-2, dim2=-1)[:, :2]
+    square = (z - smoothed.mean[:, :2]).square() + variance
+    expected = (square / STD**3 - 1 / STD)[~z.isnan()].sum()
+    assert gradients["std"] == pytest.approx(expected.item(), rel=1e-9)
+
+
+def test_that_by_the_process_noise_is_the_expected_square_of_the_accelerations(gradients):
+    motion = Pairs()
+    prior = Gaussian(torch.cat([START, START]), torch.block_diag(ROOT, torch.zeros_like(ROOT)))
+    smoothed = presets.srckf(motion, Position(STD)).smooth(walk(ConstantVelocity(Q)), prior, dt=DT)
+    gain = torch.linalg.pinv(ConstantVelocity(1.0).process_noise(DT))
+    noise = torch.cat([gain, -gain @ motion.inside.transition(DT)], -1)  # (T, 2, 8): the acceleration of each step
+    mean = (noise @ smoothed.mean.unsqueeze(-1)).squeeze(-1)
+    square = mean.square() + (noise @ smoothed.covariance @ noise.mT).diagonal(dim1=-2, dim2=-1)
+    expected = (square / (2 * Q**2) - 1 / (2 * Q)).sum()
+    assert gradients["q"] == pytest.approx(expected.item(), rel=1e-9)
+
+
+# ---------------------------------------------------------------- scans
+
+
+nan = float("nan")
+CALM, SENSOR = ConstantVelocity(0.5), Position(2.0)
+WIDE = torch.tensor([5.0, 5.0, 3.0, 3.0]).double().diag()
+STARTS = torch.tensor([[0.0, 0.0, 10.0, 0.0], [500.0, 0.0, -10.0, 3.0]]).double()
+
+
+def apart(steps=12, seed=0):
+    """Two targets far apart, and scans of both in an order that changes."""
+    rng = torch.Generator().manual_seed(seed)
+    t = torch.arange(1, steps + 1).double()[:, None, None]
+    z = STARTS[:, :2] + t * STARTS[:, 2:] + 2 * torch.randn(steps, 2, 2, generator=rng).double()
+    z[3, 1] = nan
+    scans = z.clone()
+    scans[1::2] = scans[1::2].flip(-2)
+    return z.movedim(1, 0), scans
+
+
+def jpda(**options):
+    return presets.jpda(CALM, SENSOR, clutter=Clutter(1e6, rate=1e-9), gate=Euclidean(100.0), **options)
+
+
+@pytest.mark.parametrize("lag", [None, 3])
+def test_targets_that_are_told_apart_are_smoothed_as_alone(lag):
+    tracks, scans = apart()
+    both = jpda(detection=1.0).smooth(scans, Gaussian(STARTS, WIDE), lag=lag)
+    alone = presets.ukf(CALM, SENSOR).smooth(tracks, Gaussian(STARTS, WIDE), lag=lag)
+    assert both.mean.shape == (2, 12, 4)
+    seen = [k for k in range(12) if k != 3]  # where a target is missed the others' measurements are weighed too
+    torch.testing.assert_close(both.mean[0], alone.mean[0], rtol=1e-6, atol=1e-4)
+    torch.testing.assert_close(both.mean[1, seen], alone.mean[1, seen], rtol=1e-6, atol=1e-4)
+    torch.testing.assert_close(both.covariance[0], alone.covariance[0], rtol=1e-6, atol=1e-4)
+
+
+def test_a_target_that_seemed_lost_goes_back_through_the_wider_prediction():
+    tracks, scans = apart()
+    scans = tracks[:1].movedim(1, 0).clone()  # one target
+    scans[4:9] = 1e4  # something else, far away
+    f, prior = jpda(detection=0.9, lost=0.05), Gaussian(STARTS[:1], WIDE)
+    smoothed = f.smooth(scans, prior)
+    state, inflations = f.init(prior), [0.0]
+    for scan in scans:
+        state, _ = f.step(state, scan)
+        inflations.append(state.inflations.item())
+    times = 4 ** np.diff(inflations).clip(0)
+    assert times.max() > 2
+    dt = torch.tensor(1.0).double()
+    F, SQ = CALM.transition(dt).numpy(), CALM.process_noise(dt).numpy()
+
+    def ahead(mean, P, k):
+        return F @ mean, times[k] * (F @ P @ F.T + SQ @ SQ.T), times[k] ** 0.5 * P @ F.T
+
+    filtered = smoothed.info.filtered
+    expected = oracles.smoother(filtered.mean[0].numpy(), filtered.covariance[0].numpy(), ahead)
+    np.testing.assert_allclose(smoothed.mean[0], expected["mean"], rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(smoothed.covariance[0], expected["P"], rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_batches_vmap_and_lags_give_the_same(crossing, scans):
+    f = presets.iaukf_jpda(
+        crossing.motion, crossing.sensor, clutter=crossing.clutter, gate=Euclidean(150.0, probability=0.9999)
+    )
+
+    def smooth(z, mean, root, **options):
+        return tuple(f.smooth(z, Gaussian(mean, root), **options)[:2])
+
+    together = smooth(scans.z, *scans.prior)
+    one = smooth(scans.z[1], *(x[1] for x in scans.prior))
+    torch.testing.assert_close(one, tuple(x[1] for x in together), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(torch.func.vmap(smooth)(scans.z, *scans.prior), together, rtol=1e-7, atol=1e-9)
+    torch.testing.assert_close(smooth(scans.z, *scans.prior, lag=24), together, rtol=1e-12, atol=1e-12)
+    filtered, lagged = f(scans.z, scans.prior), smooth(scans.z, *scans.prior, lag=4)
+    whole = f.smooth(scans.z[:, :15], scans.prior)
+    torch.testing.assert_close(lagged[0][:, :, 10], whole.mean[:, :, 10], rtol=1e-9, atol=1e-9)
+    for estimate in (filtered, f(scans.z, scans.prior, past=True)):
+        reused = f.smooth(scans.z, scans.prior, estimate=estimate)
+        torch.testing.assert_close(reused.mean, together[0], rtol=0, atol=0)
+
+
+def test_constant_gains_are_not_smoothed_and_say_why():
+    f = presets.alphabeta(CALM, SENSOR)
+    with pytest.raises(NotImplementedError, match=r"AlphaBetaBank: constant gains have no process noise"):
+        f.smooth(torch.zeros(5, 2).double(), Gaussian(STARTS[0], WIDE))
+
+
+# ---------------------------------------------------------------- a million steps in float32
+
+
+TRACKS, LONG = 100, 10_000
+
+
+@pytest.fixture(scope="module")
+def z():
+    rng = torch.Generator().manual_seed(0)
+
+    def drawn(rate):
+        return torch.rand(TRACKS, LONG, 1, generator=rng) < rate
+
+    walk = torch.randn(TRACKS, LONG, 2, generator=rng).cumsum(1)
+    noise = 5 * torch.randn(TRACKS, LONG, 2, generator=rng)
+    return (walk + noise.where(~drawn(0.05), 30 * noise)).where(~drawn(0.05), torch.nan)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["srckf", "fra"])
+def test_a_million_steps_keep_their_roots(z, name):
+    f = getattr(presets, name)(ConstantVelocity(1.0), Position(5.0)).compile()
+    prior = Gaussian(torch.zeros(4), torch.tensor([1e3, 1e3, 100.0, 100.0]).diag())
+    with torch.no_grad():
+        smoothed = f.smooth(z, prior)
+    assert smoothed.mean.dtype == torch.float32
+    assert smoothed.mean.shape == (TRACKS, LONG, 4)
+    for estimate in (smoothed, smoothed.info.filtered):
+        assert not estimate.failed.any()
+        assert (estimate.scale_tril.diagonal(dim1=-2, dim2=-1) > 0).all()
+
+
+# ---------------------------------------------------------------- promises of a filter
+
+
+NAMES = ["ekf", "srckf", "rsrckf", "asrckf", "rmckf", "iaukf", "ghckf", "hghckf1", "hghckf2", "fra"]
+LAGS = [None, 3]
+MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
+PRIOR = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
+Z = torch.zeros(6, 2).double()
+PACE = torch.linspace(0.5, 1.5, 4 * STEPS).double().reshape(4, STEPS)
+
+
+def near(a, b, tol=1e-9):
+    torch.testing.assert_close(tuple(a[:2]), tuple(b[:2]), rtol=tol, atol=tol)
+
+
+@pytest.mark.parametrize(("name", "lag"), [("iaukf", 3), ("hghckf2", 3), ("fra", None), ("fra", 3)])
+def test_a_batch_and_vmap_are_a_loop_over_tracks(make, tracks, name, lag):
+    f, root = make(name), tracks.prior.scale_tril
+
+    def smooth(z, mean):
+        return tuple(f.smooth(z, Gaussian(mean, root), u=tracks.u, lag=lag)[:2])
+
+    together = smooth(tracks.z, tracks.prior.mean)
+    alone = [torch.stack(x) for x in zip(*map(smooth, tracks.z, tracks.prior.mean), strict=True)]
+    near(together, alone)
+    near(torch.func.vmap(smooth)(tracks.z, tracks.prior.mean), together)
+
+
+@pytest.mark.parametrize("name", ["srckf", "iaukf", "fra"])
+def test_what_the_filter_said_is_handed_on_and_can_be_handed_in(make, tracks, name, monkeypatch):
+    f = make(name)
+    kept = f(tracks.z, tracks.prior, u=tracks.u, past=True)
+    smoothed, filtered = f.smooth(tracks.z, tracks.prior, u=tracks.u), f(tracks.z, tracks.prior, u=tracks.u)
+    torch.testing.assert_close(smoothed.info.filtered, filtered, equal_nan=True)
+    assert torch.equal(smoothed.nis, filtered.nis)
+    assert torch.equal(smoothed.log_likelihood, filtered.log_likelihood)
+    near(f.smooth(tracks.z, tracks.prior, u=tracks.u, estimate=filtered), smoothed, tol=0)
+    monkeypatch.setattr(WholeTracks, "_run", None)  # whoever has the past need not run the filter again
+    near(f.smooth(tracks.z, tracks.prior, u=tracks.u, estimate=kept), smoothed, tol=0)
+    assert torch.equal(smoothed.mean[:, -1], filtered.mean[:, -1])
+
+
+@pytest.mark.parametrize("lag", LAGS)
+def test_compiled_tracks_may_have_values_of_their_own(lag):
+    """Of as many tracks as there are windows of a lag, so that one might be taken for the other."""
+    f = presets.srckf(ConstantVelocity(torch.tensor([0.5, 1.0, 2.0]).double()), Position(2.0))
+    z = torch.randn(3, 6, 2, generator=torch.Generator().manual_seed(1)).double()
+    prior = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
+    near(f.smooth(z, prior, lag=lag)[:4], f.compile().smooth(z, prior, lag=lag)[:4], tol=1e-10)
+
+
+@pytest.mark.parametrize("lag", LAGS)
+def test_time_steps_may_differ_by_step_and_by_track(tracks, lag):
+    f, dt = presets.srckf(MOTION, SENSOR), 0.5 + torch.rand(3, 6).double()
+    z = 3 * torch.randn(3, 6, 2).double()
+    together = f.smooth(z, PRIOR, dt=dt, lag=lag)
+    for b in range(3):
+        near([x[b] for x in together[:2]], f.smooth(z[b], PRIOR, dt=dt[b], lag=lag))
+
+
+def test_float32_is_float64_to_its_rounding(make, tracks):
+    single = [x.float() for x in (tracks.z, *tracks.prior, tracks.u)]
+    for name in NAMES[:3]:
+        double = make(name).smooth(tracks.z, tracks.prior, u=tracks.u)
+        z, mean, root, u = single
+        low = make(name).smooth(z, Gaussian(mean, root), u=u)
+        assert low.mean.dtype == torch.float32
+        size = double.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+        assert ((low.mean - double.mean) / size).abs().max() < 0.02
+        assert (low.covariance.diagonal(dim1=-2, dim2=-1).sqrt() / size - 1).abs().max() < 0.02
+
+
+@pytest.mark.parametrize("lag", LAGS)
+@pytest.mark.parametrize(("name", "learn"), [("srckf", ("q",)), ("rsrckf", ("threshold",)), ("asrckf", ("weakening",))])
+def test_gradients_are_exact(make, tracks, name, learn, lag):
+    f = make(name, learn=learn)
+    names = [path for path, _ in f.named_parameters()]
+
+    def smooth(z, mean, *values):
+        arguments = (z, Gaussian(mean, tracks.prior.scale_tril)), {"u": tracks.u[:6], "lag": lag}
+        smoothed = torch.func.functional_call(_Smooth(f), {f"f.{n}": v for n, v in zip(names, values, strict=True)},
+                                              *arguments)  # fmt: skip
+        return tuple(x / 100 for x in smoothed[:2])
+
+    z = tracks.z[:1, :6].clone()
+    z = torch.where(z.isnan(), torch.nan, z)
+    values = [p.detach().clone().requires_grad_() for p in f.parameters()]
+    inputs = (z.requires_grad_(), tracks.prior.mean[:1].clone().requires_grad_(), *values)
+    assert torch.autograd.gradcheck(smooth, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
+
+
+class _Smooth(torch.nn.Module):
+    """A filter whose call is to smooth."""
+
+    def __init__(self, f):
+        super().__init__()
+        self.f = f
+
+    def forward(self, *args, **options):
+        return self.f.smooth(*args, **options)
+
+
+@pytest.mark.parametrize("lag", LAGS)
+def test_checkpoints_leave_the_gradient(make, tracks, lag):
+    f = make("fra", learn="all")
+
+    def gradient(**options):
+        smoothed = f.smooth(tracks.z, tracks.prior, u=tracks.u, lag=lag, **options)
+        loss = smoothed.mean.square().sum() + smoothed.scale_tril.square().sum()
+        return torch.autograd.grad(loss, list(f.parameters()), allow_unused=True)
+
+    torch.testing.assert_close(gradient(checkpoint=3), gradient(), rtol=1e-9, atol=0.0)
+
+
+def test_a_prior_without_uncertainty_and_a_motion_without_noise_have_finite_gradients():
+    f = presets.srckf(ConstantVelocity(0.0), SENSOR)
+    mean = torch.ones(4).double().requires_grad_()
+    smoothed = f.smooth(torch.randn(5, 2).double(), Gaussian(mean, torch.zeros(4, 4).double()))
+    (gradient,) = torch.autograd.grad(smoothed.mean[:, :2].sum() + smoothed.scale_tril.sum(), mean)
+    torch.testing.assert_close(gradient, torch.tensor([5.0, 5.0, 15.0, 15.0]).double())
+
+
+def test_values_may_differ_by_track(make, tracks):
+    thresholds = torch.tensor([[0.8], [1.5], [3.0]]).double()
+    f, together = make("rsrckf"), make("rsrckf", threshold=thresholds)
+    smoothed = together.smooth(tracks.z, tracks.prior, u=tracks.u)
+    assert smoothed.mean.shape == (3, 4, STEPS, 4)
+    for i, threshold in enumerate(thresholds[:, 0]):
+        f.robust.threshold.set(threshold)
+        near([x[i] for x in smoothed[:2]], f.smooth(tracks.z, tracks.prior, u=tracks.u))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{"lag": 3}, {"dt": PACE}, {"dt": PACE, "lag": 3}])
+def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
+    f, fast = make("rsrckf"), make("rsrckf").compile()
+    slow = f.smooth(tracks.z, tracks.prior, u=tracks.u, **options)
+    near(fast.smooth(tracks.z, tracks.prior, u=tracks.u, **options), slow)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"dt": 0.5 + torch.rand(4, 1).double()}])
+def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_not(make, tracks, options, monkeypatch):
+    """Also where not all windows are taken at once."""
+    monkeypatch.setattr(backward, "_AT_ONCE", 80)
+    f, fast, z = make("fra"), make("fra").compile(), tracks.z.clone()
+    z[:, 7] += 0.4
+    for lag in (1, 4, 11):
+        slow = f.smooth(z, tracks.prior, u=tracks.u, lag=lag, **options)
+        quick = fast.smooth(z, tracks.prior, u=tracks.u, lag=lag, **options)
+        near(quick, slow, tol=1e-10)
+    assert slow.info.filtered.info.abnormal[:, 7].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "learn", "lag"), [("asrckf", ("weakening", "q"), None), ("fra", ("q",), 3)])
+def test_gradients_of_a_compiled_filter_are_the_same(make, tracks, name, learn, lag):
+    slow, fast = make(name, learn=learn), make(name, learn=learn).compile()
+    losses, inputs = [], []
+    for f in (slow, fast):
+        z = tracks.z.clone().requires_grad_()
+        smoothed = f.smooth(z, tracks.prior, u=tracks.u, lag=lag)
+        losses.append(smoothed.mean.square().sum() + smoothed.scale_tril.square().sum())
+        inputs.append([z, *f.parameters()])
+    torch.testing.assert_close(*losses, rtol=1e-9, atol=0.0)
+    gradients = [torch.autograd.grad(loss, values) for loss, values in zip(losses, inputs, strict=True)]
+    torch.testing.assert_close(*gradients, rtol=1e-8, atol=1e-8)
+
+
+def test_a_compiled_motion_that_is_not_linear_goes_back_too():
+    scenario = scenarios.growth()
+    tracks = scenario.simulate(3, 0)
+    f = presets.ghckf(scenario.motion, scenario.sensor)
+    given = (tracks.z[:, :10], tracks.prior), {"u": tracks.u[..., :10, :], "dt": scenario.dt}
+    slow, fast = f.smooth(*given[0], **given[1]), f.compile().smooth(*given[0], **given[1])
+    near(fast, slow, tol=1e-7)
+
+
+def test_a_track_of_one_step_is_filtered():
+    f = presets.srckf(MOTION, SENSOR)
+    near(f.smooth(Z[:1], PRIOR), f(Z[:1], PRIOR), tol=0)
+    near(f.smooth(Z[:1], PRIOR, lag=2), f(Z[:1], PRIOR), tol=0)
+
+
+def test_a_track_that_fails_fails_alone():
+    f, z = presets.srckf(MOTION, SENSOR), torch.randn(2, 6, 2).double()
+    z[0, 3] = torch.inf
+    smoothed = f.smooth(z, PRIOR)
+    assert smoothed.failed.tolist() == [True, False]
+    near([x[1] for x in smoothed[:2]], f.smooth(z[1], PRIOR))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: f.smooth(Z, PRIOR, lag=0), r"lag: expected at least 1 step, received 0"),
+        (lambda f: f.smooth(Z, PRIOR, dt=-1.0), r"dt: expected seconds above 0"),
+        (lambda f: f.smooth(Z, PRIOR, estimate=f(Z[:4], PRIOR)), r"estimate: .*\(6, 4\), received \(4, 4\)"),
+        (lambda f: f.smooth(Z, PRIOR, estimate=f(Z, PRIOR), dt=-1.0), r"dt: expected seconds above 0"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(presets.srckf(MOTION, SENSOR))
+
+
+def test_compiled_a_certain_direction_tells_nothing_either():
+    f = presets.srckf(ConstantVelocity(0.0), SENSOR)  # no noise: velocities stay what they were
+    root = torch.diag(torch.tensor([3.0, 0.0, 0.5, 0.0])).double()  # nothing is uncertain along y
+    z = torch.randn(5, 6, 2, generator=torch.Generator().manual_seed(0)).double()
+    eager = f.smooth(z, Gaussian(PRIOR.mean, root))
+    fast = f.compile().smooth(z, Gaussian(PRIOR.mean, root))
+    near(fast, eager)
+    assert (fast.scale_tril[..., 1, :].abs() < 1e-12).all()
