@@ -9,7 +9,6 @@ import pytest
 import torch
 from alike import both, close
 from conftest import STEPS
-from one_graph import ONE_GRAPH
 from short_tracks import SMALL_GPB
 from torch import nn
 
@@ -26,18 +25,6 @@ from torchfra.sensors import Bearings, Position, Sensor
 from torchfra.types import CompileError, Gaussian
 
 # ---------------------------------------------------------------- results
-
-
-@pytest.mark.slow
-def test_time_steps_and_noise_may_come_with_the_measurements(make, tracks):
-    f = make("srckf")
-    dt = torch.linspace(0.5, 1.5, STEPS, dtype=torch.float64)
-    many = torch.linspace(0.9, 1.1, 4, dtype=torch.float64).unsqueeze(-1)
-    std = torch.linspace(0.01, 0.03, 2, dtype=torch.float64).expand(4, STEPS, 2)
-    root = torch.tensor([[0.02, 0.0], [0.01, 0.02]], dtype=torch.float64).expand(STEPS, 2, 2)
-    fast = copy.deepcopy(f).compile()
-    for options in ({"dt": dt}, {"dt": many}, {"dt": dt * many, "std": std}, {"noise": root}):
-        close(f(tracks.z, tracks.prior, u=tracks.u, **options), fast(tracks.z, tracks.prior, u=tracks.u, **options))
 
 
 def test_a_single_track_and_a_grid_of_tracks_and_a_batch_of_hyperparameters(make, tracks, scenario):
@@ -198,16 +185,6 @@ def test_the_disk_keeps_kernels_and_a_copy_of_a_filter_compiles_by_itself(make, 
         assert torch.equal(other(tracks.z, tracks.prior, u=tracks.u).mean, expected)
     assert jit.compiled == count
     assert f.state_dict().keys() == make("srckf").state_dict().keys()
-
-
-@pytest.mark.slow
-def test_transforms_and_torch_compile_see_the_filter_as_it_is(make, tracks):
-    f = make("srckf").compile()
-    plain = make("srckf")(tracks.z, tracks.prior, u=tracks.u).mean
-    mapped = torch.func.vmap(lambda z, mean: f(z, Gaussian(mean, tracks.prior.scale_tril), u=tracks.u).mean)
-    close(plain, mapped(tracks.z, tracks.prior.mean))
-    graph = torch.compile(lambda z: f(z, tracks.prior, u=tracks.u[:2]).mean, backend="eager", fullgraph=ONE_GRAPH)
-    close(plain[:, :2], graph(tracks.z[:, :2]))
 
 
 # ---------------------------------------------------------------- errors

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import presets
 from torchfra.filters import FixedLag
@@ -27,7 +28,7 @@ def both(call):
 @pytest.mark.parametrize("name", ["srckf", "fra", "gpb"])
 def test_estimates_are_the_same_to_the_bit(name, scenario, data):
     z, prior, u = data
-    f = getattr(presets, name)(scenario.motion, scenario.sensor)
+    f = getattr(presets, name)(scenario.motion, scenario.sensor, **(SMALL_GPB if name == "gpb" else {}))
     for without, under in (both(lambda: f(z, prior, u=u)), both(lambda: f.smooth(z, prior, u=u))):
         for one, other in zip(without[:4], under[:4], strict=True):
             assert other.dtype == z.dtype

@@ -35,7 +35,7 @@ KINDS = {
 @pytest.mark.parametrize("of", KINDS.values(), ids=KINDS)
 @pytest.mark.parametrize("way", ["forward", "smooth"])
 def test_whole_tracks_from_any_kind_of_numbers_are_the_same(of, way):
-    f = presets.gpb(MOTION, SENSOR)
+    f = presets.srckf(MOTION, SENSOR)
     prior = Gaussian(of([0, 0, 0, 0]), of(np.diag([5, 5, 10, 10]).tolist()))
     found = getattr(f, way)(of(ROWS), prior, dt=of(DT), std=of([[3, 3]] * 4))
     plain = getattr(f, way)(Z, PRIOR, dt=torch.tensor(DT).double(), std=torch.full_like(Z, 3.0))

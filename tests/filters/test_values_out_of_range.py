@@ -5,6 +5,7 @@ import re
 
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import Cause, Gaussian, Hyper, learnable, presets
 from torchfra.association import Clutter
@@ -62,7 +63,7 @@ def test_each_hyperparameter_that_is_nan_fails_every_track_and_is_named(name):
 
 @pytest.mark.parametrize(("name", "path"), [("rsrckf", "robust.threshold"), ("gpb", "outliers.outlier_sizes")])
 def test_a_compiled_filter_fails_as_well_however_it_runs_and_goes_on_once_the_value_is_mended(name, path):
-    f = getattr(presets, name)(MOTION, SENSOR).compile()
+    f = getattr(presets, name)(MOTION, SENSOR, **(SMALL_GPB if name == "gpb" else {})).compile()
     z, prior = tracks(f)
     good, value = f(z, prior).mean, hypers(f)[path].raw.clone()
     state, _ = f.step(f.init(prior), z[:, 0])

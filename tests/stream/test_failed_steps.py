@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import Cause, Gaussian, presets
 from torchfra.motion import ConstantVelocity, Odometry
@@ -22,7 +23,8 @@ class Carried(Position):
 
 
 def made(name="srckf", sensor=None, compiled=False):
-    f = getattr(presets, name)(ConstantVelocity(1.0), Position(2.0) if sensor is None else sensor)
+    few = SMALL_GPB if name == "gpb" else {}  # for the compiler's time
+    f = getattr(presets, name)(ConstantVelocity(1.0), Position(2.0) if sensor is None else sensor, **few)
     return f.compile() if compiled else f
 
 
