@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT, Belief
-from torchfra.cleaning.flags import MATTERS
 from torchfra.cleaning.parts import Part, summed
 from torchfra.cleaning.sigma import as_rough_as_noise, finer_sigma, little_gained, lowest_sigma
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
@@ -134,24 +133,8 @@ def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], T
         smoothed = [filtered(part.scaled, part.levels, part.model) for part in parts]
         return smoothed, _outlier(parts, smoothed)
     smoothed = [two_filters(part.scaled, part.levels, part.model) for part in parts]
-    outlier = _farther_than_moves(parts, smoothed, _outlier(parts, smoothed))
+    outlier = _outlier(parts, smoothed)
     return [_near_fixes(part, of, outlier) for part, of in zip(parts, smoothed, strict=True)], outlier
-
-
-def _farther_than_moves(parts: Sequence[Part], smoothed: Sequence[Smoothed], outlier: Tensor) -> Tensor:
-    """Probabilities ``(T, B)`` of outliers; where sigma is unsure, 0 of fixes no farther off than targets usually move.
-
-    There noise and motion cannot be distinguished, and such a fix may be where the target was.
-    """
-    near = ~parts[0].lowest.isnan() & torch.ones_like(parts[0].fixes.missing)
-    if len(near) < 2 or not near.any():
-        return outlier
-    for part, of in zip(parts, smoothed, strict=True):
-        z = torch.where(part.fixes.missing.unsqueeze(1), torch.nan, part.fixes.z)
-        move = z.diff(dim=0).square().sum(1).sqrt().nanmedian(0).values.nan_to_num(0.0)
-        off = (z.movedim(1, 0) - of.belief.position).square().sum(0).sqrt().nan_to_num(0.0)
-        near = near & (off <= move.maximum(MATTERS * part.sigma))
-    return torch.where(near, 0.0, outlier)
 
 
 def _near_fixes(part: Part, smoothed: Smoothed, outlier: Tensor) -> Smoothed:
