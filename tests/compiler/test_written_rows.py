@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from short_tracks import SMALL_GPB
 
 from torchfra import presets, scenarios
 from torchfra.compiler.pages import LEAST, PAST, rows_of_tracks
@@ -55,7 +56,7 @@ def test_what_has_one_entry_a_step_lies_on_rows_of_its_own_too():
     assert x.stride() == (104, 104, 1)
     scenario = scenarios.bearings_outliers()
     data = scenario.simulate(100, 0)
-    f = presets.gpb(scenario.motion, scenario.sensor)
+    f = presets.gpb(scenario.motion, scenario.sensor, **SMALL_GPB)
     with torch.no_grad():
         interpreted, compiled = (g(data.z, data.prior, u=data.u) for g in (f, f.compile()))
     assert interpreted.info.outlier.shape == (100, 100, 1)

@@ -126,7 +126,7 @@ NEVER = {
         {"outlier_transition": ((1 - 1e-15, 1e-15), (1 - 1e-15, 1e-15))},
     ),
     "no bad prior": ({"prior_outlier": 0.0}, {"prior_outlier": 1e-15}),
-    "no other regime": ({"restart": (1.0, *[0.0] * 6)}, {"restart": (1 - 6e-15, *[1e-15] * 6)}),
+    "no other regime": ({"restart": (1.0, 0.0, 0.0, 0.0)}, {"restart": (1 - 3e-15, *[1e-15] * 3)}),
 }
 """Probabilities of 0, and nearly so."""
 
@@ -137,11 +137,11 @@ def test_what_never_happens_is_as_what_hardly_ever_does(never, motions):
     bank = [ConstantVelocity(q) for q in (1.0, 5.0, 0.2)][:motions]
     prior = Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64))
     z = 2 * torch.randn(5, 10, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    nothing, hardly = (presets.gpb(bank, Position(2.0), **values)(z, prior) for values in NEVER[never])
+    nothing, hardly = (presets.gpb(bank, Position(2.0), **SMALL_GPB | values)(z, prior) for values in NEVER[never])
     for ours, expected in zip(tree.flatten(nothing), tree.flatten(hardly), strict=True):
         torch.testing.assert_close(ours, expected, rtol=1e-6, atol=1e-6)
     if motions == 1:  # for the compiler's time
-        compiled = presets.gpb(bank, Position(2.0), **NEVER[never][0]).compile()(z, prior)
+        compiled = presets.gpb(bank, Position(2.0), **SMALL_GPB | NEVER[never][0]).compile()(z, prior)
         for ours, expected in zip(tree.flatten(compiled), tree.flatten(nothing), strict=True):
             torch.testing.assert_close(ours, expected, rtol=1e-10, atol=1e-10)
 
