@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -46,6 +47,33 @@ def test_times_of_the_day_go_on_after_midnight(write):
     (track,) = read(write("time,x,y\n23:59:59,1,2\n00:00:00.5,1,2\n00:00:02,1,3\n"))
     np.testing.assert_array_equal(track.time, [86399, 86400.5, 86402])
     assert track.source.written(track.time) == ["23:59:59.000", "00:00:00.500", "00:00:02.000"]
+
+
+@pytest.mark.parametrize("times", [
+    [(604_790 + i) % 604_800 for i in range(60)], [i % 30 for i in range(60)], [720 - i / 25 for i in range(60)],
+], ids=["week", "logger", "game"])  # fmt: skip
+def test_counts_that_begin_anew_or_go_down_are_refused(write, times):
+    rows = [(time, 3 * i, i % 7) for i, time in enumerate(times)]
+    with pytest.raises(ValueError, match=r"expected times that go on, .* column t, .*; columns that are not read"):
+        read(write(table("t,x,y", rows)))
+    assert len(read(write(table("t,x,y", sorted(rows))))[0].time) == len(set(times))
+
+
+@pytest.mark.parametrize("first", ["02:40", "02:59"])
+def test_a_local_clock_that_is_put_back_is_refused(write, first):
+    start = datetime.fromisoformat(f"2024-10-27 {first}")
+    times = [start + timedelta(minutes=i - 60 * (i >= 20)) for i in range(60)]
+    rows = [(f"{time:%Y-%m-%d %H:%M:%S}", 50 + i / 1e3, 7) for i, time in enumerate(times)]
+    with pytest.raises(ValueError, match="received one of an hour before in data row 21, column local time"):
+        read(write(table("local time,lat,lon", rows)))
+
+
+@pytest.mark.parametrize(("start", "said"), [
+    (b"\x93NUMPY", "hand it to torchfra.clean"), (b"ARROW1", "Feather: write Parquet"),
+])  # fmt: skip
+def test_arrays_and_feather_are_refused_with_what_to_do(write, start, said):
+    with pytest.raises(ValueError, match=said):
+        read(write(start + bytes(100), "track.dat"))
 
 
 # ---------------------------------------------------------------- cells

@@ -68,6 +68,12 @@ class Clock:
     """Whether the order of day and month is stated, or the same in all forms."""
 
     @property
+    def is_local(self) -> bool:
+        """Whether it may be put forward and back with the seasons: text that names no zone."""
+        zone = any({"utc", "gmt", "zulu"} & {*name_words(column)} for column in self.columns)
+        return "%" in self.form and not zone and not self.form.endswith(("Z", "UTC", "GMT", "%z"))
+
+    @property
     def said(self) -> str:
         """A word or two for a person."""
         form = "iso" if self.kind.form == "iso" else self.form

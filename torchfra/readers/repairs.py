@@ -29,8 +29,8 @@ _RARELY, _MIXED, _APART = 0.04, 10, 3.0
 the ways between rows in order of time are as in the file, where a count begins anew or targets are mixed."""
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
-_DAYS = 20 * 86_400.0
-"""Seconds by which dates leap that are turned round."""
+_HOUR, _DAYS, _YEAR = 3600.0, 20 * 86_400.0, 366 * 86_400.0
+"""Seconds: by which clocks are put back, once a year; and by which dates leap that are turned round."""
 _COARSE = (60.0, 1.0)
 """Whole minutes and seconds, in which several rows may be."""
 _NEIGHBOURS = 1.5
@@ -292,17 +292,25 @@ class _Columns:
         if usual(index[order]) > _APART * usual(index):  # the rows are no pieces of one path
             raise AskError(
                 f"expected times that go on, received ones that begin anew in data row {index[back[0] + 1] + 1}, "
-                f"{self.clock.column}, as of rows of another target, or a clock that is put back at the end of summer "
-                "time: name another column, or one that tells pieces apart, such as ",
+                f"{self.clock.column}, as of rows of another target, or a clock that is put back: name another column, "
+                "or one that tells pieces apart, such as ",
                 *self.layout.other_ids,
             )
 
     def _check_dates(self, time: Array, index: NDArray[np.intp]) -> None:
-        """Refuses dates that a spreadsheet has turned round."""
+        """Refuses times of a clock that is put back by an hour, and dates that a spreadsheet has turned round."""
         steps = np.diff(time)
-        if (steps > _DAYS).any() and (steps < -_DAYS).any() and not (self.clock.sure or self.layout.stated.time_format):
-            raise AskError(f"expected days that go on, received leaps to and fro in data row "
-                           f"{index[steps.argmin() + 1] + 1}, column {self.clock.column}, as where a spreadsheet has "
+        back = np.flatnonzero(steps < 0)
+        if not len(back) or not self.clock.is_local or self.layout.stated.time_format or not (steps > 0).any():
+            return
+        where, usual = f"in data row {index[back[0] + 1] + 1}, column {self.clock.column}", np.median(steps)
+        if len(back) <= 1 + np.ptp(time) / _YEAR and (np.abs(steps[back] + _HOUR - usual) < usual / 2 + 1).all():
+            raise ValueError(
+                f"expected times that go on, received one of an hour before {where}, as of a clock that is put "
+                "back at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
+            )
+        if not self.clock.sure and (steps > _DAYS).any() and steps.min() < -_DAYS:
+            raise AskError(f"expected days that go on, received leaps to and fro {where}, as where a spreadsheet has "
                            "turned days and months round: write all such as 2024-05-06 10:31; or they are right: ",
                            {"time_format": self.clock.form})  # fmt: skip
 
