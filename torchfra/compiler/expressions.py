@@ -129,6 +129,10 @@ class Expressions:
 
     def apply(self, op: str, *args: int) -> int:
         """An operation on expressions."""
+        if ZERO in args and op in ("mul", "add"):  # of most entries of a matrix with zeros
+            other = args[args[0] == ZERO]
+            if other not in self.values:
+                return ZERO if op == "mul" else other
         known = [*map(self.values.get, args)]
         if None not in known:
             if op in _FOLD:

@@ -35,16 +35,17 @@ def gathered(
         return [code.text()], code.declared
     tables = {kind: f"{name.format(kind)}" for kind in ("taken", "passed", "stored")}
     texts = [
-        _table(tables["taken"], taken),
-        _table(tables["passed"], [k - own for k in passed]),
-        _table(tables["stored"], stored),
+        table(tables["taken"], taken),
+        table(tables["passed"], [k - own for k in passed]),
+        table(tables["stored"], stored),
     ]
     guarded = _guarded(lanes, name, place, value, tables, len(taken), len(passed), own)
     flush = _flush(lanes, name, tables["stored"], len(stored))
     return [*texts, guarded.text(), flush.text()], guarded.declared | flush.declared
 
 
-def _table(name: str, places: Sequence[int]) -> str:
+def table(name: str, places: Sequence[int]) -> str:
+    """Places as a table of a module."""
     numbers = ", ".join(f"i16 {k}" for k in places or [0])
     return f"@{name} = internal constant [{len(places or [0])} x i16] [{numbers}]\n"
 
@@ -104,7 +105,7 @@ def _flush(lanes: Lanes, name: str, table: str, count: int) -> Code:
             lanes_given = code.new(f"trunc i64 {code.load('i64', which)} to {bits}")
             mask = code.new(f"bitcast {bits} {lanes_given} to {code.truths}")
             with code.loop(count) as i:
-                place = _entry(code, table, i)
+                place = entry(code, f"@{table}", i)
                 new = moved(code.load(code.numbers, code.at("%together", code.numbers, place), lanes.size), index)
                 where = code.at(to, code.numbers, place)
                 old = code.load(code.numbers, where, lanes.size)
@@ -116,8 +117,9 @@ def _flush(lanes: Lanes, name: str, table: str, count: int) -> Code:
     return code
 
 
-def _entry(code: Code, table: str, number: str) -> str:
-    return code.new(f"zext i16 {code.load('i16', code.at(f'@{table}', 'i16', number), 2)} to i64")
+def entry(code: Code, table: str, number: str) -> str:
+    """The place at a number of a table."""
+    return code.new(f"zext i16 {code.load('i16', code.at(table, 'i16', number), 2)} to i64")
 
 
 def _guarded(
@@ -164,7 +166,7 @@ def _guarded(
 
     def gather(table: str, number: int, values: str, to: str) -> None:
         with code.loop(number) as i:
-            k = _entry(code, table, i)
+            k = entry(code, f"@{table}", i)
             new = moved(code.load(code.numbers, code.at(values, code.numbers, k), lanes.size), places)
             where = code.at(to, code.numbers, k)
             old = code.load(code.numbers, where, lanes.size)

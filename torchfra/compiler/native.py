@@ -7,7 +7,7 @@ from itertools import groupby
 
 from torchfra.compiler.elementary_functions import SHARED, applied, shared
 from torchfra.compiler.expressions import Expressions, Routine
-from torchfra.compiler.gathering import gathered
+from torchfra.compiler.gathering import entry, gathered, table
 from torchfra.compiler.instructions import Code, Lanes
 from torchfra.compiler.plan import Access, Loop, Order, Plan, crossing, needs
 from torchfra.compiler.routines import called_by
@@ -38,10 +38,11 @@ class Native:
 
     def __init__(self, loop: Loop, lanes: Lanes, backwards: bool = False, name: str = "") -> None:
         self._loop, self.lanes, self._backwards, self._name = loop, lanes, backwards, name
-        self.plan = Plan(loop, lanes.width == 1)
+        self.plan = Plan(loop, lanes.width == 1, tables=True)
         self._book, self._frame = self.plan.book, self.plan.frame
         self.declared: set[str] = set()
         self.texts: list[str] = []
+        self.rows: dict[int, int] = {}
         self._is_long = len(loop.live) > _LONG
         self._write()
 
@@ -55,8 +56,8 @@ class Native:
         """Numbers that are written at each step of a track."""
         return len(self._loop.stores)
 
-    def _function(self, name: str, args: Sequence[str]) -> Code:
-        parameters = ", ".join(f"ptr noalias {arg}" for arg in args)
+    def _function(self, name: str, args: Sequence[str], counts: Sequence[str] = ()) -> Code:
+        parameters = ", ".join([*(f"ptr noalias {arg}" for arg in args), *(f"i64 {count}" for count in counts)])
         return Code(self.lanes, f"define internal void @{self._name}{name}({parameters})")
 
     def _ordered(self, name: str, args: Sequence[str], orders: Sequence[Order], guarded: bool = False) -> None:
@@ -83,6 +84,7 @@ class Native:
             self._done(shared(self.lanes, f"{self._name}one_{SHARED}"))
         for routine in called_by(self._book, self._loop.live):
             self._routine(routine)
+        self._table()
         self._ordered("begin", _BEGIN, plan.begin())
         for k, piece in enumerate(plan.before):
             self._ordered(f"before{k}", _ONCE, plan.once(piece))
@@ -103,6 +105,35 @@ class Native:
         self._ordered("last", _LAST, plan.last())
         self._ordered("end", _END, plan.end())
         self._loops(calls)
+
+    def _table(self) -> None:
+        """The places of all calls by a table, one call behind the other, and the function that does such a call."""
+        places = list[int]()
+        for call, (args, results) in self.plan.tabled.items():
+            self.rows[call] = len(places)
+            places += [*args, *(k for pair in results for k in pair)]
+        if not places:
+            return
+        self.texts.append(table(f"{self._name}table", places))
+        pointers = ("%s", "%aside", "%row", "%routine", "%a", "%r")
+        code, own, size = self._function("through", pointers, ("%args", "%results")), self._frame.own, self.lanes.size
+
+        def place(k: str) -> str:
+            number = entry(code, "%row", k)
+            is_own = code.new(f"icmp slt i64 {number}, {own}")
+            start = code.new(f"select i1 {is_own}, ptr %s, ptr %aside")
+            before = code.new(f"select i1 {is_own}, i64 0, i64 {own}")
+            return code.at(start, code.numbers, code.op("sub", number, before))
+
+        with code.loop("%args") as k:
+            value = code.load(code.numbers, place(k), size)
+            code.store(code.numbers, value, code.at("%a", code.numbers, k), size)
+        code.do("call void %routine(ptr %a, ptr %r)")
+        with code.loop("%results") as k:
+            at = code.op("add", "%args", code.op("mul", k, 2))
+            value = code.load(code.numbers, code.at("%r", code.numbers, entry(code, "%row", at)), size)
+            code.store(code.numbers, value, place(code.op("add", at, 1)), size)
+        self._done(code)
 
     def _routine(self, routine: Routine) -> None:
         code = self._function(routine.name, ("%a", "%r"))
@@ -233,6 +264,7 @@ class _Body:
         self._frame = of.plan.frame
         self.known: dict[int, str] = {}
         self._opened: dict[Access, TensorEntries] = {}
+        self._called: tuple[str, str] | None = None
 
     def do(self, orders: Sequence[Order]) -> None:
         """What a plan says."""
@@ -240,6 +272,8 @@ class _Body:
         for what, number, access, place in orders:
             if what == "compute":
                 self.compute(number)
+            elif what == "call":
+                self._through(number)
             elif what == "take":
                 value = code.load(code.numbers, self._place(number), code.lanes.size)
                 self.known[number] = code.truth(value) if self._book.is_bool(number) else value
@@ -305,6 +339,20 @@ class _Body:
         results = code.place(code.numbers, max(len(routine.outputs), 1))
         code.do(f"call void @{self._of._name}{routine.name}(ptr {arguments}, ptr {results})")
         return results
+
+    def _through(self, number: int) -> None:
+        """A call by a table."""
+        code, of, tabled = self.code, self._of, self._of.plan.tabled
+        if self._called is None:
+            most = max(len(args) for args, _ in tabled.values())
+            results = max(len(self._book.calls[call].outputs) for call in tabled)
+            self._called = code.place(code.numbers, most), code.place(code.numbers, results)
+        aside = code.at("%s", code.numbers, self._frame.own) if self._guarded else "%aside"
+        row = code.at(f"@{of._name}table", "i16", of.rows[number])
+        routine = f"@{of._name}{self._book.calls[number].name}"
+        pointers = ", ".join(f"ptr {x}" for x in ("%s", aside, row, routine, *self._called))
+        counts = ", ".join(f"i64 {len(x)}" for x in tabled[number])
+        code.do(f"call void @{of._name}through({pointers}, {counts})")
 
     def _kept(self, number: int) -> str:
         """A value as it lies in its place: of a truth value all bits where it holds."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from torchfra.compiler.expressions import ZERO, Expressions
@@ -76,8 +76,9 @@ def frame(
     outputs: Iterable[int],
     merged: Mapping[int, int],
     shared: bool = True,
+    called: Collection[int] = (),
 ) -> Frame:
-    """Places for all values that are needed beyond their piece.
+    """Places for all values that are needed beyond their piece, or that a call by a table takes or gives.
 
     Args:
         book: the expressions.
@@ -87,9 +88,11 @@ def frame(
         outputs: what is written.
         merged: results of regions, and the choices in whose places they are put.
         shared: whether packs may have places together.
+        called: what such calls take and give.
     """
     made = {number: k for k, piece in enumerate(steps) for number in piece.numbers}
-    last = {number: k for k, piece in enumerate(steps) for number in needs(book, piece)}
+    last = {number: made[number] for number in called if number in made}
+    last.update((number, k) for k, piece in enumerate(steps) for number in needs(book, piece))
     behind = {i for i in outputs if i not in made or i in merged.values()}
     read = last.keys() | behind | {*merged.values()}
     alone = Counter(carried.values())
@@ -154,7 +157,7 @@ def _placed(places: dict[int, int], size: int, steps: Sequence[Piece], last: Map
     free: list[int] = []
     for k, piece in enumerate(steps):
         for number in piece.numbers:
-            if number not in places and last.get(number, k) > k:
+            if number not in places and number in last:
                 if not free:
                     free, size = [size], size + 1
                 places[number] = free.pop()
@@ -172,6 +175,8 @@ def crossing(
     return list(dict.fromkeys(taken)), list(dict.fromkeys([*stored, *(i for i in merged if i in own)]))
 
 
+_MANY, _REACH = 16, 1 << 16
+"""Arguments at least of a call by a table, and places that its numbers reach."""
 _PACKS, _BYTES = 32, 3 << 17
 """Packs of a block at most, and bytes of their values: a part of the second cache."""
 
@@ -181,7 +186,7 @@ class Order(NamedTuple):
 
     what: str
     """``"take"`` it from its place, ``"compute"`` it, ``"read"`` it from a tensor, ``"keep"`` it in its place,
-    ``"move"`` it to that of another, ``"write"`` it to a tensor."""
+    ``"move"`` it to that of another, ``"write"`` it to a tensor, ``"call"`` it by a table of places."""
     number: int
     access: Access | None = None
     """The entry of the tensor."""
@@ -196,6 +201,7 @@ class Plan:
         loop: the step.
         narrow: whether for one track.
         length: expressions of a function, about; None for what suits a CPU.
+        tables: whether calls may take their arguments from places, and put results there.
 
     Attributes:
         loop: the step.
@@ -208,9 +214,10 @@ class Plan:
         many: whether packs of tracks share regions.
         packs: of a block of tracks at most.
         unread: places of values that are carried but that no step reads.
+        tabled: by call with a table, places of its arguments, and which results go to which places.
     """
 
-    def __init__(self, loop: Loop, narrow: bool, length: int | None = None) -> None:
+    def __init__(self, loop: Loop, narrow: bool, length: int | None = None, tables: bool = False) -> None:
         self.loop, self.book = loop, loop.book
         live = [i for i in loop.live if i not in self.book.values and i not in loop.carried]
         self.before = [Piece(part, None) for part in cut(self.book, [i for i in live if i not in loop.varying], length)]
@@ -219,7 +226,9 @@ class Plan:
         self.book, self.steps, self.merged = with_merged(self.book, steps)
         self.guarded = guarded_share(self.book, self.steps)
         self.many = bool(self.guarded) and not narrow
-        self.frame = frame(self.book, self.before, self.steps, loop.carried, ends, self.merged, self.many)
+        calls = self._calls() if tables else {}
+        called = {i for call, results in calls.items() for i in (*self.book.nodes[call][1], *results)}
+        self.frame = frame(self.book, self.before, self.steps, loop.carried, ends, self.merged, self.many, called)
         self.unread = max(1, len({*self.frame.left.values()}))
         room = _BYTES // 64 - (self.frame.size - self.frame.own)
         self.packs = max(1, min(_PACKS, room // (self.frame.own + self.unread))) if self.many else 1
@@ -227,7 +236,28 @@ class Plan:
         self._longest = max(always, key=lambda piece: len(piece.numbers), default=None)
         self._next = {} if narrow else self._written_next()
         self.frame.late.update(self._next)
+        self.tabled = self._tabled(calls)
+        self._given = {i for call in self.tabled for i in calls[call]}
         self._behind = self._writes()
+
+    def _calls(self) -> dict[int, list[int]]:
+        """The calls of many arguments in a step, with those of their results that are needed."""
+        numbers = [i for piece in self.steps for i in piece.numbers]
+        found = {i: list[int]() for i in numbers if i in self.book.calls and len(self.book.nodes[i][1]) >= _MANY}
+        for i in numbers:
+            call = self.book.nodes[i][1][0] if i in self.book.places else None
+            if call in found:
+                found[call].append(i)
+        return found
+
+    def _tabled(self, calls: Mapping[int, Sequence[int]]) -> dict[int, tuple[list[int], list[tuple[int, int]]]]:
+        """Those of the calls all of whose arguments and results are in places in time."""
+        places = {i: place for i, place in self.frame.places.items() if place < _REACH and i not in self.frame.late}
+        return {
+            call: ([places[i] for i in args], [(self.book.places[i], places[i]) for i in results])
+            for call, results in calls.items()
+            if places.keys() >= {*(args := self.book.nodes[call][1]), *results}
+        }
 
     def begin(self) -> list[Order]:
         """Reads what is carried."""
@@ -243,7 +273,8 @@ class Plan:
         return self._piece(piece, self._behind)
 
     def _piece(self, piece: Piece, behind: Mapping[int, Sequence[tuple[int, Access]]]) -> list[Order]:
-        orders, late, known = list[Order](), list[Order](), {*piece.numbers, *self.book.values}
+        orders, late = list[Order](), list[Order]()
+        known = {*piece.numbers, *self.book.values} - self._given
 
         def take(number: int) -> None:
             if number not in known:
@@ -251,12 +282,15 @@ class Plan:
                 known.add(number)
 
         for number in piece.numbers:
-            for arg in self.book.nodes[number][1]:
-                take(arg)
-            access = self.loop.loads.get(number)
-            orders.append(Order("read" if access else "compute", number, access))
-            if number in self.frame.places or number in self.frame.left:
-                (late if number in self.frame.late else orders).append(Order("keep", number))
+            if number in self.tabled:
+                orders.append(Order("call", number))
+            elif number not in self._given:
+                for arg in self.book.nodes[number][1]:
+                    take(arg)
+                access = self.loop.loads.get(number)
+                orders.append(Order("read" if access else "compute", number, access))
+                if number in self.frame.places or number in self.frame.left:
+                    (late if number in self.frame.late else orders).append(Order("keep", number))
             for other, store in behind.get(number, ()):
                 take(other)
                 orders.append(Order("write", other, store))

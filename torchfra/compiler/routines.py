@@ -16,7 +16,7 @@ from torchfra.compiler.rewrites import with_quotients
 from torchfra.compiler.schedule import cost, ordered
 from torchfra.linalg.batches import broadcast_shapes
 
-_SHORT, _LONG = 60, 8000
+_SHORT, _LONG = 60, 16_000
 """Expressions of a routine at least, and at most: a call of a short one saves little, long ones compile slowly."""
 
 Function = Callable[..., Any]
@@ -48,18 +48,24 @@ def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[
     events = tuple(x.shape[x.dim() - rank :] for x, rank in zip(args, ranks, strict=True))
     rows = [x.ids.expand(batch + event).reshape(batch.numel(), -1) for x, event in zip(args, events, strict=True)]
     every = torch.cat(rows, -1).tolist()
-    made = []
-    for numbers in every:
-        routine = _routine(book, function, events, args[0].dtype, _form(book, numbers))
-        if routine is None:
-            return function(*tensors)
-        made.append(routine)
+    made = [_routine(book, function, events, args[0].dtype, _form(book, numbers)) for numbers in every]
+    results = next((routine[1] for routine in made if routine is not None), None)
+    if results is None:
+        return function(*tensors)
     book.here = book.origins.here()
-    found = [book.call(routine, _unknown(book, numbers)) for (routine, _), numbers in zip(made, every, strict=True)]
-    results = made[0][1]
+    found = {
+        k: book.call(routine[0], _unknown(book, every[k])) for k, routine in enumerate(made) if routine is not None
+    }
+    others = [k for k, routine in enumerate(made) if routine is None]
+    if others:  # written out
+        parts = (Entries(book, row[others].reshape(-1, *event), x.dtype)
+                 for x, row, event in zip(args, rows, events, strict=True))  # fmt: skip
+        leaves = [as_entries(book, x) for x in tree.flatten(function(*parts))]
+        flat = torch.cat([x.ids.reshape(len(others), -1) for x in leaves], -1)
+        found |= dict(zip(others, flat.tolist(), strict=True))
     outputs = tree.flatten(results)
-    parts = torch.tensor(found, dtype=torch.int64).split([x.numel() for x in outputs], -1)
-    pairs = zip(outputs, parts, strict=True)
+    numbers = torch.tensor([found[k] for k in range(len(every))], dtype=torch.int64)
+    pairs = zip(outputs, numbers.split([x.numel() for x in outputs], -1), strict=True)
     return tree.unflatten(results, (Entries(book, ids.reshape(batch + x.shape), x.dtype) for x, ids in pairs))
 
 

@@ -88,13 +88,18 @@ def future(predicted: Gaussian, smoothed: Gaussian, difference: Difference = tor
     where later measurements hold information on the state, which is ``1 / p - 1``.  The merging of several models can
     leave eigenvalues above 1: they count as no information.  ``difference`` subtracts two states.
     """
-    n = predicted.mean.shape[-1]
-    root, _, _, certain = split(predicted.scale_tril, n)
-    none = torch.diag_embed(certain.to(root))
-    root = torch.where(certain.unsqueeze(-1), none, root)  # what depends on other directions tells no more than they do
-    gap = difference(smoothed.mean, predicted.mean).unsqueeze(-1)
-    later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap, smoothed.scale_tril))
+    gap = difference(smoothed.mean, predicted.mean)
+    return Future(predicted.mean, *_future(predicted.scale_tril, gap, smoothed.scale_tril))
+
+
+@batchwise(2, 1, 2)
+def _future(predicted: Tensor, gap: Tensor, smoothed: Tensor) -> tuple[Tensor, Tensor]:
+    """Slope and value of ``future``, from roots and the gap between the means."""
+    root, _, _, certain = split(predicted, predicted.shape[-2])
+    # What depends on other directions tells no more than they do: a row of zeros, which holds no information.
+    root = torch.where(certain.unsqueeze(-1), torch.diag_embed(certain.to(root)), root)
+    later = torch.where(certain.unsqueeze(-1), 0.0, hstack(gap.unsqueeze(-1), smoothed))
     whitened = torch.linalg.solve_triangular(root, later, upper=False)  # [w, W]
-    slope, weight = gram_information(hstack(whitened[..., 1:], none))
+    slope, weight = gram_information(whitened[..., 1:])
     of_state = torch.linalg.solve_triangular(root.mT, slope, upper=True).mT  # slope is symmetric
-    return Future(predicted.mean, torch.where(certain.unsqueeze(-2), 0.0, of_state), apply(weight, whitened[..., 0]))
+    return torch.where(certain.unsqueeze(-2), 0.0, of_state), apply(weight, whitened[..., 0])

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torchfra.angles import near
 from torchfra.linalg.safe import safe_log
-from torchfra.linalg.triangular import tria
+from torchfra.linalg.tracing import batchwise, has_caller
+from torchfra.linalg.triangular import hstack, tria
 from torchfra.types import Gaussian
 
 
@@ -44,6 +45,8 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     If not ``triangular``, its root is ``(..., n, p)`` and saves a triangularisation: enough for a linear motion, whose
     prediction has a triangularisation of its own.
     """
+    if triangular and len(roots) > _TOGETHER and has_caller():
+        return _in_turn(beliefs, roots, angles)
     middle, columns = _moments(beliefs, roots, angles)
     if not triangular:
         return Gaussian(middle, torch.cat(columns, -1))
@@ -53,11 +56,7 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
     """The mean ``(..., n)`` of a mixture, and blocks that side by side are a root of its covariance."""
-    root = roots.unsqueeze(-1)
-    nonzero = root != 0  # true for NaN, which must show in the result
-    mean = torch.where(nonzero, beliefs.mean, 0.0)
-    if angles:
-        mean = _near_likeliest(mean, roots, angles)
+    root, mean = roots.unsqueeze(-1), _means(beliefs, roots, angles)
     if len(root) == 2:  # one column for both means, as their shares sum to one
         (one, other), (first, second) = root.unbind(), mean.unbind()
         between = second - first
@@ -66,8 +65,42 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
     else:
         middle = (root.square() * mean).sum(0)
         of_means = list((root * (mean - middle)).unsqueeze(-1).unbind())
-    spread = root.unsqueeze(-1) * torch.where(nonzero.unsqueeze(-1), beliefs.scale_tril, 0.0)
-    return middle, [*spread.unbind(), *of_means]
+    return middle, [*_weighted(roots, beliefs.scale_tril).unbind(), *of_means]
+
+
+def _means(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Tensor:
+    """The means ``(K, ..., n)`` of beliefs, 0 of those of no weight, with angles near those of the likeliest."""
+    mean = torch.where(roots.unsqueeze(-1) != 0, beliefs.mean, 0.0)  # true for NaN, which must show in the result
+    return _near_likeliest(mean, roots, angles) if angles else mean
+
+
+def _weighted(roots: Tensor, spread: Tensor) -> Tensor:
+    """Roots ``(..., n, p)`` of covariances times ``roots (...)`` of their weights."""
+    root = roots[..., None, None]
+    return root * torch.where(root != 0, spread, 0.0)
+
+
+_TOGETHER = 4
+"""Beliefs that a step of many merges at once: the function is short, and called for all parts."""
+
+
+def _in_turn(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:
+    """``matched`` of many beliefs, some after others."""
+    mean = _means(beliefs, roots, angles)
+    middle = (roots.unsqueeze(-1).square() * mean).sum(0)
+    root = middle.new_zeros(*middle.shape, middle.shape[-1])
+    values = (roots, 0), (mean, 1), (beliefs.scale_tril, 2)
+    parts = (x.movedim(0, -1 - event).split(_TOGETHER, -1 - event) for x, event in values)
+    for more in zip(*parts, strict=True):
+        root = _with_more(root, middle, *more)
+    return Gaussian(middle, root)
+
+
+@batchwise(2, 1, 1, 2, 3)
+def _with_more(root: Tensor, middle: Tensor, roots: Tensor, mean: Tensor, spread: Tensor) -> Tensor:
+    """The ``root (..., n, n)`` of some beliefs together with ``K`` others, around the mean of all."""
+    of_means = (roots.unsqueeze(-1) * (mean - middle.unsqueeze(-2))).mT
+    return tria(hstack(root, *_weighted(roots, spread).unbind(-3), of_means), graded=False)
 
 
 def share_roots(log_weights: Tensor) -> tuple[Tensor, Tensor]:

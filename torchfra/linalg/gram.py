@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import batchwise, is_elementary
+from torchfra.linalg.tracing import batchwise, is_elementary, is_plain
 from torchfra.linalg.triangular import tria
 
 
@@ -118,6 +118,8 @@ def _of_gram(h: Tensor, u: Tensor, eigenvalues: Tensor, value: Tensor, kept: Ten
         slope: ``(..., m, m)`` divided differences of the function between two eigenvalues that are both kept or both
             not; they are the derivative of a matrix function in its eigenbasis (Daleckii-Krein).
     """
+    if is_plain(h) or (is_elementary() and not h.requires_grad):
+        return (u * value.unsqueeze(-2)) @ u.mT
     gap = eigenvalues.unsqueeze(-1) - eigenvalues.unsqueeze(-2)
     mixed = kept.unsqueeze(-1) != kept.unsqueeze(-2)
     jump = safe_divide(value.unsqueeze(-1) - value.unsqueeze(-2), gap)

@@ -75,6 +75,11 @@ def batchwise(*ranks: int) -> Callable[[F], F]:
     return decorate
 
 
+def has_caller() -> bool:
+    """Whether functions marked ``batchwise`` are called, once for each entry of the batch."""
+    return not torch.compiler.is_compiling() and _caller.get() is not None
+
+
 now_elementary = _elementary.get
 """Whether this runs inside the context of ``elementary``, for code that ``torch.compile`` does not look into."""
 

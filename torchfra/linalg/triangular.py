@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
-from torchfra.linalg.tracing import batchwise, has_tangents, is_elementary, is_plain, is_traced
+from torchfra.linalg.tracing import batchwise, has_caller, has_tangents, is_elementary, is_plain, is_traced
 
 
 def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
@@ -44,6 +44,13 @@ def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
     # diagonal of R is never positive.  And a row that depends on those above leaves its zero coordinate untouched, so
     # no arbitrary direction enters its column of L.
     a = a if padded else pad(a, (a.shape[-2], 0))
+    n = a.shape[-2]
+    if not graded and a.shape[-1] > (_COLUMNS + 2) * n and has_caller():
+        first, *others = a.split(_COLUMNS * n, -1)
+        lower = tria(first, padded=True, graded=False)
+        for columns in others:
+            lower = tria(hstack(lower, columns), graded=False)
+        return lower
     way = _Way.GRADED if graded else _Way.EVEN
     return _reflect(a, way) if is_plain(a) else _apply(a, way)  # the same result, without the overhead of autograd
 
@@ -70,6 +77,10 @@ def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
     if is_plain(full):
         return _positive(_reflect(full, _Way.GRADED))
     return _apply(full, _Way.BESIDE)
+
+
+_COLUMNS = 4
+"""Columns for each row that a step of many matrices takes at once: the function is short, and called for all parts."""
 
 
 class _Way(Enum):
