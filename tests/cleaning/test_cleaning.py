@@ -703,6 +703,7 @@ def test_a_car_that_drives_in_few_of_the_pauses_between_bursts_is_as_fast_as_it_
     assert kind.fastest > 60.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("period", "sigma", "rare"), [(290.0, 5.0, ("ship", 900.0)), (20.0, 3.0, ("marine", 7200.0))])
 def test_a_track_is_cleaned_as_alone_beside_one_whose_fixes_are_rare(period, sigma, rare):
     def wandering(seed, word, period):

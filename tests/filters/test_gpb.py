@@ -362,6 +362,7 @@ def test_noise_that_is_stated_twice_off_is_found(stated):
     assert 0.6 < found.info.noise[:, -1].log().mean().exp() * stated**2 < 1.6
 
 
+@pytest.mark.slow
 def test_noise_that_is_stated_right_costs_little():
     cell = scenarios.as_stated("velocity", index=0.1)
     tracks = cell.simulate(runs=64, seed=72)

@@ -61,7 +61,9 @@ def test_each_hyperparameter_that_is_nan_fails_every_track_and_is_named(name):
         assert f.step(made.init(prior), z[:, 0])[0].belief.failed.all()
 
 
-@pytest.mark.parametrize(("name", "path"), [("rsrckf", "robust.threshold"), ("gpb", "outliers.outlier_sizes")])
+@pytest.mark.parametrize(("name", "path"), [
+    ("rsrckf", "robust.threshold"), pytest.param("gpb", "outliers.outlier_sizes", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_compiled_filter_fails_as_well_however_it_runs_and_goes_on_once_the_value_is_mended(name, path):
     f = getattr(presets, name)(MOTION, SENSOR, **(SMALL_GPB if name == "gpb" else {})).compile()
     z, prior = tracks(f)
