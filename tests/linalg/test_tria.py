@@ -82,12 +82,6 @@ def test_beside_a_diagonal_matrix_it_is_the_same_without_the_zeros(diagonal):
     torch.testing.assert_close(*gradients)
 
 
-def test_a_matrix_that_is_already_padded_with_zeros_has_the_same_root():
-    a = random(3, 4, 6)
-    padded = torch.cat([torch.zeros(3, 4, 4, dtype=a.dtype), a], -1)
-    torch.testing.assert_close(tria(padded, padded=True), tria(a), rtol=0, atol=0)
-
-
 @pytest.mark.parametrize("shape", [(3, 5), (4, 4), (2, 3, 7)])
 def test_gradients_of_both_orders_are_exact(shape):
     a = random(*shape).requires_grad_()

@@ -48,10 +48,8 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     if triangular and len(roots) > _TOGETHER and has_caller():
         return _in_turn(beliefs, roots, angles)
     middle, columns = _moments(beliefs, roots, angles)
-    if not triangular:
-        return Gaussian(middle, torch.cat(columns, -1))
-    zeros = middle.new_zeros(*middle.shape, middle.shape[-1])
-    return Gaussian(middle, tria(torch.cat([zeros, *columns], -1), padded=True, graded=False))
+    root = torch.cat(columns, -1)
+    return Gaussian(middle, tria(root, graded=False) if triangular else root)
 
 
 def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:

@@ -50,10 +50,11 @@ def joint(belief: Gaussian, whitened: Whitened) -> Joint:
 
     ``tria([[I, rest, H S], [0, 0, S]]) = [[S_zz, 0], [K S_zz, S_post]]``.
     """
-    m, n, d = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads
-    top = pad(_blocks(whitened), (m + n, n - d))  # behind the zeros that tria wants
+    m, n, d, unit = whitened.residual.shape[-1], belief.mean.shape[-1], whitened.reads, whitened.subtracted is None
+    top = whitened.spread if unit else hstack(repaired_root(whitened)[0], whitened.slope)
+    top = pad(top, (0, n - d))
     root = belief.scale_tril.expand((*top.shape[:-2], n, n))
-    lower = tria_of_update(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), m, d)
+    lower = tria_of_update(torch.cat([top, pad(root, (top.shape[-1] - n, 0))], -2), m, d, unit=unit)
     top, bottom = lower.split([m, n], -2)
     return Joint(top[..., :m], *bottom.split([m, n], -1))
 

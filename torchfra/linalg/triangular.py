@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import Enum
 from functools import lru_cache
-from typing import Any
+from inspect import signature
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,12 +17,11 @@ from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import batchwise, has_caller, has_tangents, is_elementary, is_plain, is_traced
 
 
-def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
+def tria(a: Tensor, *, graded: bool = True) -> Tensor:
     """Lower-triangular root of ``a a^T`` with a non-negative diagonal, by orthogonal transformations.
 
     Args:
         a: ``(..., n, p)``, any ``n`` and ``p``: wide, square or tall.
-        padded: whether the first ``n`` columns of ``a`` are already zero; otherwise they are added, which copies ``a``.
         graded: whether columns may be of any scale, as where little is known beside what is known well, and keep their
             own digits.  Otherwise all entries of a row may lose the digits of its largest.
 
@@ -40,30 +40,28 @@ def tria(a: Tensor, *, padded: bool = False, graded: bool = True) -> Tensor:
         >>> torchfra.linalg.tria(torch.tensor([[3.0, 4.0]]))
         tensor([[5.]])
     """
-    # The leading zeros fix two conventions of Householder QR at once.  Every reflection starts from a zero, so the
-    # diagonal of R is never positive.  And a row that depends on those above leaves its zero coordinate untouched, so
-    # no arbitrary direction enters its column of L.
-    a = a if padded else pad(a, (a.shape[-2], 0))
     n = a.shape[-2]
-    if not graded and a.shape[-1] > (_COLUMNS + 2) * n and has_caller():
-        first, *others = a.split(_COLUMNS * n, -1)
-        lower = tria(first, padded=True, graded=False)
-        for columns in others:
+    if not graded and a.shape[-1] > (_COLUMNS + 1) * n and has_caller():
+        first, rest = a[..., : (_COLUMNS - 1) * n], a[..., (_COLUMNS - 1) * n :]
+        lower = tria(first, graded=False)
+        for columns in rest.split(_COLUMNS * n, -1):
             lower = tria(hstack(lower, columns), graded=False)
         return lower
     way = _Way.GRADED if graded else _Way.EVEN
     return _reflect(a, way) if is_plain(a) else _apply(a, way)  # the same result, without the overhead of autograd
 
 
-def tria_of_update(a: Tensor, measured: int, reads: int) -> Tensor:
-    """``tria(a)`` of ``a = [[0, B, C, 0], [0, 0, S]]``, where ``B`` has full rank and ``S (..., n, n)`` is lower.
+def tria_of_update(a: Tensor, measured: int, reads: int, *, unit: bool) -> Tensor:
+    """``tria`` of ``a = [[B, C, 0], [0, S]]``, if ``unit`` behind ``measured`` columns ``[I, 0]``.
 
     Args:
-        a: ``(..., measured + n, measured + n + p)``; its first columns are zero, as many as it has rows.
+        a: ``(..., measured + n, p)``; ``B``, behind ``I`` or alone, has full rank, and ``S (..., n, n)`` is lower.
         measured: number of rows above those of ``S``.
         reads: number of columns of ``C``, those on top of the first columns of ``S``.
+        unit: whether ``I`` stands in front.
     """
-    return _apply(a, (measured, reads)) if is_elementary() else tria(a, padded=True)
+    way = _Update(measured, reads, unit)
+    return _reflect(a, way) if is_plain(a) else _apply(a, way)
 
 
 def tria_beside(diagonal: Tensor, a: Tensor) -> Tensor:
@@ -87,15 +85,23 @@ class _Way(Enum):
     """How a matrix is made triangular."""
 
     EVEN = 0
-    """Columns of one scale, the first of them zero."""
+    """Columns of one scale."""
     GRADED = 1
-    """Columns of any scale, the first of them zero."""
+    """Columns of any scale."""
     BESIDE = 2
     """Columns of any scale beside a diagonal matrix."""
 
 
-def _apply(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
-    """The triangularisation as an autograd function; ``way`` has the two sizes of ``tria_of_update`` for such a one."""
+class _Update(NamedTuple):
+    """A matrix of ``tria_of_update``."""
+
+    measured: int
+    reads: int
+    unit: bool
+
+
+def _apply(a: Tensor, way: _Way | _Update) -> Tensor:
+    """The triangularisation as an autograd function."""
     result: Tensor = (_ForwardModeTria if has_tangents() else _Tria).apply(a, way)  # type: ignore[no-untyped-call]  # untyped in torch
     return result
 
@@ -110,24 +116,24 @@ def _by_rows(a: Tensor) -> bool:
     return a.is_cuda or is_elementary() or (torch.compiler.is_compiling() and a.shape[-2] <= _SMALL)
 
 
-def _triangularise(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
-    """The fastest of four ways to the same root of ``a``, whose first columns are zero."""
-    if isinstance(way, tuple):
-        return _rotations(*way)(a)
+def _triangularise(a: Tensor, way: _Way | _Update) -> Tensor:
+    """The fastest of four ways to the same root of ``a``."""
+    if isinstance(way, _Update) and is_elementary():
+        return _rotations(way)(a)
     if _by_rows(a):
         return _by_gram_schmidt(a, way)[0]
     if not is_traced(a):
         return _reflect(a, way)
-    finer = a if way is _Way.EVEN else a.double()
-    return -torch.linalg.qr(finer.mT, mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
+    return -torch.linalg.qr(_columns(a, way), mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
 
 
 _SMALL = 16
 """Number of rows up to which a loop over rows, which a compiler can fuse, is faster than a call of LAPACK."""
 
 
-def _by_gram_schmidt(a: Tensor, way: _Way) -> tuple[Tensor, Tensor]:
+def _by_gram_schmidt(a: Tensor, way: _Way | _Update) -> tuple[Tensor, Tensor]:
     """In exact arithmetic the same root as that of Householder reflections, and its ``Q^T``."""
+    a = _behind_unit(a, way.measured) if isinstance(way, _Update) and way.unit else a
     return _orthogonalise(a) if way is _Way.EVEN else _orthogonalise_twice(a)
 
 
@@ -146,7 +152,7 @@ def _orthogonalise_twice(a: Tensor) -> tuple[Tensor, Tensor]:
 def _gram_schmidt(a: Tensor, *, twice: bool) -> tuple[Tensor, Tensor]:
     columns: list[Tensor] = []
     units: list[Tensor] = []
-    rest = a[..., a.shape[-2] :]
+    rest = a
     for j in range(a.shape[-2]):  # of a tall matrix too: rows without length, as of missing elements, take no direction
         row, rest = rest[..., :1, :], rest[..., 1:, :]
         if twice and units:
@@ -157,11 +163,11 @@ def _gram_schmidt(a: Tensor, *, twice: bool) -> tuple[Tensor, Tensor]:
         rest = rest - below * unit
         columns.append(pad(torch.cat([norm, below], -2), (0, 0, j, 0)))
         units.append(unit)
-    return torch.cat(columns, -1), pad(torch.cat(units, -2), (a.shape[-2], 0))
+    return torch.cat(columns, -1), torch.cat(units, -2)
 
 
 @lru_cache(maxsize=64)
-def _rotations(measured: int, reads: int) -> Callable[[Tensor], Tensor]:
+def _rotations(way: _Update) -> Callable[[Tensor], Tensor]:
     """The root of ``tria_of_update``, entry by entry.
 
     Plane rotations of a column of the measurement and one of ``S`` at a time: each keeps the digits of its two columns,
@@ -169,11 +175,13 @@ def _rotations(measured: int, reads: int) -> Callable[[Tensor], Tensor]:
 
     Source: Carlson (1973), "Fast Triangular Formulation of the Square Root Filter", for one measurement.
     """
+    measured, reads, _ = way
 
     @batchwise(2)
     def rotated_root(a: Tensor) -> Tensor:
-        size, start = a.shape[-2], a.shape[-1] - (a.shape[-2] - measured)
-        first = tria(a[..., :measured, size:start])
+        start = a.shape[-1] - (a.shape[-2] - measured)
+        first = a[..., :measured, :start]
+        first = tria(_behind_unit(first, measured) if way.unit else first)
         first = torch.cat([first, torch.zeros_like(a[..., measured:, :measured])], -2)
         rows = [list(row.unbind(-1)) for row in torch.cat([first, a[..., start:]], -1).unbind(-2)]
         for k in range(measured):
@@ -289,7 +297,7 @@ def _norms(a: Tensor) -> Tensor:
     return norms
 
 
-def _reflect(a: Tensor, way: _Way) -> Tensor:
+def _reflect(a: Tensor, way: _Way | _Update) -> Tensor:
     """``-torch.linalg.qr(a.mT, mode="r").R.mT`` to the bit, by the call of LAPACK that stands behind it.
 
     What is left out is a copy and ``triu``, whose threads an eager step of small matrices pays for.  An eager step of
@@ -297,10 +305,27 @@ def _reflect(a: Tensor, way: _Way) -> Tensor:
     two threads (by the clock 4.4 +- 0.2 and 1.25 +- 0.15); with one thread 1.02 +- 0.02 and 1.00 +- 0.02 times, for
     1000 tracks 1.06 +- 0.01 (processor time, medians of ratios of turns with standard errors, a busy server).
     """
-    # Reflections keep the digits of rows alone: where columns may be of any scale they need more of them.
-    n, finer = a.shape[-2], a if way is _Way.EVEN else a.double()
-    lower: Tensor = torch.geqrf(finer.mT)[0][..., :n, :].mT * _minus_lower(n, finer.dtype, a.device)
+    n, columns = a.shape[-2], _columns(a, way)
+    lower: Tensor = torch.geqrf(columns)[0][..., :n, :].mT * _minus_lower(n, columns.dtype, a.device)
     return lower.to(a.dtype)
+
+
+def _columns(a: Tensor, way: _Way | _Update) -> Tensor:
+    """The transpose of ``a`` for Householder reflections, below zeros but for a diagonal matrix, which serves as they.
+
+    The zeros fix two conventions at once.  Every reflection starts from a zero, so the diagonal of R is never positive.
+    And a row that depends on those above leaves its zero coordinate untouched, so no arbitrary direction enters its
+    column of L.  Reflections keep the digits of rows alone: where columns may be of any scale they need more of them.
+    """
+    finer, zeros = a if way is _Way.EVEN else a.double(), 0 if way is _Way.BESIDE else a.shape[-2]
+    if isinstance(way, _Update) and way.unit:
+        return _behind_unit(finer, way.measured, zeros).mT
+    return pad(finer, (zeros, 0)).mT if zeros else finer.mT
+
+
+def _behind_unit(a: Tensor, count: int, zeros: int = 0) -> Tensor:
+    """``a (..., n, p)`` behind ``zeros`` columns of zeros and the first ``count`` columns of the identity."""
+    return hstack(pad(torch.eye(a.shape[-2], count, dtype=a.dtype, device=a.device), (zeros, 0)), a)
 
 
 @lru_cache(maxsize=64)
@@ -319,7 +344,7 @@ class _Tria(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(a: Tensor, way: _Way | tuple[int, int]) -> Tensor:
+    def forward(a: Tensor, way: _Way | _Update) -> Tensor:
         root = _triangularise(a, way)
         return _positive(root) if way is _Way.BESIDE else root
 
@@ -332,11 +357,16 @@ class _Tria(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         a, lower = ctx.saved_tensors
         root, q, nonzero = _pivoted(a, lower, ctx.way)
-        grad = grad.tril() * nonzero.unsqueeze(-2)
+        grad, regular = grad.tril(), not (is_traced(lower) or lower.is_cuda) and bool(nonzero.all())
+        grad = grad if regular else grad * nonzero.unsqueeze(-2)
         rotation = lower.mT @ grad
-        rotation = (rotation.mT - rotation).triu(1) * (nonzero.unsqueeze(-1) & nonzero.unsqueeze(-2))
+        rotation = (rotation.mT - rotation).triu(1)
+        rotation = rotation if regular else rotation * (nonzero.unsqueeze(-1) & nonzero.unsqueeze(-2))
         gradient: Tensor = (grad + torch.linalg.solve_triangular(root.mT, rotation, upper=True)) @ q
         return gradient, None
+
+
+_Tria.forward.__signature__ = signature(_Tria.forward)  # type: ignore[attr-defined]  # torch asks for it at each call
 
 
 class _ForwardModeTria(_Tria):
@@ -357,12 +387,12 @@ class _ForwardModeTria(_Tria):
         return moved
 
 
-def _pivoted(a: Tensor, lower: Tensor, way: _Way | tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+def _pivoted(a: Tensor, lower: Tensor, way: _Way | _Update) -> tuple[Tensor, Tensor, Tensor]:
     """``L`` with ones for zero pivots, ``Q^T``, and which pivots are not zero."""
-    rounding = 4 * sum(a.shape[-2:]) * torch.finfo(a.dtype).eps
-    nonzero = lower.diagonal(dim1=-2, dim2=-1) > rounding * lower.abs().sum(-1)  # not the norms, which take roots
+    least = rounding(2 * a.shape[-2] + a.shape[-1], a.dtype) * lower.abs().sum(-1)  # not the norms, which take roots
+    nonzero = lower.diagonal(dim1=-2, dim2=-1) > least
     root = lower + torch.diag_embed((~nonzero).to(a.dtype))
-    if is_elementary() and not isinstance(way, tuple):
+    if is_elementary() and not isinstance(way, _Update):
         q = _by_gram_schmidt(a, way)[1]  # a kernel has computed these rows with L, and keeps each expression once
     else:
         q = torch.linalg.solve_triangular(root, a, upper=False)

@@ -87,8 +87,8 @@ class Hypotheses(NamedTuple):
 
     def of(self, regimes: Sequence[int]) -> Hypotheses:
         """The hypotheses of some regimes."""
-        chosen: Hypotheses = tree.map_tensors(lambda x: taken(x, regimes, MOTION), self)
-        return chosen
+        mean, root, log_weight = [taken(x, regimes, MOTION) for x in (*self.belief, self.log_weight)]
+        return Hypotheses(Gaussian(mean, root), log_weight)
 
 
 def taken(x: Tensor, which: Sequence[int], axis: int) -> Tensor:
@@ -121,7 +121,8 @@ def _merged(
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
     mean = belief.mean.expand(*batch, -1)
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
-    mean, root, roots = [_in_front(x, axes).flatten(0, len(axes) - 1) for x in (mean, root, roots.expand(batch))]
+    first = tuple(range(len(axes)))
+    mean, root, roots = [x.movedim(tuple(axes), first).flatten(0, first[-1]) for x in (mean, root, roots.expand(batch))]
     return matched(Gaussian(mean, root), roots, angles, triangular=triangular)
 
 
@@ -221,17 +222,9 @@ def values_first(values: Tensor, rank: int) -> Tensor:
 
 def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
     """Moves some of the ``count`` axes behind the batch, in front of the event; the others, of size 1, are dropped."""
-    x = _in_front(x, axes)
-    for _ in range(count - len(axes)):
-        x = x.squeeze(len(axes))
     end = x.dim() - event
-    return x.movedim(tuple(range(len(axes))), tuple(range(end - len(axes), end)))
-
-
-def _in_front(x: Tensor, axes: Sequence[int]) -> Tensor:
-    """Moves axes in front of all others, in this order."""
-    first = tuple(range(len(axes)))
-    return x if tuple(axes) == first else x.movedim(tuple(axes), first)
+    x = x.movedim(tuple(axes), tuple(range(end - len(axes), end)))  # the others stay in front
+    return x.reshape(x.shape[count - len(axes) :])
 
 
 def _reinserted(x: Tensor, axes: Sequence[int]) -> Tensor:
