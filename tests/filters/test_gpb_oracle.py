@@ -94,7 +94,7 @@ def test_two_levels_of_the_first_of_three_motions_keep_beliefs_of_their_own():
 @pytest.mark.slow
 def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far():
     case, motion, (options, r) = ranges(), ConstantAcceleration(0.05), regimes(*TWO)
-    options, r = options | {"burst": 1.4}, r._replace(burst=1.4)  # one outlier is no jump
+    options, r = options | {"burst": 1.3}, r._replace(burst=1.3)  # one outlier is no jump
     wide = Gaussian(tensor([*ANCHORS[0], 9, 0, 0, 0]), torch.diag(tensor([200, 200, 8, 8, 0.5, 0.5])))
     e = presets.gpb(motion, case.sensor, **options)(tensor(case.z), wide)
     same(e, expected(case, [carried(motion, 1.0)], r, prior=wide))
@@ -117,6 +117,7 @@ def test_time_steps_of_their_own():
     case, motion, (options, r) = ranges(), ConstantAcceleration(0.05), regimes(*TWO)
     dt = np.linspace(0.4, 1.7, STEPS)
     f = presets.gpb(motion, case.sensor, **options)
+    r = r._replace(steps=dt.__getitem__)
     same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(motion, dt)], r))
 
 
@@ -191,7 +192,7 @@ def test_a_bank_with_one_level_two_jumps_and_time_steps_of_their_own(sensor):
     case, motions = sensor(), bank()
     options, r = regimes((0.8, 0.6, 0.1, 0.05), (0.3, 0.4, 0.2, 0.1), (2.0,), (30.0, 2000.0), 3)
     dt = np.linspace(0.4, 1.7, STEPS)
-    f = presets.gpb(motions, case.sensor, **options)
+    f, r = presets.gpb(motions, case.sensor, **options), r._replace(steps=dt.__getitem__)
     same(f(tensor(case.z), PRIOR, dt=tensor(dt)), expected(case, [carried(m, dt) for m in motions], r))
 
 

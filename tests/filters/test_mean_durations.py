@@ -153,7 +153,9 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
     generator = (np.tile(odds / odds.sum(), (len(odds), 1)) - np.eye(len(odds))) / by_regime[:, None]
     first = odds * by_regime / (odds * by_regime).sum()
     regimes = regimes._replace(
-        seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])), first=first
+        seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])),
+        first=first,
+        steps=dt.__getitem__,
     )
     modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
                                  (15.0, 2.5), dt)  # fmt: skip

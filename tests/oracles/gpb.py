@@ -41,6 +41,7 @@ class Regimes(NamedTuple):
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
     seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead of transition and unmeasured: see `switched`
     burst: float = 4.0  # equal outliers in a row that are no jump
+    steps: Any = 1.0  # seconds of each step, one number or (T,)
 
     @property
     def all_motions(self) -> list[int]:
@@ -176,14 +177,20 @@ def jumped(
         m = read((mean, P), z, model, k)
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
         count = len(regimes.manoeuvres)
-        costs.append(cost(m.e, z, model, k, outlying, transition, position.stop))
         motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
+        _, J, Q = motions[motion](*mixed[q, motion], k)
+        R = measurement_noise(model, k, present(z))
+        seen = np.trace(np.linalg.solve(R, m.Pzz - R)) if len(m.e) else 0.0
+        place, stated = np.diag(P)[position].sum(), np.diag(J + Q)
+        usual = min(math.log(1 + seen * stated[position].sum() / place / max(len(m.e), 1)), EXPECTED)
+        rarer, beyond = cost(m.e, z, model, k, outlying, transition, position.stop, usual)
+        costs.append(rarer)
         factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
             carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
             factors[q, r] = np.ones(len(mean)), level * min(max(factor * nis, 1.0), LARGEST)
             after[q, r] = carried_mean, J + factors[q, r][1] * Q
-        given = 0.0
+        rare = 0.0
         for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
             widen = np.ones(len(mean))
             widen[position] = width = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
@@ -193,27 +200,50 @@ def jumped(
                     widen[i] = min(width, max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
             factors[q, r] = widen, level
             after[q, r] = mean, P * np.outer(widen, widen)
-            given = np.log(widen[position.stop :]).sum()
-        rare = given - (regimes.burst - 0.65) * costs[q] if costs[q] > 0 else 0.0
+            if rarer > 0:
+                free = min(len(m.e), position.stop)
+                own = free / 2 * (math.log(1 + width**2 * seen / free) - 1 - usual)
+                left = given(after[q, r][1], stated, place / seen, regimes, position.stop, k)
+                first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
+                rare = min(beyond, 1.0) * (own - rarer + left - first) - (regimes.burst - 0.7) * rarer
         rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [rare] * len(regimes.jumps))
     return after, np.array(rarity), factors, costs
 
 
-def cost(e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int) -> float:
-    """Log of how much less likely a measurement is as outliers that last than as stated."""
+def given(P: Array, stated: Array, noise: float, regimes: Regimes, dims: int, k: int) -> float:
+    """Log of what later measurements are less likely after a jump, as the velocity and the acceleration are unknown.
+
+    With the jump's covariance (n,n), the variances (n,) as stated, and that of the measurement as a place.
+    """
+    count, total = regimes.burst + 1, 0.0
+    for order in (1, 2):  # by the variance of a coefficient of an orthogonal polynomial
+        told = noise / at(regimes.steps, k) ** (2 * order)
+        told *= 12 / (count * (count**2 - 1)) * (60 / max(count**2 - 4, 1e-12) if order == 2 else 1.0)
+        for i in range(order * dims, min((order + 1) * dims, len(P))):
+            left = P[i, i] - P[i, :i] @ np.linalg.pinv(P[:i, :i], hermitian=True) @ P[:i, i]
+            total += math.log(max(left / max(stated[i], told), 1.0)) / 2
+    return total
+
+
+def cost(
+    e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int, usual: float
+) -> tuple[float, float]:
+    """Log of how much less likely a measurement is as outliers that last than as stated; how far above its least."""
     measured = present(z)
     if not measured:
-        return 0.0
+        return 0.0, 0.0
     whole = np.zeros(len(z))
     whole[measured] = np.linalg.solve(np.linalg.cholesky(measurement_noise(model, k, measured)), e)
-    rare = -math.log(max(transition[:, 1])) - math.log(q.shares[-1])
+    rare = -math.log(max(transition[:, 1]))
     total = least = 0.0
     for block in q.blocks:
         count, square = sum(i in measured for i in block), (whole[block] ** 2).sum()
-        size = max(square / max(count, 1), 1.0)
-        total += min(square / 2, rare + count / 2 * (math.log(size) - EXPECTED))
-        least += rare + len(block) / 2 * (math.log(LEAST) - EXPECTED)
-    return max(total * min(1.0, dims / len(measured)), least * min(1.0, dims / len(z)))
+        sizes = [*q.sizes[:-1], max(q.sizes[-1], square / max(count, 1))]
+        each = [size ** (-count / 2) * math.exp(-square / size / 2) for size in sizes]
+        total += min(square / 2, rare - math.log(np.dot(q.shares, each)) - count / 2 * (1 + usual))
+        least += rare - math.log(q.shares[-1]) + len(block) / 2 * (math.log(LEAST) - EXPECTED)
+    total, least = total * min(1.0, dims / len(measured)), least * min(1.0, dims / len(z))
+    return max(total, least), max(total - least, 0.0)
 
 
 def paths(

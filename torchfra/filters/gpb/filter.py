@@ -296,12 +296,18 @@ class GPB(Filter[GPBState]):
             factor ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
         """
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        compared = self.compare(self.read(self.regimes.agile_prediction(propagated)), frame)
+        agile = self.regimes.agile_prediction(propagated)
+        compared = self.compare(self.read(agile), frame)
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        cost = self.outliers.cost(compared.residual, frame.measured, relaxation, self.motion.dims)
-        surprise = Surprise(nis, self.regimes.rarity(cost, propagated, nis, self.motion), cost)
+        jumped = self.regimes.jumped(propagated, agile, compared, nis, frame, self.motion)
+        cost, least = self.outliers.cost(
+            compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
+        )
+        first = self.outliers.first_rarer(frame.measured, relaxation)
+        rarity = self.regimes.rarity(cost, cost - least, first, jumped)
+        surprise = Surprise(nis, rarity, cost)
         mean, root = self.regimes.predictions(propagated, nis, self.motion)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)

@@ -27,8 +27,12 @@ from torchfra.types import Gaussian, Whitened
 LEAST_OUTLIER = 30.0
 """Mean square in units of the noise of the smallest outliers beside which a jump is seen."""
 
+NEVER = 1e-12
+"""Probability of an outlier below which it counts as that rare beside a jump."""
+
 EXPECTED = 0.7
-"""How much less likely an element is as predicted than with its noise alone: twice the log, where they vary alike."""
+"""How much less likely an element is as predicted than with its noise alone, at most: twice the log, where they vary
+alike."""
 
 
 class Outliers(Part):
@@ -217,8 +221,15 @@ class Outliers(Part):
         begins, lasts = relaxation * faulty / (without + faulty), 1 - relaxation * without / (without + faulty)
         return begins.unsqueeze(-1), lasts.unsqueeze(-1)
 
-    def cost(self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int) -> Tensor:
-        """Log ``(...)`` of how much less likely a measurement is as outliers in bursts than as stated.
+    def first_rarer(self, like: Tensor, relaxation: Tensor | None) -> Tensor:
+        """Log ``(...)`` of how much rarer the first of several outliers is than each later one; ``like (..., m)``."""
+        begins, lasts = self._probabilities(like, relaxation)
+        return (lasts / begins.clamp_min(NEVER)).clamp_min(1.0).log()[..., 0]
+
+    def cost(
+        self, residual: Tensor, measured: Tensor, relaxation: Tensor | None, dims: int, expected: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Log ``(...)`` of how much less likely a measurement is as outliers in bursts than as stated, and its least.
 
         Each block is whichever is likelier.  Of more elements than tell a place it is the share of so many.  It is at
         least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0 without a measurement.
@@ -228,19 +239,34 @@ class Outliers(Part):
             measured: ``(..., m)`` 1 where measured, 0 where missing.
             relaxation: ``(...)`` from ``relaxation``, None without durations.
             dims: of space.
+            expected: ``(...)`` how much less likely an element is as predicted than with its noise alone: twice the
+                log.
         """
         begins, lasts = self._probabilities(measured, relaxation)
-        rare = -safe_log(torch.maximum(begins, lasts)[..., 0]) - self.outlier_shares(measured)[..., -1].log()
-        total, least = torch.zeros_like(residual[..., 0]), torch.zeros_like(rare)
-        for block in self.blocks:
-            count = measured[..., list(block)].sum(-1)
-            square = residual[..., list(block)].square().sum(-1)
-            mean = safe_divide(square, count.clamp_min(1.0)).clamp_min(1.0)
-            total = total + torch.minimum(0.5 * square, rare + 0.5 * count * (mean.log() - EXPECTED))
-            least = least + rare + 0.5 * len(block) * (math.log(LEAST_OUTLIER) - EXPECTED)
-        elements = measured.sum(-1)
-        total = torch.maximum(total * (dims / elements.clamp_min(dims)), least * min(1.0, dims / measured.shape[-1]))
-        return torch.where(elements > 0, total, 0.0)
+        rare = -safe_log(torch.maximum(begins, lasts))
+        squares, counts = self._by_block(residual.square()), self._by_block(measured)
+        squares = squares.clamp(max=torch.finfo(squares.dtype).max)
+        log_density = self._log_outlying(squares, counts) + 0.5 * (1 + expected).unsqueeze(-1) * counts
+        total = torch.minimum(0.5 * squares, rare - log_density).sum(-1)
+        least = (rare - self.outlier_shares(measured)[..., -1:].log()).squeeze(-1) * len(self.blocks)
+        least = least + 0.5 * measured.shape[-1] * (math.log(LEAST_OUTLIER) - EXPECTED)
+        elements, least = measured.sum(-1), least * min(1.0, dims / measured.shape[-1])
+        total = torch.maximum(total * (dims / elements.clamp_min(dims)), least)
+        return torch.where(elements > 0, total, 0.0), least
+
+    def _by_block(self, elements: Tensor) -> Tensor:
+        """Sums ``(..., B)`` over the elements ``(..., m)`` of each block."""
+        return torch.stack([elements[..., list(block)].sum(-1) for block in self.blocks], -1)
+
+    def _log_outlying(self, squares: Tensor, counts: Tensor) -> Tensor:
+        """Log densities ``(..., B)`` of blocks as outliers, from sums of squares in units of the noise and counts."""
+        rank = squares.dim()
+        sizes = values_first(self.outlier_sizes(squares[..., 0]).unsqueeze(-2), rank)
+        log_shares = values_first(self.outlier_shares(squares[..., 0]).unsqueeze(-2), rank).log()
+        if self.adaptive_largest_size:
+            largest = torch.maximum(sizes[-1:], squares / counts.clamp_min(1.0))
+            sizes = torch.cat([sizes[:-1].expand(-1, *largest.shape[1:]), largest])
+        return log_sum(log_shares - 0.5 * (counts * sizes.log() + squares / sizes), 0)
 
     def update(
         self,

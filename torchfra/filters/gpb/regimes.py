@@ -12,7 +12,9 @@ from torch.nn.functional import pad
 
 from torchfra import tree
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
+from torchfra.filters.gpb.outliers import EXPECTED
 from torchfra.filters.markov import generator, sojourn_times, transition_over
+from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import largest, log_sum
 from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
@@ -20,11 +22,11 @@ from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.triangular import hstack, tria
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers, as_tensor
-from torchfra.types import Gaussian
+from torchfra.types import Gaussian, Whitened
 
 LARGEST_FACTOR = 1e10
 """Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
-SOONER = 0.65
+SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 FASTER = 3.0
@@ -44,6 +46,18 @@ class Surprise(NamedTuple):
     """``(1, 1, 2, ...)`` log of the factor on the weight of a jump: see ``Regimes.rarity``."""
     cost: Tensor
     """``(1, 1, 2, ...)`` log of how much less likely it is as outliers than as stated: see ``Outliers.cost``."""
+
+
+class Jumped(NamedTuple):
+    """What a jump costs by itself, as logs of how much less likely measurements are: ``(1, 1, 2, ...)``."""
+
+    expected: Tensor
+    """Twice that of an element as stated, beside its noise alone."""
+    own: Tensor
+    """Of the measurement with which it comes, as a place that is as far off, beside that as stated."""
+    lost: Tensor
+    """Of the measurements of the longest burst and the next one, as it knows less of the velocity and of the
+    acceleration than was stated, or than they themselves tell."""
 
 
 class Switching(NamedTuple):
@@ -278,26 +292,59 @@ class Regimes(Part):
         same = torch.eye(count, dtype=stay.dtype, device=stay.device)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
-    def rarity(self, cost: Tensor, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
+    def jumped(
+        self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, frame: Frame, motion: Motion
+    ) -> Jumped:
+        """What a jump costs by itself, in the step in which it comes and after it.
+
+        Args:
+            propagated: ``(1, S, 2, ...)``, each belief by its motion.
+            agile: ``(1, 1, 2, ..., n)`` prediction by the agile level.
+            compared: the measurement compared with it.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by that prediction.
+            frame: of the step.
+            motion: as in ``predictions``.
+        """
+        position = range(motion.size)[motion.position]
+        stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]).square().sum(-1)
+        here = self._chosen(position, stated)
+        place, before = ((here * x).sum(-1) for x in (agile.scale_tril.square().sum(-1), stated))
+        seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
+        expected = safe_divide(seen * safe_divide(before, place), count).log1p().clamp(max=EXPECTED)
+        if not self.jump_count:
+            return Jumped(expected, torch.zeros_like(seen), torch.zeros_like(seen))
+        widths = self._widths(propagated, nis, motion)[:, -1:]
+        # The diagonal of the root: what a component varies by where those before it are known, as after a measurement.
+        variances = (widths * agile.scale_tril).diagonal(dim1=-2, dim2=-1).square()
+        told, lost = safe_divide(place, seen), torch.zeros_like(seen)
+        for order, components in enumerate(_derivatives(motion), 1):
+            enough = told * safe_divide(_told(order, self.burst(seen) + 1), frame.dt ** (2 * order))
+            known = torch.where((seen > 0).unsqueeze(-1), torch.maximum(stated, enough.unsqueeze(-1)), variances)
+            less = 0.5 * safe_divide(variances, known).clamp_min(1.0).log()
+            lost = lost + (self._chosen(components, less) * less).sum(-1)
+        free = count.clamp(1.0, motion.dims)
+        wider = widths[..., position.start, 0].square() * seen / free
+        return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost)
+
+    def rarity(self, cost: Tensor, beyond: Tensor, first: Tensor, jumped: Jumped) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
-        A jump and a burst of equal outliers are the same until the burst ends.  Besides its own density, which is about
-        that of an outlier of this size, a jump has that of ``burst - SOONER`` more outliers: whatever the size, it is
-        less likely than outliers at the last measurement of the longest burst, and more likely at the next one.  What
-        it will lose at the next measurements, as it knows no velocity any more, it is given before.
+        A jump and a burst of equal outliers are the same until the burst ends.  With its own density it is as rare as
+        ``burst + 1 - SOONER`` outliers: whatever the size, it is less likely than outliers at the last measurement of
+        the longest burst, and more likely at the next one.  What it will have lost by then is given before, where a
+        measurement is beyond the least of outliers (nearer by, the target need not have jumped).
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
                 ``Outliers.cost``.  It is 0 without a measurement.
-            propagated: ``(1, S, 2, ...)``, each belief by its motion.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
-            motion: as in ``predictions``.
+            beyond: by how much that is above its least, as of the smallest outliers beside which a jump is seen.
+            first: ``(...)`` log of how much rarer the first outlier is: see ``Outliers.first_rarer``.
+            jumped: what the jump costs by itself.
         """
         if not self.jump_count:
             return -cost
-        wider = self._widths(propagated, nis, motion)[:, -1:].squeeze(-1).log()
-        still = 1 - self._chosen(range(motion.size)[motion.position], wider)
-        return torch.where(cost > 0, (still * wider).sum(-1) - cost * (self.burst(cost) - SOONER), 0.0)
+        burst, given = self.burst(cost) - SOONER, jumped.own - cost + jumped.lost - first
+        return torch.where(cost > 0, beyond.clamp(0.0, 1.0) * given - cost * burst, 0.0)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
@@ -399,11 +446,9 @@ class Regimes(Part):
         jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
         widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
         widths = widths.unsqueeze(-1)
-        components = range(mean.shape[-1])
-        accelerations = [i for i in components if motion.kinds[i] == "acceleration"]
         std = safe_sqrt(self.agile_root(propagated).square().sum(-1))
-        rows = 1 + (widths - 1) * self._chosen(components[motion.position], mean)
-        for part in (components[motion.velocity], accelerations):
+        rows = 1 + (widths - 1) * self._chosen(range(motion.size)[motion.position], mean)
+        for part in _derivatives(motion):
             those = self._chosen(part, mean)
             size = safe_sqrt((those * mean[:, :1]).square().sum(-1, keepdim=True))
             larger = safe_divide(FASTER * size, std).clamp_min(1.0)
@@ -462,6 +507,21 @@ class Regimes(Part):
         jumps = jumps.expand(1, self.jump_count, *batch)
         rest = jumps.new_full((1, self.level_count + self.motions - 1 + self.climb_count, *batch), others)
         return torch.cat([rest, manoeuvres, jumps], MOTION)
+
+
+def _derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
+    """The components of a state that are velocities, and those that are accelerations."""
+    components = range(motion.size)
+    return components[motion.velocity], [i for i in components if motion.kinds[i] == "acceleration"]
+
+
+def _told(order: int, count: Tensor) -> Tensor:
+    """What positions at so many steps, each with a variance of 1, tell of a derivative: its variance, in steps.
+
+    It is that of the coefficient of an orthogonal polynomial of this order, 1 or 2.
+    """
+    of = 12 / (count * (count.square() - 1))
+    return of if order == 1 else 60 * of / (count.square() - 4).clamp_min(NEVER)
 
 
 def _levels(separate: int | Sequence[int], count: int) -> tuple[int, ...]:
