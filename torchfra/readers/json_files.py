@@ -96,12 +96,10 @@ def _flat(several: list[Any]) -> list[dict[str, Any]]:
             raise ValueError(f"expected a list of records or a table of columns, received {kind} instead of an object")
         records.append(dict(_cells("", value)))
     names = {name for record in records for name in record}
-    outer = {name.rpartition(".")[0] for name in names} & names
-    if mixed := next(
-        (f"{i}, column {one}" for i, record in enumerate(records, 1) for one in outer if one not in record), ""
-    ):
-        raise ValueError(f"expected a number in data row {mixed}, received an object")
-    nested = [name for name in names if any(_holds_records(record.get(name)) for record in records)]
+    for row, record in enumerate(records, 1):
+        if mixed := next((outer for name in record if (outer := name.rpartition(".")[0]) in names), ""):
+            raise ValueError(f"expected a number in data row {row}, column {mixed}, received an object")
+    nested = {name for record in records for name, cell in record.items() if _holds_records(cell)}
     if nested and not places_in(names):
         raise ValueError(
             f"expected records with places, received lists of records in them ({', '.join(nested)}): write a row for "
