@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide
+from torchfra.linalg.tracing import batchwise
 from torchfra.numbers import as_numbers, as_tensor
 
 DOUBLINGS = 20
@@ -53,7 +54,13 @@ def transition_over(generator: Tensor, dt: Tensor) -> Tensor:
     square = small @ small
     change = small + square / 2 + square @ (small / 6 + square / 24)  # exp(small) - I to fourth order
     for _ in range(DOUBLINGS):
-        change = 2 * change + change @ change  # (I + change)^2 - I
+        change = _doubled(change)
     eye = torch.eye(generator.shape[-1], dtype=generator.dtype, device=generator.device)
     probabilities: Tensor = (eye + change).clamp_min(0.0)
     return probabilities
+
+
+@batchwise(2)
+def _doubled(change: Tensor) -> Tensor:
+    """``(I + change)^2 - I``."""
+    return 2 * change + change @ change
