@@ -12,7 +12,7 @@
     python scripts/reproduce.py noise-change            one aircraft alone: errors of range, azimuth, elevation
     python scripts/reproduce.py bearings-outliers --outliers std --runs 500 --json out/std.json
 
-The seed fixes every run of an experiment.  Run times are relative to the UKF on the same runs.
+The seed fixes every run of an experiment.  The JSON file also has run times relative to the UKF on the same runs.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def test_reproduce_writes_results_and_the_papers_figures(tmp_path):
     files = ["--json", str(tmp_path / "r.json"), "--plots", str(tmp_path)]
     assert reproduce.main(["bearings-outliers", "--runs", "10", *files, "--quiet"]) == 0
     result = json.loads((tmp_path / "r.json").read_text())
-    assert result.keys() == {"experiment", "runs", "seed", "settings", "versions", "filters"}
+    assert result.keys() == {"experiment", "runs", "seed", "settings", "versions", "filters", "windows", "shares"}
     assert result["experiment"] == "bearings-outliers"
     expected = {"rmse_position", "rmse_velocity", "mean_rmse_position", "median_error_position", "divergence_rate",
                 "relative_time"}  # fmt: skip

@@ -73,7 +73,7 @@ class FRAState(NamedTuple):
     @property
     def abnormal(self) -> Tensor:
         """``(...)`` bool: the next measurement will choose a branch of this step."""
-        return self.excess > 0  # eq. (36)
+        return self.excess > 0  # eq. (37)
 
     @property
     def branches(self) -> Branches:
@@ -233,7 +233,7 @@ class FRA(Soft, Filter[FRAState]):
         excess, memory = nis - self.gate(nis), self.fading.remember(state.memory, whitened.residual, frame.measured)
         abnormal, normal = excess > 0, (plain, plain, torch.ones_like(nis))
         forked = prediction, whitened, weights, memory, frame
-        robust, adaptive, factor = self.where_abnormal(abnormal, self.fork, forked, normal)  # eq. (36)
+        robust, adaptive, factor = self.where_abnormal(abnormal, self.fork, forked, normal)  # eq. (37)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
         repeated = torch.where(self.is_far(excess) | (nis == 0), repeated, 0.0)  # any other measurement ends a row

@@ -233,7 +233,7 @@ class Motion(Part):
 
         A subclass may return any root ``(..., n, r)`` of the covariance.
 
-        Source: Wang et al. (2021), eqs. (3)-(4).
+        Source: Wang et al. (2021), eqs. (4)-(5).
         """
         return acceleration_gain(dt, self.q(dt), range(2, 2 - self.orders, -1), self.dims)
 

@@ -16,7 +16,7 @@ from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
 
-@register.filter("fra_srckf", words="robust or adaptive, as published", gated=True, emphasised=True)
+@register.filter("fra_srckf", words="robust or adaptive, as published, with two bounds", gated=True, emphasised=True)
 @with_options(HuberOptions, FadingOptions, DecisionOptions)
 def fra_srckf(
     motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[FeedbackOptions]
@@ -35,7 +35,7 @@ def fra_srckf(
     return with_learning(FRA(motion, sensor, robust=update, fading=fading, **picked(options, DecisionOptions)), learn)
 
 
-@register.filter("fra", words="robust or adaptive, as the next decides", gated=True, emphasised=True)
+@register.filter("fra", words="robust or adaptive, by the likelihood of the next", gated=True, emphasised=True)
 @with_values
 @with_options(HuberOptions, FadingOptions, DecisionOptions)
 def fra(
