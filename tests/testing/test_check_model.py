@@ -9,7 +9,7 @@ import torch
 import torchfra
 from torchfra import Hyper, check_model
 from torchfra.motion import Augmented, Bank, Bicycle, Clock, ConstantVelocity, Motion, RandomWalk, Spherical
-from torchfra.sensors import Biased, Camera, InfraredLaser, Pseudoranges, Ranges, Sensor, Stacked
+from torchfra.sensors import Bearings, Biased, Camera, InfraredLaser, Pseudoranges, Ranges, Sensor, Stacked
 
 ANCHORS = torch.tensor([[0.0, 0.0], [300.0, 0.0], [0.0, 300.0]], dtype=torch.float64)
 RANGES = Ranges(ANCHORS, 0.3)
@@ -244,6 +244,11 @@ def test_what_is_wrong_is_told_with_the_line_of_the_user(motion, sensor, said, l
     assert line in where, where
     assert f"1 problem\n  1. {problem}" in str(report)
     assert "skipped: in a filter: all: until they are right by themselves" in str(report)
+
+
+def test_a_sensor_that_asks_for_its_u_itself_is_told_how_to_hand_it_in():
+    (problem,) = check_model(STRAIGHT, Bearings(0.01)).problems
+    assert re.search("u: expected the positions of 2 stations, .* hand one in: u=.$", problem), problem
 
 
 def test_every_motion_and_sensor_that_is_wrong_is_told():

@@ -139,7 +139,8 @@ def _by_itself(part: Part) -> Iterator[Outcome]:
             yield Outcome(name, tried_on.name, "failed", with_line(str(error), line))
             return
         except Exception as error:
-            hint = " (if it needs a u, hand one in: u=)" if part.u is None and "NoneType" in str(error) else ""
+            without = part.u is None and ("NoneType" in str(error) or "received None" in str(error))
+            hint = " (if it needs a u, hand one in: u=)" if without else ""
             yield Outcome(name, tried_on.name, "failed", unexpected(error, tried_on.line, hint))
             return
         yield Outcome(name, part.name, "passed")
