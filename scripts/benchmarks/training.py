@@ -81,8 +81,8 @@ def plain_qr() -> Iterator[None]:
 
     class Plain:
         @staticmethod
-        def apply(a, beside):
-            lower = torch.linalg.qr(a.mT).R.mT
+        def apply(a, way):
+            lower = torch.linalg.qr(triangular._columns(a, way)).R.mT
             return lower * lower.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
 
     before, triangular._Tria = triangular._Tria, Plain
