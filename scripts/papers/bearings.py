@@ -74,9 +74,9 @@ def summarise(study: Study, results: Results) -> tuple[dict[str, Any], str]:
 
 
 def _in_windows(curve: Sequence[float]) -> dict[str, float]:
-    """Means of an error over time over those of ``WINDOWS`` that the tracks have."""
+    """Means of an error over time over those of ``WINDOWS`` that the tracks have; NaN where it is not finite."""
     return {
-        name: sum(part) / len(part)
+        name: mean if math.isfinite(mean := sum(part) / len(part)) else math.nan
         for name, (first, last) in WINDOWS.items()
         if len(part := curve[first - 1 : last]) == last - first + 1
     }

@@ -386,7 +386,7 @@ def test_data_that_cannot_be_read_are_refused(data, tmp_path, capsys):
     assert "expected files that end in .parquet, received none" in refused(capsys, tmp_path / "empty", out)
     (data / "d.parquet").write_bytes(b"PAR1")
     said = refused(capsys, data, out)
-    assert f"{data / 'd.parquet'}: expected a complete Parquet file" in said
+    assert f"{data / 'd.parquet'}: expected a complete Parquet or Feather file" in said
     parquet.write_table(table_of([flight(0)]).drop_columns("lon"), data / "d.parquet")
     said = refused(capsys, data, out)
     assert f"{data / 'd.parquet'}: expected the columns of a.parquet, missing lon" in said

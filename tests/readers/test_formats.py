@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -146,15 +147,16 @@ def read_again(text, form):
     return moment.replace(tzinfo=timezone.utc).timestamp()
 
 
-@pytest.mark.parametrize("name", ["walk.parquet", "named.dat"])
+@pytest.mark.parametrize("name", ["walk.parquet", "walk.feather", "walk.arrow", "named.dat"])
 @pytest.mark.parametrize("zone", [None, "UTC"])
-def test_columns_of_parquet_are_read_too(tmp_path, name, zone):
+def test_columns_of_parquet_and_feather_are_read_too(tmp_path, name, zone):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
+    from pyarrow import feather, parquet
 
     moments = pyarrow.array([int(1e6 * (START + t)) for t in STEPS]).cast(pyarrow.timestamp("us", zone))
     data = pyarrow.table({"timestamp": moments, "lat": LATITUDE, "lon": LONGITUDE, "height": ALTITUDE, "id": ["a"] * 6})
-    parquet.write_table(data, tmp_path / name)
+    write = parquet.write_table if "parquet" in name or "dat" in name else feather.write_feather
+    write(data, tmp_path / name)
     (track,) = read(tmp_path / name)
     np.testing.assert_array_equal(track.time, START + STEPS)
     np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=1e-3)
@@ -168,6 +170,13 @@ def test_columns_of_parquet_are_read_too(tmp_path, name, zone):
 def test_tracks_of_gpx_and_what_is_left_out_are_counted_in_words(write, points, said):
     (track,) = read(write("a.gpx", gpx().replace("<trk>", f"{points}<trk>")))
     assert any(line.endswith(said) for line in track.source.notes)
+
+
+def test_names_of_gpx_may_have_a_prefix(write):
+    text = re.sub(r"<(/?)(?=[a-z])", r"<\1g:", gpx()).replace("xmlns=", "xmlns:g=")
+    plain, prefixed = read(write("a.gpx", gpx())), read(write("b.gpx", text))
+    np.testing.assert_array_equal(prefixed[0].position, plain[0].position)
+    np.testing.assert_array_equal(prefixed[0].time, plain[0].time)
 
 
 def test_a_file_without_its_reader_says_what_to_install(write, monkeypatch):

@@ -106,6 +106,18 @@ def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
 # ---------------------------------------------------------------- phones
 
 
+def timeline(fixes, path=3):
+    places = [{"point": f"{lat}\N{DEGREE SIGN}, {lon}\N{DEGREE SIGN}", "time": moment.isoformat()}
+              for moment, (lat, lon) in zip(MOMENTS[:path], PLACES[:path], strict=True)]  # fmt: skip
+    raw = [
+        {"position": {"LatLng": f"{lat}\N{DEGREE SIGN}, {lon}\N{DEGREE SIGN}", "accuracyMeters": 30,
+                      "altitudeMeters": 520.0, "source": "WIFI", "timestamp": moment.isoformat()}}
+        for moment, (lat, lon) in zip(MOMENTS[:fixes], PLACES[:fixes], strict=True)
+    ]  # fmt: skip
+    other = {"wifiScan": {"deliveryTime": "2026-05-03T08:12:16.000+02:00", "devicesRecords": []}}
+    return json.dumps({"semanticSegments": [{"timelinePath": places}] if path else [], "rawSignals": [*raw, other]})
+
+
 GNSS = [
     "# ", "# Header Description:", "# ", "# Version: v3.1.0.0 Platform: 15 Manufacturer: Google Model: Pixel 8", "# ",
     "# Raw,utcTimeMillis,TimeNanos,LeapSecond", "# ",
@@ -118,14 +130,38 @@ GNSS = [
 
 CLASS_A = "!AIVDM,1,1,,B,15NG6V0P01G?cFhE`R2IU?wn28R>,0*05"
 """Of ship 367380120 at 37.806948, -122.404333, as pyais documents it."""
+CLASS_B = "!AIVDM,1,1,,A,B52K>;h00Fc>jpUlNV@ikwpUoP06,0*4C"
 """Of ship 338087471 at 40.684540, -74.072132, as gpsd documents it."""
+
+
+def checksum(text):
+    return f"{np.bitwise_xor.reduce(list(text.encode())):02X}"
+
+
+def tagged(message, time, more="s:r003669945,"):
+    block = f"{more}c:{time}"
+    return f"\\{block}*{checksum(block)}\\{message}"
+
+
+def of_second(message, second):
+    """The message with another UTC second of its fix: the six bits behind the true heading, from bit 137 or 133 on."""
+    fields = message[1:].partition("*")[0].split(",")
+    payload = fields[5]
+    values = [ord(sign) - (56 if ord(sign) > 87 else 48) for sign in payload]
+    bits = "".join(f"{value:06b}" for value in values)
+    at = 133 if values[0] == 18 else 137
+    bits = bits[:at] + f"{second:06b}" + bits[at + 6 :]
+    values = [int(bits[i : i + 6], 2) for i in range(0, len(bits), 6)]
+    fields[5] = "".join(chr(value + (48 if value < 40 else 56)) for value in values)
+    said = ",".join(fields)
+    return f"!{said}*{checksum(said)}"
 
 
 def test_the_ship_itself_is_read_where_it_hears_others(write):
     pytest.importorskip("pynmea2")
     own = ["$GPGGA,092750.000,5321.6802,N,00630.3372,W,1,8,1.03,61.7,M,55.2,M,,*76",
            "$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75"]  # fmt: skip
-    (track,) = read(write([CLASS_A, *own], "ais.log"))
+    (track,) = read(write([tagged(CLASS_A, 1_777_788_733), *own], "ais.log"))
     assert track.origin[:2] == pytest.approx((53.36133, -6.50562), abs=1e-4)
     assert any("1 AIS messages left out" in note for note in track.source.notes)
 
@@ -169,6 +205,29 @@ def test_the_way_of_a_flight_is_a_track(write):
     assert_in_place(track)
 
 
+def samples():
+    return [
+        {
+            "EHPE": 5,
+            "GPSAltitude": 408,
+            "Latitude": np.radians(lat),
+            "Longitude": np.radians(lon),
+            "UTC": moment.isoformat(),
+        }
+        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("content", [
+    {"DeviceLog": {"Header": {"Duration": 40}, "Samples": [{"HR": 2.3, "TimeISO8601": "x"}, *samples()]}},
+    {"Samples": [{"Attributes": {"suunto/sml": {"Sample": sample}}, "TimeISO8601": "x"} for sample in samples()]},
+])  # fmt: skip
+def test_a_watch_may_tell_radians(write, content):
+    (track,) = read(write(json.dumps(content), "a.json"))
+    assert_in_place(track)
+    assert track.origin[2] == 408
+
+
 def test_samples_of_a_watch_that_are_no_radians_are_degrees(write):
     records = [{"EHPE": 5, "UTC": moment.isoformat(), "Latitude": lat, "Longitude": lon}
                for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
@@ -187,6 +246,17 @@ def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
         {"time": i, "Latitude": lat, "Longitude": lon, "GPSAltitude": 408} for i, (lat, lon) in enumerate(PLACES)
     ]
     assert read(write(json.dumps(records), "a.json"))[0].origin[0] == 50
+
+
+def test_what_a_recorder_puts_before_json_is_left_out(write):
+    lines = []
+    for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True):
+        fix = {"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()}
+        lines.append(f"{moment:%Y-%m-%dT%H:%M:%SZ}\t*                 \t{json.dumps(fix)}")
+    (track,) = read(write(['2026-05-03T08:14:00Z\tlwt\t{"_type": "lwt", "tst": 1}', *lines], "2026-05.rec"))
+    assert_in_place(track)
+    assert track.name == "m"
+    assert track.sigma == pytest.approx(8 / np.sqrt(-2 * np.log(0.32)))
 
 
 def test_altitudes_of_aeroapi_are_hundreds_of_feet(write):

@@ -98,6 +98,14 @@ def test_columns_of_one_name_are_refused_with_what_to_do(write):
         read(write(lines))
 
 
+def test_headers_in_the_middle_of_files_that_were_joined_are_no_rows(write):
+    rows = [f"{i},{i},0" for i in range(ROWS)]
+    (track,) = read(write(["time,x, y", *rows[:20], "time,x, y", *rows[20:]]))
+    assert len(track.time) == ROWS
+    assert track.repairs == {"rows without time dropped": 1}
+    assert track.row[20] == 21
+
+
 # ---------------------------------------------------------------- robots
 
 
@@ -311,11 +319,11 @@ def test_a_local_time_that_only_goes_backwards_is_put_in_order(write):
     ("1.234,50", ";"), ("1 234,50", ";"), ("1\u202f234,50", ";"), ("1'234,50", ";"),
     ('"1,234.50"', ","), ("1'234.50", ","), ("1\u2019234.50", ","),
 ])  # fmt: skip
-def test_thousands_that_are_parted_are_refused(write, number, sign):
+def test_thousands_that_are_parted_are_read_where_the_decimals_show_it(write, number, sign):
     decimal = "," if sign == ";" else "."
     rows = [f"{i}{sign}{i}{decimal}25{sign}{number}" for i in range(ROWS)]
-    with pytest.raises(ValueError, match="expected a number in data row 1, column y"):
-        read(write([sign.join("txy"), *rows]))
+    (track,) = read(write([sign.join("txy"), *rows]))
+    assert track.position[1].tolist() == [1.25, 1234.5]
 
 
 @pytest.mark.parametrize("number", ["1,234", "1.23,4.5", "12,34.5", "1,2345.6", "1,,234.5", "1234,567.8"])

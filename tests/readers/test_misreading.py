@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -49,33 +48,6 @@ def test_times_of_the_day_go_on_after_midnight(write):
     assert track.source.written(track.time) == ["23:59:59.000", "00:00:00.500", "00:00:02.000"]
 
 
-@pytest.mark.parametrize("times", [
-    [(604_790 + i) % 604_800 for i in range(60)], [i % 30 for i in range(60)], [720 - i / 25 for i in range(60)],
-], ids=["week", "logger", "game"])  # fmt: skip
-def test_counts_that_begin_anew_or_go_down_are_refused(write, times):
-    rows = [(time, 3 * i, i % 7) for i, time in enumerate(times)]
-    with pytest.raises(ValueError, match=r"expected times that go on, .* column t, .*; columns that are not read"):
-        read(write(table("t,x,y", rows)))
-    assert len(read(write(table("t,x,y", sorted(rows))))[0].time) == len(set(times))
-
-
-@pytest.mark.parametrize("first", ["02:40", "02:59"])
-def test_a_local_clock_that_is_put_back_is_refused(write, first):
-    start = datetime.fromisoformat(f"2024-10-27 {first}")
-    times = [start + timedelta(minutes=i - 60 * (i >= 20)) for i in range(60)]
-    rows = [(f"{time:%Y-%m-%d %H:%M:%S}", 50 + i / 1e3, 7) for i, time in enumerate(times)]
-    with pytest.raises(ValueError, match="received one of an hour before in data row 21, column local time"):
-        read(write(table("local time,lat,lon", rows)))
-
-
-@pytest.mark.parametrize(("start", "said"), [
-    (b"\x93NUMPY", "hand it to torchfra.clean"), (b"ARROW1", "Feather: write Parquet"),
-])  # fmt: skip
-def test_arrays_and_feather_are_refused_with_what_to_do(write, start, said):
-    with pytest.raises(ValueError, match=said):
-        read(write(start + bytes(100), "track.dat"))
-
-
 # ---------------------------------------------------------------- cells
 
 
@@ -95,39 +67,42 @@ def test_the_bound_on_memory_holds_for_every_format(write, name):
         read(write(text, name), max_bytes=size - weight)
 
 
-def test_the_bound_on_memory_holds_for_columns_that_are_packed_well(tmp_path):
+@pytest.mark.parametrize("kind", ["parquet", "feather"])
+def test_the_bound_on_memory_holds_for_columns_that_are_packed_well(tmp_path, kind):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
+    from pyarrow import feather, parquet
 
     data = pyarrow.table({"t": np.arange(200_000.0), "x": np.zeros(200_000), "y": np.zeros(200_000)})
-    path = tmp_path / "a.parquet"
-    parquet.write_table(data, path)
+    path = tmp_path / f"a.{kind}"
+    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
     assert len(read(path)[0].time) == 200_000
     with pytest.raises(ValueError, match="of columns, of which a row counts for 64 or more"):
         read(path, max_bytes=10_000_000)
 
 
-def test_texts_that_are_packed_well_are_refused_before_they_unfold(tmp_path):
+@pytest.mark.parametrize("kind", ["parquet", "feather"])
+def test_texts_that_are_packed_well_are_refused_before_they_unfold(tmp_path, kind):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
+    from pyarrow import feather, parquet
 
     names = pyarrow.array(["x" * 2**14 + str(i % 500) for i in range(1000)])
     data = pyarrow.table({"t": np.arange(1000.0), "x": np.zeros(1000), "y": np.zeros(1000), "id": names})
-    path = tmp_path / "a.parquet"
-    parquet.write_table(data, path)
+    path = tmp_path / f"a.{kind}"
+    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
     assert path.stat().st_size < 1_000_000
     with pytest.raises(ValueError, match="of columns, of which a row counts for 64 or more"):
         read(path, max_bytes=5_000_000)
     assert len(read(path)) == 500
 
 
-def test_a_damaged_table_of_columns_is_read_or_refused_with_a_value_error(tmp_path):
+@pytest.mark.parametrize("kind", ["parquet", "feather"])
+def test_a_damaged_table_of_columns_is_read_or_refused_with_a_value_error(tmp_path, kind):
     pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
+    from pyarrow import feather, parquet
 
     data = pyarrow.table({"t": np.arange(50.0), "x": np.zeros(50), "y": np.zeros(50), "id": ["a"] * 50})
-    path = tmp_path / "a.parquet"
-    parquet.write_table(data, path)
+    path = tmp_path / f"a.{kind}"
+    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
     whole, random = path.read_bytes(), np.random.default_rng(2)
     for _ in range(100):
         damaged = bytearray(whole)

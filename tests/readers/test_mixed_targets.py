@@ -76,7 +76,7 @@ def test_targets_of_one_row_each_are_refused_as_such(write):
 
 def test_a_target_that_is_dropped_is_named_with_its_fixes(write):
     lone = [(i, 1e5 * (i % 2), 0, 0, 2, 9, "C") for i in range(30)]
-    tracks = read(write(table([*fleet((6, 7, 8)), *lone])), id="number")
+    tracks = read(write(table([*fleet((6, 7, 8)) * 2, *lone])), id="number")
     assert tracks[0].repairs["fixes of target 9 dropped, of impossible speed"] == 30
 
 

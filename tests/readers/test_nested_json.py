@@ -19,7 +19,7 @@ def fixes(lat=47.0):
     [
         ({"data": [{"id": "A", "gps": fixes()}, {"id": "B", "gps": fixes(48.0)}]}, "lists of records in them (gps)"),
         ([{"id": "A", "way": {"points": fixes()}}], "lists of records in them (way.points)"),
-        ({"one": fixes(), "two": fixes()}, "expected one list of records, received one, two"),
+        ({"one": fixes(), "two": {"more": fixes()}}, "expected one list of records, received one, two.more"),
         ([fixes()[:9], fixes()[9:]], "received list instead of an object"),
         ({name: {"data": [fix[name] for fix in fixes()]} for name in fixes()[0]}, "column time: expected times"),
     ],
@@ -27,6 +27,13 @@ def fixes(lat=47.0):
 def test_lists_within_lists_and_several_lists_are_refused(write, whole, said):
     with pytest.raises(ValueError, match=re.escape(said)):
         read(write(json.dumps(whole), "a.json"))
+
+
+def test_the_only_list_with_places_is_read_with_the_target_that_the_objects_around_it_name(write):
+    whole = {"id": "bus 7", "answer": {"fixes": fixes(), "laps": [{"lap": 1}]}, "page": {"next": False}}
+    (track,) = read(write(json.dumps(whole), "a.json"))
+    assert (track.name, len(track.time)) == ("bus 7", ROWS)
+    assert "JSON: records in answer.fixes" in track.source.notes
 
 
 def test_a_fix_that_names_its_target_is_no_part_of_what_is_around_it(write):

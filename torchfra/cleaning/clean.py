@@ -243,7 +243,8 @@ def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Re
         position = np.where(missing, position[np.where(last < 0, (known >= 0).argmax(), last)], position)
     table = {"t": time, **{axis: position[:, i] for i, axis in enumerate("xyz"[: position.shape[1]])}}
     sheet = Sheet([*table], [(len(time), table.__getitem__)])
-    (recording,) = read_sheet(sheet, "data", max_bytes=max_bytes, **words)
+    third = {"z": "z"} if "z" in table else {}  # by its name, so that it stays one where it is constant
+    (recording,) = read_sheet(sheet, "data", max_bytes=max_bytes, **third, **words)
     assert recording.row is not None
     if not np.array_equal(recording.row, np.arange(len(time))):
         received = ", ".join(f"{count} {what}" for what, count in recording.repairs.items())

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import gc
 from collections.abc import Sequence
 from contextlib import nullcontext
-from importlib import import_module
 from typing import Any
 
 from torchfra.cli.command import Parser, exit_status, make_parser
@@ -52,20 +50,13 @@ class _Command(Parser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Adds the options of the command, then parses."""
-        _imported(f"torchfra.cli.{self.prog.split()[-1]}_command").add_to(self)
+        from torchfra.cli.early import imported, start_processes  # which no other help needs
+
+        name = self.prog.split()[-1]
+        if name == "track":
+            start_processes(args)
+        imported(f"torchfra.cli.{name}_command").add_to(self)
         options, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return options, unknown
-
-
-def _imported(name: str) -> Any:
-    """A module, imported; what that makes stays until the end, so that no garbage is looked for among it."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        return import_module(name)
-    finally:
-        gc.freeze()
-        if collects:
-            gc.enable()

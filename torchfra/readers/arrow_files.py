@@ -1,4 +1,4 @@
-"""Parquet files, read batch by batch once it is known that their contents are within the bound."""
+"""Parquet and Feather (Arrow) files, read batch by batch once it is known that their contents are within the bound."""
 
 from __future__ import annotations
 
@@ -14,23 +14,25 @@ from torchfra.running.optional import optional
 
 _ROWS = 2**16
 """Of a batch of Parquet."""
+_MAGIC = 8
+"""Bytes before the messages of a Feather file."""
 
 
 def is_arrow(start: bytes) -> bool:
-    """Whether a file begins as Parquet does."""
-    return start[:4] == b"PAR1"
+    """Whether a file begins as Parquet or Arrow does."""
+    return start[:4] == b"PAR1" or start[:6] == b"ARROW1"
 
 
-def arrow_sheet(path: Path, max_bytes: int) -> Sheet:
+def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
     """The columns of numbers, moments and text of a file.
 
     Raises:
         ValueError: it is damaged or holds too much.
         ImportError: pyarrow is not installed.
     """
-    pyarrow = optional("pyarrow", "Parquet", "formats")
+    pyarrow = optional("pyarrow", "Parquet and Feather", "formats")
     try:
-        schema, batches = _parquet(path, max_bytes)
+        schema, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
     except (pyarrow.ArrowException, OSError) as error:
         raise damaged(error) from error
     return Sheet([field.name for field in schema if is_flat(field.type)], _parts(batches, max_bytes))
@@ -44,7 +46,7 @@ def table_sheet(table: Any) -> Sheet:
 
 def damaged(error: Exception) -> ValueError:
     """The error for what is no complete file."""
-    return ValueError(f"expected a complete Parquet file, received none ({' '.join(str(error).split())})")
+    return ValueError(f"expected a complete Parquet or Feather file, received none ({' '.join(str(error).split())})")
 
 
 def _too_large(max_bytes: int) -> ValueError:
@@ -78,6 +80,25 @@ def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
     # as dictionaries, so that a long text that comes again and again takes no more memory than it has in the file
     texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
     return schema, parquet.ParquetFile(path, read_dictionary=texts).iter_batches(_ROWS, columns=flat)
+
+
+def _feather(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
+    """The schema and the batches of a file, which is read as the stream that it is, a batch at a time."""
+    from pyarrow import ipc, memory_map
+
+    file = memory_map(str(path))
+    file.seek(_MAGIC)
+    reader = ipc.open_stream(file)
+    return reader.schema, _bounded(reader, max_bytes)
+
+
+def _bounded(batches: Any, max_bytes: int) -> Iterator[Any]:
+    size = 0
+    for batch in batches:
+        size += batch.nbytes
+        if size > max_bytes:
+            raise _too_large(max_bytes)
+        yield batch
 
 
 def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]]:

@@ -35,7 +35,8 @@ YEAR_1980 = 315_532_800.0
 _YEAR_2036, _YEAR_2286 = 2.1e9, 1e10
 _LATEST = 1e7
 """Seconds since a start that a recording may have, 115 days; more without a unit are another unit, or no count."""
-_DAY = 86_400.0
+_DAY, _AWAY = 86_400.0, 3600.0
+"""Seconds; and those for which rows may lack about midnight."""
 _DATED = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
 """Names of times that are a date too."""
 _PARTS = {"year": "%Y", "month": "%m", "day": "%d", "hour": "%H", "minute": "%M", "min": "%M", "second": "%S",
@@ -99,7 +100,7 @@ class Clock:
         if is_clock(self.form):
             steps = np.diff(time[rows], prepend=time[rows[:1]])
             hours = time[rows] // 3600
-            if self.form == CLOCK and (steps < -0.4 * _DAY).any() and hours.min() == 1 and hours.max() == 12:
+            if self.form == CLOCK and (steps <= _AWAY - _DAY / 2).any() and hours.min() == 1 and hours.max() == 12:
                 raise ValueError(
                     f"column {self.column}: expected times of 24 hours, received 01 behind 12, as a clock of 12 hours "
                     "has it: add AM or PM, or a date"
@@ -112,6 +113,18 @@ class Clock:
                 "a start: name another column, or their unit, such as ", {"time_format": "seconds"},
             )  # fmt: skip
         return time
+
+    def going_on(self, time: Array) -> Array:
+        """Times ``(rows,)`` of a target; counts of the day or of the week go on where they begin anew."""
+        steps = np.diff(time, prepend=time[:1])
+        if self.dated or not per_second(self.form) or not ((steps < 0).any() and (steps > 0).any()):
+            return time
+        usual, ahead = np.median(np.abs(steps[steps != 0])), np.zeros(len(time))
+        for whole in (_DAY, 7 * _DAY):
+            if time.max() <= whole:
+                begun = (steps < -whole / 2) & (np.abs(-steps - whole + usual) <= max(_AWAY, 3 * usual))
+                ahead[begun] = whole
+        return np.asarray(time + np.cumsum(ahead))
 
 
 def clock_of(

@@ -26,6 +26,9 @@ _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
+_GROUPED = re.compile(r"[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+|[+-]?[0-9]{1,3}(?:['\u2019][0-9]{3})+(?:\.[0-9]*)?")
+"""A number whose thousands are parted, as spreadsheets write it, where a point shows what commas are not."""
+_GROUPED_BEFORE_COMMA = re.compile(r"[+-]?[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+,[0-9]+")
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[., \u00a0\u202f][0-9]{3})+")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
@@ -98,6 +101,8 @@ def number(value: Any) -> float:
         value = value.strip(" \t\r\n")
         if is_missing(value):
             return math.nan
+        if _GROUPED.fullmatch(value):
+            value = re.sub("[,'\u2019]", "", value)
         if not DECIMAL.fullmatch(value):
             raise ValueError
     elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -198,6 +203,9 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
     def plain(cell: Any) -> float:
         if isinstance(cell, str) and kind.decimal == ",":
+            whole, _, part = cell.strip(" \t\r\n").rpartition(",")
+            if _GROUPED_BEFORE_COMMA.fullmatch(f"{whole},{part}"):
+                cell = re.sub("[,.'\u2019 \u00a0\u202f]", "", whole) + f",{part}"
             cell = cell.replace(".", "_").replace(",", ".")
         with suppress(ValueError):
             return number(cell)

@@ -281,6 +281,12 @@ def _parts(
 
     try:
         for cells in rows.parts(width, mended):
+            for row, cell in enumerate(cells[::width]):  # the header again, as of files that were joined to one
+                if (
+                    cell.strip() == names[0]
+                    and [one.strip() for one in cells[row * width : (row + 1) * width]] == names
+                ):
+                    cells[row * width : (row + 1) * width] = [""] * width
             if lines:
                 first = lines.rstrip(",")
                 cells = [

@@ -179,6 +179,7 @@ class Xml(NamedTuple):
 XML = (
     Xml("TrainingCenterDatabase", "Trackpoint", "Activity"),  # watches
     Xml("fcd-export", "vehicle"),  # SUMO
+    Xml("Tracks", "detection", "particle"),  # TrackMate
 )
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from typing import Any
 
 from torchfra.readers.columns import short
@@ -10,12 +12,19 @@ from torchfra.readers.formats import JSON, Json
 from torchfra.readers.names import found, places_in
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated, whole_text
 
+_RECORDED = re.compile(rb"[0-9TZ:.-]+\t[^\t\n]+\t\{")
+"""How lines of OwnTracks' recorder begin, of which only what follows is JSON."""
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
 _DEEPEST = 5
 """Objects in another that are looked into."""
+
+
+def is_json(start: bytes) -> bool:
+    """Whether a file that begins so is JSON."""
+    return start[:1] in (b"[", b"{") or _RECORDED.match(start) is not None
 
 
 def json_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -37,38 +46,34 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
     if isinstance(parsed, dict) and isinstance(parsed.get("type"), str) and parsed.keys() & {"features", "geometry"}:
         return _geojson_sheet(parsed)
     several = parsed if isinstance(parsed, list) else [parsed]
-    if several and all(isinstance(one, dict) for one in several):
-        for format in JSON:
-            if all(isinstance(one.get(format.rows), list | None) and format.rows in one for one in several):
-                rows = [row for one in several for row in one[format.rows] or ()]
-                if all(isinstance(row, list) for row in rows):
-                    return _rows_sheet(several, format)
-        if all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
-            fixes = [{"time": _sum(one["now"], -fix.get("seen_pos", 0)), **fix}
-                     for one in several for fix in one["aircraft"]
-                     if isinstance(fix, dict) and "lat" in fix]  # fmt: skip
-            return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
-    return _columns_sheet(parsed) if isinstance(parsed, dict) else records_sheet(_flat(several), ())
-
-
-def _columns_sheet(parsed: dict[str, Any]) -> Sheet:
-    """The columns of an object, which are lists or objects with the same keys; else the only list of records in it."""
-    lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
-    plain = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
-    if len(lists) > 1 and plain and len({len(column) for column in lists.values()}) == 1:
-        return Sheet([*lists], [(len(next(iter(lists.values()))), lists.__getitem__)])
-    columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
-    if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
-        keys = [*next(iter(columns.values()))]
-        return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
-    inner = [name for name, of in lists.items() if of and all(isinstance(one, dict) for one in of)]
-    if len(inner) > 1:
-        raise ValueError(f"expected one list of records, received {', '.join(inner[:5])}: write a row for each fix")
-    return records_sheet(_flat(lists[inner[0]] if inner else [parsed]), ())
+    objects = bool(several) and all(isinstance(one, dict) for one in several)
+    for format in JSON if objects else ():
+        if all(isinstance(one.get(format.rows), list | None) and format.rows in one for one in several):
+            rows = [row for one in several for row in one[format.rows] or ()]
+            if all(isinstance(row, list) for row in rows):
+                return _rows_sheet(several, format)
+    if objects and all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
+        fixes = [{"time": _sum(one["now"], -fix.get("seen_pos", 0)), **fix}
+                 for one in several for fix in one["aircraft"]
+                 if isinstance(fix, dict) and "lat" in fix]  # fmt: skip
+        return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
+    if isinstance(parsed, dict):
+        lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
+        plain = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
+        if len(lists) > 1 and plain and len({len(column) for column in lists.values()}) == 1:
+            return Sheet([*lists], [(len(next(iter(lists.values()))), lists.__getitem__)])
+        columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
+        if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
+            keys = [*next(iter(columns.values()))]
+            return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
+    records, of = _records(parsed)
+    return records_sheet(records, (f"JSON: records in {of}",) if of else ())
 
 
 def _parsed(content: str) -> Any:
     """What JSON says; a list of all records where each line is an object, or a list of some, of its own."""
+    if _RECORDED.match(content[:200].encode()):
+        content = re.sub(r"(?m)^[^{\n]*", "", content)
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:
@@ -87,20 +92,52 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return whole
 
 
-def _flat(several: list[Any]) -> list[dict[str, Any]]:
-    """Objects as records, in which the cells of an object are called ``coords.latitude``."""
-    records = []
+def _records(parsed: Any) -> tuple[list[dict[str, Any]], str]:
+    """The records of parsed JSON, with the target that the objects around them name, and what their list is called.
+
+    They are the objects of a list, or of the only list in objects whose own names say where something was.
+    """
+    lists = [*_lists(parsed, "", {})] if isinstance(parsed, dict) else [("", parsed, {})]
+    every = [(name, _flat_records(records), named) for name, records, named in lists]
+    placed = [one for one in every if places_in({key for record in one[1] for key in record})]
+    if len(placed) > 1 or (not placed and len(every) > 1):
+        raise ValueError(
+            f"expected one list of records, received {', '.join(name for name, *_ in (placed or every)[:5])}: write a "
+            "row for each"
+        )
+    if not every:
+        return _flat_records([parsed]), ""
+    name, records, named = (placed or every)[0]
+    return [named | record for record in records], name
+
+
+def _lists(parsed: dict[str, Any], path: str, named: dict[str, Any]) -> Iterator[tuple[str, list[Any], dict[str, Any]]]:
+    """The lists of objects in an object, with their names and the target that the objects around them name."""
+    named = named | {key: parsed[key] for key in found(parsed, "id")[:1] if isinstance(parsed[key], str | int)}
+    for key, inner in parsed.items():
+        if isinstance(inner, dict) and path.count(".") < _DEEPEST:
+            yield from _lists(inner, f"{path}{key}.", named)
+        elif isinstance(inner, list) and inner and all(isinstance(one, dict) for one in inner):
+            yield f"{path}{key}", inner, named
+
+
+def _flat_records(several: Any) -> list[dict[str, Any]]:
+    """Objects as records; an object in one is its cells, ``coords.latitude``, and a few numbers are ``point.1``."""
+    records, several = [], several if isinstance(several, list) else [several]
     for value in several:
         if not isinstance(value, dict):
             kind = type(value).__name__
             raise ValueError(f"expected a list of records or a table of columns, received {kind} instead of an object")
-        records.append(dict(_cells("", value)))
-    names = {name for record in records for name in record}
+        records.append(record := dict[str, Any]())
+        _add(record, "", value)
+    plain = {name for record in records for name, cell in record.items() if cell is not None}
     for row, record in enumerate(records, 1):
-        if mixed := next((outer for name in record if (outer := name.rpartition(".")[0]) in names), ""):
-            raise ValueError(f"expected a number in data row {row}, column {mixed}, received an object")
+        for name in record:
+            column = name.rpartition(".")[0]
+            if column in plain:  # an object in one record, and not in another
+                raise ValueError(f"expected a number in data row {row}, column {column}, received an object or a list")
     nested = {name for record in records for name, cell in record.items() if _holds_records(cell)}
-    if nested and not places_in(names):
+    if nested and not places_in({name for record in records for name in record}):
         raise ValueError(
             f"expected records with places, received lists of records in them ({', '.join(nested)}): write a row for "
             "each, with the name of its target"
@@ -108,14 +145,17 @@ def _flat(several: list[Any]) -> list[dict[str, Any]]:
     return records
 
 
-def _cells(path: str, value: dict[str, Any]) -> list[tuple[str, Any]]:
-    cells = list[tuple[str, Any]]()
+def _add(record: dict[str, Any], path: str, value: dict[str, Any]) -> None:
+    """Adds the cells of an object to a record; one that should name the target is refused later, as it is no text."""
     for key, cell in value.items():
         name = f"{path}{key}"
-        inner = _cells(f"{name}.", cell) if isinstance(cell, dict) and path.count(".") < _DEEPEST else []
-        names_target = found([name], "id") and not found([of for of, _ in inner], "id")
-        cells += [(name, cell)] if not inner or names_target else inner  # what should name a target is refused later
-    return cells
+        if isinstance(cell, dict) and path.count(".") < _DEEPEST and not (
+                found([name], "id") and not found([f"{name}.{one}" for one in cell], "id")):  # fmt: skip
+            _add(record, f"{name}.", cell)
+        elif isinstance(cell, list) and 2 <= len(cell) <= 4 and all(isinstance(one, int | float) for one in cell):
+            record.update({f"{name}.{i + 1}": one for i, one in enumerate(cell)})
+        else:
+            record[name] = cell
 
 
 def _holds_records(cell: Any) -> bool:

@@ -65,7 +65,7 @@ _LONG = ("x", "y", "z", "altitude", "sigma", "sigma_x", "sigma_y", "sigma_z", "s
 _IN_FRONT = {
     "gps", "gnss", "pos", "position", "location", "loc", "field", "coord", "coords", "coordinate", "coordinates",
     "utm", "enu", "pose", "point", "header", "record", "geo", "transform", "translation", "str", "osd",
-    "fix", "lmt",
+    "attributes", "suunto", "sml", "sample", "fix", "lmt",
 }  # fmt: skip
 """Words that stand in front of a name and add nothing to it."""
 _BEHIND = {"utc", "gmt", "zulu", "local", "utm", "enu", "wgs84"}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from torchfra.readers.columns import HEAD, Array, Head, Kind, word_of
-from torchfra.readers.names import LENGTHS, METRES, found, plain
+from torchfra.readers.names import LENGTHS, METRES, found, name_words, plain
 from torchfra.readers.names import unit as unit_of
 
 RANGE_ERROR = 5.0
@@ -26,6 +27,8 @@ aniMotum (Jonsen et al., 2023).
 """
 _CLASS = Kind("a class of Argos", unit=_OF_A_RADIUS, words=tuple(_CLASSES.items()))
 _ELLIPSE = ("semi_major", "semi_minor", "orientation")
+_COVARIANCE = re.compile(r"(?:(?:field|gps|gnss|fix|pose|position) )*covariance ?(?P<place>[0-9]{1,2}|type)")
+"""Words of names of columns with the entries of a covariance, row by row, as robots write them; and of its type."""
 
 
 class Noise(NamedTuple):
@@ -58,6 +61,15 @@ def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
     return [np.where(known, east, otherwise), np.where(known, north, otherwise)]
 
 
+def roots_of_variances(columns: Sequence[Array]) -> list[Array]:
+    """Standard deviations of variances east, north and up; NaN where a fourth column says 0, of an unknown covariance.
+
+    Source: ROS, sensor_msgs/NavSatFix.
+    """
+    known = columns[3] != 0 if len(columns) == 4 else True
+    return [np.where(known & (variance > 0), np.sqrt(np.abs(variance)), np.nan) for variance in columns[:3]]
+
+
 def noise_of(
     head: Head, asked: Mapping[str, tuple[str, ...]], unit: float, ships: bool, *, stated: bool = False
 ) -> Noise:
@@ -81,6 +93,9 @@ def noise_of(
     axes = [column for axis in "xyz" for column in found(names, f"sigma_{axis}")[:1]]
     if len(axes) >= 2 and "sigma" not in asked:
         return Noise({column: Kind(unit=metres(column, unit)) for column in axes}, (f"sigma: {', '.join(axes)}",))
+    if "sigma" not in asked and (variances := _variances(head)):
+        said = f"sigma: roots of {', '.join(variances[:3])}"
+        return Noise(dict.fromkeys(variances, Kind(unit=unit**2)), (said,), roots_of_variances)
     words = {
         column: {*map(word_of, head.cells(column))} - {""}
         for column in asked.get("argos_class", found(names, "argos_class")[:1])
@@ -106,3 +121,14 @@ def noise_of(
         if "acc" not in name:
             return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))
     return Noise({})
+
+
+def _variances(head: Head) -> list[str]:
+    """Columns of the variances of x, y and z in a covariance of 3 or of 6 rows, and of its type, if these are known."""
+    places = {
+        match["place"]: name for name in head.names if (match := _COVARIANCE.fullmatch(" ".join(name_words(name))))
+    }
+    kinds = [places.pop(kind) for kind in ("type",) if kind in places]
+    rows = next((rows for rows in (3, 6) if places.keys() == {*map(str, range(rows**2))}), 0)
+    columns = [places[str(i * (rows + 1))] for i in range(3)] + kinds if rows else []
+    return columns if all(any(word_of(cell).strip("0.") for cell in head.cells(name)) for name in columns) else []

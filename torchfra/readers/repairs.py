@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
-from torchfra.readers.names import MARKS
+from torchfra.readers.names import MARKS, name_words
 from torchfra.readers.options import AskError
 from torchfra.readers.tables import Table
 from torchfra.readers.times import count_of
@@ -73,7 +73,7 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     if ids is not None:
         ids, down = _filled_down(ids, asked=layout.stated.id is not None)
     members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
-    columns, targets = _Columns(table, layout), []
+    columns, targets = _Columns(table, layout, members), []
     for name, rows in members.items():
         index, repairs = columns.rows_to_keep(rows)
         call = "" if calls is None else next((calls[i] for i in index if calls[i]), "")
@@ -139,12 +139,13 @@ def _check_placeholders(several: Mapping[str, Array], stated: str | None) -> Non
 class _Columns:
     """The columns of a table by what they hold."""
 
-    def __init__(self, table: Table, layout: Layout) -> None:
+    def __init__(self, table: Table, layout: Layout, members: Mapping[str, NDArray[np.intp]]) -> None:
         def column(*roles: str) -> Array:
             return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
         self.layout, self.table, self.clock = layout, table, layout.clock
         self.time = layout.clock.whole(table.column(layout.clock.column))
+        self.carried = self._carry_on_together(members.values())
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
         null = (self.first == 0) & (self.second == 0)
@@ -175,6 +176,18 @@ class _Columns:
         """Moments of the updates of positions: seconds since 1970, or milliseconds."""
         return np.where(self.update > 1e11, self.update / 1e3, self.update)
 
+    def _carry_on_together(self, members: Iterable[NDArray[np.intp]]) -> NDArray[np.bool_]:
+        """Carries counts that begin anew on for all targets at once, where rows are in order; returns which rows.
+
+        A target alone may have no row before midnight.  Rows of one target behind those of another begin anew too.
+        """
+        rows, carried = np.flatnonzero(np.isfinite(self.time)), np.zeros(len(self.time), dtype=bool)
+        mixed = any((np.diff(of) != 1).any() for of in members)
+        if mixed and (np.diff(together := self.clock.going_on(self.time[rows])) >= 0).all():
+            carried[rows] = together != self.time[rows]
+            self.time[rows] = together
+        return carried
+
     def _times_of_positions(self) -> NDArray[np.bool_]:
         """Rows ``(rows,)`` whose position is of the moment of its update, as state vectors of OpenSky have it.
 
@@ -196,7 +209,11 @@ class _Columns:
 
         repairs["times taken from the update of the position"] = int(self.sent[rows].sum())
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
-        self._check_order(index)
+        time = self.clock.going_on(self.time[index])
+        changed = self.carried[index] | (time != self.time[index])
+        repairs["times carried on where the count begins anew"] = int(changed.sum())
+        self.time[index] = time
+        self._check_count_down(time)
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
@@ -262,38 +279,25 @@ class _Columns:
         finest = unit / 10 ** (digits.index(True) if True in digits else 9)
         return bool(np.median(np.abs(np.diff(places, axis=0)).max(1)) > _FAR * finest)
 
-    def _check_order(self, index: NDArray[np.intp]) -> None:
-        """Refuses a count without dates that begins anew or goes down: its pieces would be mixed or reversed.
-
-        So do loggers that are started again, seconds of a day or of a week, and the clocks of games, which count down.
-        """
-        time, steps = self.time[index], np.diff(self.time[index])
-        falls, ago = int((steps < 0).sum()), np.maximum.accumulate(time) - time
-        anew = 0 < falls <= _RARELY * len(time) and ago.max() > np.ptp(time) / 2
-        if self.dated or len(time) < _ENOUGH or not (anew or falls > 2 * (steps > 0).sum()):
-            return
-        raise AskError(
-            f"expected times that go on, received ones that go back by {ago.max():g} s up to data row "
-            f"{index[ago.argmax()] + 1}, column {self.clock.column}, as of a logger that was started again, seconds "
-            "of a day or a week, or a clock that counts down: write dates, name another column, or one that tells "
-            "pieces apart, such as ", *self.layout.other_ids,
-        )  # fmt: skip
-
     def _check_restart(self, time: Array, index: NDArray[np.intp], order: NDArray[np.intp]) -> None:
-        """Refuses dated times that begin anew while rows go on: ordered, rows of several targets would be mixed."""
+        """Refuses times that begin anew while rows go on: ordered, pieces of one track, or several, would be mixed."""
         back = np.flatnonzero(np.diff(time) < 0)
         mixed = np.count_nonzero(np.diff(order) != 1)
-        if not (self.dated and 0 < len(back) <= _RARELY * len(time) and mixed > _MIXED * len(back)):
+        if not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
             return
 
         def usual(rows: NDArray[np.intp]) -> float:
             return float(np.median(np.hypot(np.diff(self.first[rows]), np.diff(self.second[rows]))))
 
-        if usual(index[order]) > _APART * usual(index):  # the rows are no pieces of one path
+        if usual(index[order]) > (_APART if self.dated else 1) * usual(index):  # the rows are no pieces of one path
+            cause = (
+                "rows of another target, or a clock that is put back"
+                if self.dated
+                else "a logger that was started again"
+            )
             raise AskError(
                 f"expected times that go on, received ones that begin anew in data row {index[back[0] + 1] + 1}, "
-                f"{self.clock.column}, as of rows of another target, or a clock that is put back: name another column, "
-                "or one that tells pieces apart, such as ",
+                f"{self.clock.column}, as of {cause}: name another column, or one that tells pieces apart, such as ",
                 *self.layout.other_ids,
             )
 
@@ -311,8 +315,18 @@ class _Columns:
             )
         if not self.clock.sure and (steps > _DAYS).any() and steps.min() < -_DAYS:
             raise AskError(f"expected days that go on, received leaps to and fro {where}, as where a spreadsheet has "
-                           "turned days and months round: write all such as 2024-05-06 10:31; or they are right: ",
+                           "turned "
+                           "days and months round: write all such as 2024-05-06 10:31; or they are right: ",
                            {"time_format": self.clock.form})  # fmt: skip
+
+    def _check_count_down(self, time: Array) -> None:
+        """Refuses the clock of a game, which counts down, as times: velocities would point backwards."""
+        words = {"clock", "remaining", "left", "countdown"} & {*name_words(self.clock.column)}
+        if words and not self.dated and (np.diff(time) < 0).sum() > 2 * (np.diff(time) > 0).sum():
+            raise ValueError(
+                f"column {self.clock.column}: expected times that go on, received a clock that counts down: name "
+                "another column by the option time, or write seconds since the start"
+            )
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
         """Refuses rows of several targets in one: many have the time of another row and another position."""

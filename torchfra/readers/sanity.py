@@ -10,7 +10,7 @@ from torchfra.readers.layouts import Layout
 from torchfra.readers.names import unit
 from torchfra.readers.options import AskError, listed
 from torchfra.readers.recording import Recording
-from torchfra.readers.times import SINCE_1970, UNITS, per_second
+from torchfra.readers.times import SINCE_1970, STARTS, UNITS, per_second
 from torchfra.tables import plural
 
 _TOO_MANY = 0.2
@@ -123,6 +123,11 @@ def _cause(recording: Recording, layout: Layout) -> tuple[str | dict[str, str], 
     if layout.degrees and _USUAL[0] < speed / 111_000 < _USUAL[1] / 10 and (now or form):
         lat, lon = layout.columns["latitude"], layout.columns["longitude"]
         causes += [f"; {lon} and {lat} move as metres do, not degrees: ", {"x": lon, "y": lat}]
+    if form == "seconds" and not layout.clock.dated:
+        for days in ("excel", "mjd", "matlab", "jd"):
+            start = -STARTS[days][1] / 86_400
+            if start + 3652 < recording.time[0] and recording.time[-1] < start + 29_220:
+                return f"column {column} looks like {days} days: say ", {"time_format": days}
     for other in SINCE_1970 if now else ():
         seconds = (recording.time[-1] - recording.time[0]) * now / UNITS[other]
         if UNITS[other] != now and _USUAL[0] < speed * UNITS[other] / now < _USUAL[1] and seconds >= _SHORTEST:

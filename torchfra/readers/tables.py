@@ -16,13 +16,13 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from torchfra.readers.arrow_files import arrow_sheet, is_arrow
-from torchfra.readers.binary_files import fit_sheet, is_workbook, workbook_text
+from torchfra.readers.binary_files import fit_sheet, is_workbook, npy_sheet, workbook_text
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
 from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import csv_sheet
 from torchfra.readers.formats import format_of
 from torchfra.readers.igc_files import igc_sheet, is_igc
-from torchfra.readers.json_files import json_sheet
+from torchfra.readers.json_files import is_json, json_sheet
 from torchfra.readers.names import plain
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import AskError, ReadOptions, listed, named
@@ -41,8 +41,6 @@ _NO_TEXTS = (
         0,
         "a pickle of Python, which may run anything: write CSV by to_csv, or hand what is in it to torchfra.clean",
     ),
-    (b"\x93NUMPY", 0, "an array of numpy: hand it to torchfra.clean as (time, position), or write CSV by np.savetxt"),
-    (b"ARROW1", 0, "Feather: write Parquet"),
     (b"#ROSBAG", 0, "a bag of ROS: export its topic as CSV, such as by rostopic echo -p"),
     (b"SQLite format 3", 0, "a data base of SQLite: export its table as CSV"),
     (b"MATLAB", 0, "a file of Matlab: write a table as CSV"),
@@ -101,10 +99,12 @@ def read_table(
         start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
         if is_igc(start, suffix):
             return igc_sheet(file, max_bytes, encoding)
-        if suffix in (".json", ".geojson") or start[:1] == b"{" or (start[:1] == b"[" and suffix != ".csv"):
+        if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and is_json(start)):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
-            return arrow_sheet(path, max_bytes)
+            return arrow_sheet(path, start, max_bytes)
+        if start.startswith(b"\x93NUMPY"):
+            return npy_sheet(file, options, max_bytes)
         if start[8:12] == b".FIT":
             return fit_sheet(file)
         if is_workbook(start, suffix):

@@ -11,11 +11,15 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from torchfra.readers.columns import short
+from torchfra.readers.columns import DECIMAL, short
 from torchfra.readers.formats import XML, Xml
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, whole_text
 from torchfra.running.optional import optional
 
+_NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
+"""Those of a GPX file, which gpxpy reads as Python does."""
+_PREFIX = re.compile(r"<([\w.-]+):gpx\b")
+"""Of the names of GPX where it has no default namespace."""
 _COLUMNS = ("time", "latitude", "longitude", "altitude", "id", "hdop")
 Point = tuple[Any, ...]
 """The cells of a fix, in the order of ``_COLUMNS``."""
@@ -63,6 +67,10 @@ def _elements_sheet(tree: ElementTree.Element, format: Xml) -> Sheet:
             add(inner, known)
 
     add(tree, {})
+    if "frameInterval" in tree.attrib:  # of TrackMate, whose times are numbers of frames
+        unit, renamed = tree.get("spaceUnits", ""), {"t": "frame"}
+        renamed |= {axis: f"{axis} ({unit})" for axis in "xyz"}
+        records = [{renamed.get(name, name): value for name, value in record.items()} for record in records]
     degrees = {"LatitudeDegrees": "latitude", "LongitudeDegrees": "longitude", "AltitudeMeters": "altitude"}
     records = [{degrees.get(name, name): value for name, value in record.items()} for record in records]
     if len({record.get("id") for record in records}) == 1 and format.target:
@@ -99,6 +107,12 @@ def _checked_root(text: str) -> str:
 
 def _gpx_sheet(text: str) -> Sheet:
     gpxpy = optional("gpxpy", "GPX", "formats")
+    if prefix := _PREFIX.search(text):  # gpxpy knows names without one
+        text = re.sub(rf"(</?){re.escape(prefix[1])}:", r"\1", text)
+    for match in _NUMBERS.finditer(text):
+        value = match[2] if match[1] else match[4]
+        if (bare := value.strip()) and not DECIMAL.fullmatch(bare):
+            raise ValueError(f"expected a number as {match[1] or match[3]}, received {short(value)}")
     try:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:

@@ -35,7 +35,7 @@ def add_jobs_option(
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Lets torch work in one thread, for operations so small that several would only wait for each other."""
-    import torch  # which takes a second
+    import torch  # which takes a second, and which ``prepare`` does without
 
     before = torch.get_num_threads()
     if before == 1:  # as in a thread that began while another was in here, whose number is not restored by this one
