@@ -413,9 +413,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--again", metavar="FILE", help="only the survivors that --json wrote to a file")
     parser.add_argument("--json", metavar="FILE", help="write the figures and the survivors to a file")
     options = parser.parse_args(argv)
+    there = {path.stem.removeprefix("test_"): str(path.relative_to(ROOT)) for path in ROOT.glob("tests/*/test_*.py")}
+    if missing := [name for name in options.tests if name not in there]:
+        parser.error(f"tests: expected files test_NAME.py in the folders of tests, received {', '.join(missing)}")
     os.environ["OMP_NUM_THREADS"] = "1"
     os.chdir(ROOT)
-    files = [str(next(Path("tests").glob(f"*/test_{name}.py"))) for name in options.tests]
+    files = [there[name] for name in options.tests]
     plugins = [f"-pno:{name}" for name in ("terminal", "logging", "cacheprovider", "xdist")]
     given = [*files, "-m", "not slow", "-o", "addopts=--strict-markers", *plugins]
     return int(pytest.main(given, plugins=[Mutants(options)]))

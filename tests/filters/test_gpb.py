@@ -463,3 +463,13 @@ def walk(x):
 def test_another_word_is_refused():
     with pytest.raises(ValueError, match=r"noise: expected one of \('stated', 'learned'\), received 'known'"):
         presets.gpb(MOTION, RANGES, noise="known")
+
+
+def test_gradients_are_finite_where_outliers_never_come():
+    never = ((1.0, 0.0), (1.0, 0.0))
+    f = presets.gpb(ConstantVelocity(0.01), Position(2.0), outlier_transition=never, learn="all").double()
+    z = torch.zeros(1, 6, 2, dtype=torch.float64)
+    z[:, 3] += 40.0
+    f(z, Gaussian(torch.zeros(4).double(), torch.eye(4).double()), dt=1.0).log_likelihood.sum().backward()
+    wrong = [name for name, x in f.named_parameters() if x.grad is not None and not bool(x.grad.isfinite().all())]
+    assert not wrong

@@ -234,7 +234,7 @@ def cost(
         return 0.0, 0.0
     whole = np.zeros(len(z))
     whole[measured] = np.linalg.solve(np.linalg.cholesky(measurement_noise(model, k, measured)), e)
-    rare = -math.log(max(transition[:, 1]))
+    rare = -math.log(max(*transition[:, 1], 1e-12))
     total = least = 0.0
     for block in q.blocks:
         count, square = sum(i in measured for i in block), (whole[block] ** 2).sum()

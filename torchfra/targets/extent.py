@@ -111,8 +111,8 @@ class Extent(nn.Module):
         one, other = missed[part], missed[hull]
         said = (
             torch.xlogy((1 - one) * (1 - other), P / self.both)
-            + (one * (1 - other) + (1 - one) * other) * torch.log(2 * (1 - P) / (1 - self.both))
-            + one * other * torch.log1p(-P)
+            + torch.xlogy(one * (1 - other) + (1 - one) * other, 2 * (1 - P) / (1 - self.both))
+            + torch.special.xlog1py(one * other, -P)
         )
         scans = torch.zeros_like(scans).index_put((part,), torch.exp(-dt[part] / self.seconds) * scans[part] + said)
         whole = scans[part] + self.log_odds(motion, belief, pairs)

@@ -243,7 +243,7 @@ class Outliers(Part):
                 log.
         """
         begins, lasts = self._probabilities(measured, relaxation)
-        rare = -safe_log(torch.maximum(begins, lasts))
+        rare = -torch.maximum(begins, lasts).clamp_min(NEVER).log()
         squares, counts = self._by_block(residual.square()), self._by_block(measured)
         squares = squares.clamp(max=torch.finfo(squares.dtype).max)
         log_density = self._log_outlying(squares, counts) + 0.5 * (1 + expected).unsqueeze(-1) * counts

@@ -330,9 +330,10 @@ class Regimes(Part):
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
         A jump and a burst of equal outliers are the same until the burst ends.  With its own density it is as rare as
-        ``burst + 1 - SOONER`` outliers: whatever the size, it is less likely than outliers at the last measurement of
-        the longest burst, and more likely at the next one.  What it will have lost by then is given before, where a
-        measurement is beyond the least of outliers (nearer by, the target need not have jumped).
+        ``burst + 1 - SOONER`` outliers: it is less likely than outliers at the last measurement of the longest burst,
+        and more likely at the next one, unless the tail of the agile level is likelier than both.  What it will have
+        lost by then is given before, where a measurement is beyond the least of outliers (nearer by, the target need
+        not have jumped).
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
