@@ -182,7 +182,7 @@ def _rotations(way: _Update) -> Callable[[Tensor], Tensor]:
         start = a.shape[-1] - (a.shape[-2] - measured)
         first = a[..., :measured, :start]
         first = tria(_behind_unit(first, measured) if way.unit else first)
-        first = torch.cat([first, torch.zeros_like(a[..., measured:, :measured])], -2)
+        first = pad(first, (0, 0, 0, a.shape[-2] - measured))
         rows = [list(row.unbind(-1)) for row in torch.cat([first, a[..., start:]], -1).unbind(-2)]
         for k in range(measured):
             for j in reversed(range(measured, measured + reads)):

@@ -232,7 +232,8 @@ class Outliers(Part):
         """Log ``(...)`` of how much less likely a measurement is as outliers in bursts than as stated, and its least.
 
         Each block is whichever is likelier.  Of more elements than tell a place it is the share of so many.  It is at
-        least that of outliers of ``LEAST_OUTLIER`` in all elements, and 0 without a measurement.
+        least that of outliers of ``LEAST_OUTLIER`` in all elements, 0 without a measurement, and infinite where no
+        number holds the square of a residual.
 
         Args:
             residual: ``(..., m)`` of a prediction, in units of the noise.
@@ -245,6 +246,7 @@ class Outliers(Part):
         begins, lasts = self._probabilities(measured, relaxation)
         rare = -torch.maximum(begins, lasts).clamp_min(NEVER).log()
         squares, counts = self._by_block(residual.square()), self._by_block(measured)
+        held = (squares < torch.inf).all(-1)
         squares = squares.clamp(max=torch.finfo(squares.dtype).max)
         log_density = self._log_outlying(squares, counts) + 0.5 * (1 + expected).unsqueeze(-1) * counts
         total = torch.minimum(0.5 * squares, rare - log_density).sum(-1)
@@ -252,7 +254,7 @@ class Outliers(Part):
         least = least + 0.5 * measured.shape[-1] * (math.log(LEAST_OUTLIER) - EXPECTED)
         elements, least = measured.sum(-1), least * min(1.0, dims / measured.shape[-1])
         total = torch.maximum(total * (dims / elements.clamp_min(dims)), least)
-        return torch.where(elements > 0, total, 0.0), least
+        return torch.where(elements > 0, torch.where(held, total, torch.inf), 0.0), least
 
     def _by_block(self, elements: Tensor) -> Tensor:
         """Sums ``(..., B)`` over the elements ``(..., m)`` of each block."""

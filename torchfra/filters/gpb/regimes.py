@@ -344,8 +344,11 @@ class Regimes(Part):
         """
         if not self.jump_count:
             return -cost
+        held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
+        cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
         burst, given = self.burst(cost) - SOONER, jumped.own - cost + jumped.lost - first
-        return torch.where(cost > 0, beyond.clamp(0.0, 1.0) * given - cost * burst, 0.0)
+        rarity = torch.where(cost > 0, beyond.clamp(0.0, 1.0) * given - cost * burst, 0.0)
+        return torch.where(held, rarity, -torch.inf)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
