@@ -57,9 +57,11 @@ def test_reproduce_writes_results_and_the_papers_figures(tmp_path):
     assert result["experiment"] == "bearings-outliers"
     expected = {"rmse_position", "rmse_velocity", "mean_rmse_position", "median_error_position", "divergence_rate",
                 "relative_time"}  # fmt: skip
-    for figures in result["filters"].values():
+    for name, figures in result["filters"].items():
         assert expected <= figures.keys()
         assert len(figures["rmse_position"]) == STEPS
+        assert result["windows"]["position"][name] == {"1-20 s": pytest.approx(np.mean(figures["rmse_position"]))}
+        assert all(0 <= share <= 1 for share in result["shares"][name].values())
     assert [path.stem.split("-")[:2] for path in sorted(tmp_path.glob("*.png"))] == [["wang", n] for n in "2345"]
 
 

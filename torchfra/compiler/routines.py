@@ -58,7 +58,7 @@ def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[
     }
     others = [k for k, routine in enumerate(made) if routine is None]
     if others:  # written out
-        parts = (Entries(book, row[others].reshape(-1, *event), x.dtype)
+        parts = (Entries(book, row[others].reshape(len(others), *event), x.dtype)
                  for x, row, event in zip(args, rows, events, strict=True))  # fmt: skip
         leaves = [as_entries(book, x) for x in tree.flatten(function(*parts))]
         flat = torch.cat([x.ids.reshape(len(others), -1) for x in leaves], -1)
