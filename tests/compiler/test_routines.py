@@ -103,6 +103,21 @@ def test_what_is_zero_for_all_is_not_computed_and_what_is_not_has_a_routine_of_i
     assert entry_ids(again) == entry_ids(roots)
 
 
+def test_what_is_too_short_for_a_call_is_written_out_in_its_place_beside_the_others():
+    book = Expressions()
+    ids = Entries.inputs(book, (4, 4, 8), torch.float64).ids.clone()
+    first = int(ids[2, 0, 0])
+    ids[1:3] = 0
+    ids[2, 0, 0] = first
+    matrices, empty = (Entries(book, x, torch.float64) for x in (ids, ids[..., :0]))
+    products = called_for_each(lambda a, _: a @ a.mT, (2, 2), (matrices, empty))
+    assert products.shape == (4, 4, 4)
+    assert len(book.calls) == 2
+    assert (products.ids[[0, 3]] != 0).all()
+    assert (products.ids[1] == 0).all()
+    assert (products.ids[2] != 0).nonzero().tolist() == [[0, 0]]
+
+
 def test_a_step_at_the_limit_can_still_be_simplified_and_differentiated(monkeypatch):
     def advance(module, state, data):
         (x,) = state
