@@ -122,6 +122,18 @@ def test_a_hull_is_not_ended_while_its_part_is_measured(odds, missed, kept):
     assert torch.equal(after.identity, track.identity)
 
 
+def test_a_sensor_that_never_misses_leaves_odds():
+    """Of two targets side by side both are measured: none of what a detection of 1 excludes has a share."""
+    targets = manager()
+    state = run(targets, scans(beside(15.0), 0, 20))[-1]
+    hull, zero = state.track.identity[0], torch.zeros(2).double()
+    track = state.track._replace(beside=Beside(torch.tensor([-1, hull]), zero, zero))
+    never = torch.full((2,), -torch.inf, dtype=torch.float64)
+    one = torch.ones((), dtype=torch.float64)
+    after = Extent().weighed(targets.filter.motion, state.belief, track, never, one, zero + 1.5)
+    assert after.beside.odds.isfinite().all()
+
+
 def test_a_target_of_one_scene_is_no_part_of_one_in_another():
     targets = manager()
     z = torch.stack([torch.from_numpy(x) for x in scans(beside(15.0), 0, 16, lambda rng, k: (True, True))])
