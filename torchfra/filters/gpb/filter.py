@@ -18,7 +18,6 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
-    batch_first,
     estimate,
     from_state,
     merge,
@@ -241,11 +240,11 @@ class GPB(Filter[GPBState]):
 
         # The record: for the estimate, and for the backward pass.
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
-        by_regime = batch_first(posterior.probability.sum((OUTLIER, BEFORE), keepdim=True), MOTION)
+        by_regime = posterior.probability.sum((OUTLIER, BEFORE)).movedim(0, -1)
         variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
         info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
-        ratio = None if log_ratio is None else batch_first(log_ratio[:, :, 1:], MOTION)
-        by_belief = Surprise(*(batch_first(x, BEFORE) for x in surprise))
+        ratio = None if log_ratio is None else log_ratio[0, :, 1].movedim(0, -1)
+        by_belief = Surprise(*(x[0, 0].movedim(0, -1) for x in surprise))
         seen = measured.to(widening).expand_as(widening)
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
         past = GPBPast(*kept, by_belief, widening, rarity, seen, relaxation, ratio)
@@ -268,7 +267,7 @@ class GPB(Filter[GPBState]):
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
-        stayed, ended, restarted = (self.regimes.by_belief(x) for x in switching[:3])
+        stayed, ended, restarted = self.regimes.by_belief(tree.stack(switching[:3], 0), MOTION + 1)
         total = stayed + restarted
         origin = safe_divide(ended, ended.sum(MOTION, keepdim=True))
         own = torch.where(total > 0, safe_divide(stayed, total), 1.0)  # without any weight a belief stays as it is
@@ -296,19 +295,21 @@ class GPB(Filter[GPBState]):
             factor ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
         """
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
-        agile = self.regimes.agile_prediction(propagated)
+        wide = self.regimes.agile_prediction(propagated)
+        agile = wide._replace(scale_tril=tria(wide.scale_tril))
         compared = self.compare(self.read(agile), frame)
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        jumped = self.regimes.jumped(propagated, agile, compared, nis, frame, self.motion)
+        widths = self.regimes.widths(wide, nis, self.motion)
+        jumped = self.regimes.jumped(propagated, agile, compared, widths, frame, self.motion)
         cost, least = self.outliers.cost(
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
         first = self.outliers.first_rarer(frame.measured, relaxation)
         rarity = self.regimes.rarity(cost, cost - least, first, jumped)
         surprise = Surprise(nis, rarity, cost)
-        mean, root = self.regimes.predictions(propagated, nis, self.motion)
+        mean, root = self.regimes.predictions(propagated, nis, widths)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
@@ -377,7 +378,7 @@ class GPB(Filter[GPBState]):
         inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
         rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
         both, jumps = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1), self.regimes.jump_count
-        others = len(self.regimes.motion_of) - jumps
+        others = len(self.regimes.each) - jumps
         return torch.cat([both] * others + [torch.ones_like(both)] * jumps, MOTION) if jumps else both
 
     def update(

@@ -111,7 +111,8 @@ def merge(
         triangular: as in ``gaussian.mixture.matched``.
     """
     mean, root = _merged(belief, roots, axes, angles, triangular)
-    return Gaussian(_reinserted(mean, axes), _reinserted(root, axes))
+    again = tuple([None if axis in axes else slice(None) for axis in range(max(axes) + 1)])
+    return Gaussian(mean[again], root[again])
 
 
 def _merged(
@@ -193,42 +194,22 @@ def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], coun
         axes: the axes of hypotheses that these two dimensions become.
         count: number of axes of hypotheses.
     """
-    order = (0, 1) if axes[0] < axes[1] else (1, 0)
-    others = [axis for axis in range(count) if axis not in axes]
-    mean, root, log_weight = (
-        _reinserted(x.movedim((-2 - event, -1 - event), order), others)
-        for x, event in ((belief.mean, 1), (belief.scale_tril, 2), (log_weight, 0))
-    )
-    return Hypotheses(Gaussian(mean, root), log_weight)
+    others = (None,) * (count - 2)
+    mean, root = belief.mean[others].movedim((-3, -2), axes), belief.scale_tril[others].movedim((-4, -3), axes)
+    return Hypotheses(Gaussian(mean, root), log_weight[others].movedim((-2, -1), axes))
 
 
 def to_state(every: Hypotheses, axes: tuple[int, int], count: int = 3) -> Hypotheses:
     """The inverse of ``from_state``; all other axes must have size 1."""
-    (mean, root), log_weight = every
-    belief = Gaussian(_behind(mean, axes, count, 1), _behind(root, axes, count, 2))
-    return Hypotheses(belief, _behind(log_weight, axes, count, 0))
+    (mean, root), others = every.belief, (0,) * (count - 2)
+    belief = Gaussian(mean.movedim(axes, (-3, -2))[others], root.movedim(axes, (-4, -3))[others])
+    return Hypotheses(belief, every.log_weight.movedim(axes, (-2, -1))[others])
 
 
-def batch_first(values: Tensor, axis: int) -> Tensor:
-    """Values that differ along one of three axes alone, with that axis last: ``(..., R)`` or ``(..., 2)``."""
-    return _behind(values, (axis,), 3, 0)
+def values_first(values: Tensor, rank: int, count: int = 1) -> Tensor:
+    """Values ``(..., C)`` of tracks as ``(C, ...)`` with ``rank`` dimensions after ``C``, the last for tracks.
 
-
-def values_first(values: Tensor, rank: int) -> Tensor:
-    """Values ``(..., C)`` of tracks as ``(C, ...)`` with ``rank`` dimensions after ``C``, the last for tracks."""
-    values = values.movedim(-1, 0)
-    return values.reshape(values.shape[:1] + (1,) * (rank + 1 - values.dim()) + values.shape[1:])
-
-
-def _behind(x: Tensor, axes: Sequence[int], count: int, event: int) -> Tensor:
-    """Moves some of the ``count`` axes behind the batch, in front of the event; the others, of size 1, are dropped."""
-    end = x.dim() - event
-    x = x.movedim(tuple(axes), tuple(range(end - len(axes), end)))  # the others stay in front
-    return x.reshape(x.shape[count - len(axes) :])
-
-
-def _reinserted(x: Tensor, axes: Sequence[int]) -> Tensor:
-    """Inserts axes of size 1, in the place of those that a sum has taken away."""
-    for axis in sorted(axes):
-        x = x.unsqueeze(axis)
-    return x
+    With ``count`` dimensions of values, all of them come first.
+    """
+    values = values.movedim(tuple(range(-count, 0)), tuple(range(count)))
+    return values.reshape(values.shape[:count] + (1,) * (rank + count - values.dim()) + values.shape[count:])

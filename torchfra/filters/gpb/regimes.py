@@ -37,6 +37,19 @@ MANOEUVRE_NIS = 30.0
 """Normalised innovation squared beyond which the weight of a manoeuvre falls with its size."""
 
 
+class Regime(NamedTuple):
+    """What a regime has, by index; regimes may share any of it."""
+
+    motion: int
+    """Of the bank."""
+    belief: int
+    """From which it predicts, and into which it is merged after the step."""
+    level: int
+    """Of the process noise; as many as there are levels for noise as the motion states it."""
+    entry: int
+    """Of self-transition probabilities or sojourn times, and of the restart distribution."""
+
+
 class Surprise(NamedTuple):
     """How far a measurement is from its prediction by the agile level, which manoeuvres and jumps scale with."""
 
@@ -154,24 +167,26 @@ class Regimes(Part):
         calm = sum(level == i for i, level in enumerate(own))  # lower than all others
         self.vertical, self.climb_count = tuple(vertical), calm if vertical else 0
         scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
-        self.motion_of = (0,) * self.level_count + tuple(range(1, motions)) + (0,) * (self.climb_count + scaled)
-        """The index of each regime's motion."""
-        self.beliefs = motions + len(own) + self.climb_count
-        """The number of beliefs, ``S``."""
-        levels_own = (motions + own.index(i) if i in own else 0 for i in range(self.level_count))
-        climbs = range(motions + len(own), self.beliefs)
-        self.belief_of = (*levels_own, *range(1, motions), *climbs, *(0,) * scaled)
+        levels_own = {level: motions + i for i, level in enumerate(own)}  # beliefs
+        entry_of_motion = [self.level_count + (0 if self.by_kind else k) for k in range(motions - 1)]
+        last = (kinds if self.by_kind else count) - scaled
+        self.each = (
+            *(Regime(0, levels_own.get(i, 0), i, i) for i in range(self.level_count)),
+            *(Regime(k, k, self.level_count, entry) for k, entry in enumerate(entry_of_motion, 1)),
+            *(Regime(0, motions + len(own) + i, i, i) for i in range(self.climb_count)),
+            *(Regime(0, 0, self.level_count - 1, last + i) for i in range(scaled)),
+        )
+        """The regimes."""
+        self.belief_of = tuple(regime.belief for regime in self.each)
         """The index of each regime's belief."""
+        self.beliefs = max(self.belief_of) + 1
+        """The number of beliefs, ``S``."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
         """The indices of the first belief's regimes."""
         self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
         """The index of the only regime of each other belief."""
-        others = [self.level_count] * (motions - 1) if self.by_kind else range(self.level_count, count - scaled)
-        last = (kinds if self.by_kind else count) - scaled
-        self.kind_of = (*range(self.level_count), *others, *range(self.climb_count), *range(last, last + scaled))
+        self.entries = tuple(regime.entry for regime in self.each)
         """The index of each regime's values."""
-        self.sharing = tuple(float(self.kind_of.count(kind)) for kind in self.kind_of)
-        """The number of regimes that share each regime's entry of the restart distribution."""
         self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
@@ -190,8 +205,7 @@ class Regimes(Part):
     @once
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
-        odds = self._by_regime(self.restart(like), like.dim() - 1)
-        odds = odds / as_tensor(self.sharing, odds).reshape(-1, *(1,) * (odds.dim() - 1))
+        odds = self._by_regime(self.restart(like), like.dim() - 1) / self._sharing(like)
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
     def initial_distribution(self, like: Tensor) -> Tensor:
@@ -228,6 +242,12 @@ class Regimes(Part):
         return torch.where(dt == 0, 1.0, stay), torch.where(measured, restart, safe_divide(others, share))
 
     @once
+    def _sharing(self, like: Tensor) -> Tensor:
+        """The number ``(R, ...)`` of regimes that share each regime's entry of the restart distribution."""
+        sharing = as_tensor([float(self.entries.count(entry)) for entry in self.entries], like)
+        return sharing.reshape(-1, *(1,) * (like.dim() - 1))
+
+    @once
     def _stay(self, like: Tensor) -> Tensor:
         """Self-transition probabilities ``(R, ...)`` of a step, for ``like (R, ...)``."""
         return self._by_regime(self.self_transition(like), like.dim() - 1)  # type: ignore[misc]  # there is one
@@ -235,8 +255,8 @@ class Regimes(Part):
     @once
     def _other_motions(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """The restart distribution without the first motion's regimes, ``(R, ...)``, and its sum ``(...)``."""
-        other = torch.tensor([k > 0 for k in self.motion_of], device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
-        others = torch.where(other, self.restart_distribution(like), 0.0)
+        other = torch.tensor([regime.motion > 0 for regime in self.each], device=like.device)
+        others = torch.where(other.reshape(-1, *(1,) * (like.dim() - 1)), self.restart_distribution(like), 0.0)
         return others, others.sum(0)
 
     def continuous(self, like: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
@@ -254,11 +274,10 @@ class Regimes(Part):
             present = as_tensor([float(k != self.level_count) for k in range(restart.shape[-1])], restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
-        ended = (transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)).clamp_min(
-            0.0
-        )
-        each = [ended[..., kind] / sharing for kind, sharing in zip(self.kind_of, self.sharing, strict=True)]
-        return self._by_regime(lasts, rank), torch.stack([self._by_regime(x, rank) for x in each])
+        of_kinds = transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)
+        ended = values_first(of_kinds.clamp_min(0.0).mT, rank, 2)  # [now, was, ...]
+        ended = taken(taken(ended, self.entries, 0), self.entries, 1) / self._sharing(like).unsqueeze(1)
+        return self._by_regime(lasts, rank), ended
 
     def switch(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Switching:
         """How regimes with log weights ``(1, R, 2, ...)`` switch between two steps ``dt (...)`` seconds apart.
@@ -293,27 +312,25 @@ class Regimes(Part):
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
     def jumped(
-        self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, frame: Frame, motion: Motion
+        self, propagated: Propagated, agile: Gaussian, compared: Whitened, widths: Tensor, frame: Frame, motion: Motion
     ) -> Jumped:
         """What a jump costs by itself, in the step in which it comes and after it.
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
-            agile: ``(1, 1, 2, ..., n)`` prediction by the agile level.
+            agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, with a lower root.
             compared: the measurement compared with it.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by that prediction.
+            widths: from ``widths``.
             frame: of the step.
-            motion: as in ``predictions``.
+            motion: as in ``widths``.
         """
-        position = range(motion.size)[motion.position]
         stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]).square().sum(-1)
-        here = self._chosen(position, stated)
-        place, before = ((here * x).sum(-1) for x in (agile.scale_tril.square().sum(-1), stated))
+        place, before = (x[..., motion.position].sum(-1) for x in (agile.scale_tril.square().sum(-1), stated))
         seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
         expected = safe_divide(seen * safe_divide(before, place), count).log1p().clamp(max=EXPECTED)
         if not self.jump_count:
             return Jumped(expected, torch.zeros_like(seen), torch.zeros_like(seen))
-        widths = self._widths(propagated, nis, motion)[:, -1:]
+        widths = widths[:, -1:]
         # The diagonal of the root: what a component varies by where those before it are known, as after a measurement.
         variances = (widths * agile.scale_tril).diagonal(dim1=-2, dim2=-1).square()
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
@@ -321,9 +338,9 @@ class Regimes(Part):
             enough = told * safe_divide(_told(order, self.burst(seen) + 1), frame.dt ** (2 * order))
             known = torch.where((seen > 0).unsqueeze(-1), torch.maximum(stated, enough.unsqueeze(-1)), variances)
             less = 0.5 * safe_divide(variances, known).clamp_min(1.0).log()
-            lost = lost + (self._chosen(components, less) * less).sum(-1)
+            lost = lost + sum(less[..., i] for i in components)
         free = count.clamp(1.0, motion.dims)
-        wider = widths[..., position.start, 0].square() * seen / free
+        wider = widths[..., motion.position.start or 0, 0].square() * seen / free
         return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost)
 
     def rarity(self, cost: Tensor, beyond: Tensor, first: Tensor, jumped: Jumped) -> Tensor:
@@ -371,24 +388,20 @@ class Regimes(Part):
         share = safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
         jumps = log_sum(log_weight, MOTION).unsqueeze(MOTION) + share + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, chain, jumps)  # without a measurement the chain goes on as it is
-        return torch.cat([others.narrow(MOTION, 0, len(self.motion_of) - self.jump_count), jumps], MOTION)
+        return torch.cat([others.narrow(MOTION, 0, len(self.each) - self.jump_count), jumps], MOTION)
 
     # ------------------------------------------------------------ predictions
 
     def agile_prediction(self, propagated: Propagated) -> Gaussian:
-        """The prediction ``(1, 1, 2, ..., n)`` by the agile level, the last level of the first motion.
+        """The prediction ``(1, 1, 2, ..., n)``, with any root, by the last level of the first motion.
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
         """
-        return Gaussian(propagated.mean[:, :1], tria(self.agile_root(propagated)))
-
-    def agile_root(self, propagated: Propagated) -> Tensor:
-        """A root ``(1, 1, 2, ..., n, p)`` of that prediction's covariance."""
         noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
-        return hstack(propagated.spread[:, :1], noise)
+        return Gaussian(propagated.mean[:, :1], hstack(propagated.spread[:, :1], noise))
 
-    def predictions(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Gaussian:
+    def predictions(self, propagated: Propagated, nis: Tensor, widths: Tensor) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -398,71 +411,65 @@ class Regimes(Part):
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
-            motion: says which components of a state are its position and its velocity.
+            widths: from ``widths``.
         """
         # Columns may be of any scale; beside a triangle the noise leaves them so.
         root = self.per_regime(tria(propagated.spread))
         root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
-        widths = self._widths(propagated, nis, motion)
         return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
     def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
-        """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made, of the same arguments."""
-        widths = self._widths(propagated, nis, motion)
+        """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made."""
+        widths = self.widths(self.agile_prediction(propagated), nis, motion)
         spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
         return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
 
     def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
         """Roots ``(1, R, 2, ..., n, r)`` of the process noise of every regime."""
-        return self._noise_factors(propagated.mean, nis) * self.per_regime(propagated.process_noise)
-
-    def _noise_factors(self, mean: Tensor, nis: Tensor) -> Tensor:
-        """Factors ``(1, R, 2, ..., n or 1, 1)`` on the root of the process noise of each regime's motion."""
-        rank = nis.dim() - 2
-        levels = values_first(self.noise_levels(mean), rank).unsqueeze(0)
-        manoeuvres = []
+        variances = self._levels(nis[0])
         if self.manoeuvre_factors is not None:
-            levels = levels.expand(1, self.level_count, *nis.shape[2:])
-            factors = values_first(self.manoeuvre_factors(mean), rank).unsqueeze(0) * nis
-            manoeuvres = [levels[:, -1:] * factors.clamp(1.0, LARGEST_FACTOR)]
-        others = [torch.ones_like(levels[:, :1])] * (self.motions - 1)
-        climbs = [levels[:, : self.climb_count]]
-        every = torch.cat([levels, *others, *climbs, *manoeuvres, *[levels[:, -1:]] * self.jump_count], MOTION)
-        factors = every.sqrt()[..., None, None]
-        if not self.climb_count:
-            return factors
-        first = self.level_count + self.motions - 1
-        climbing = range(first, first + self.climb_count)
-        stated = torch.tensor(
-            [[r in climbing and i in self.vertical for i in range(mean.shape[-1])] for r in range(len(self.motion_of))],
-            device=mean.device,
-        )
-        return torch.where(stated.reshape(len(stated), *(1,) * (every.dim() - 2), -1, 1), 1.0, factors)
+            factors = values_first(self.manoeuvre_factors(nis), nis.dim() - 2) * nis
+            variances = variances * self._of_kinds(1.0, factors.clamp(1.0, LARGEST_FACTOR), torch.ones_like(nis))
+        factors = variances.sqrt()[..., None, None]
+        if self.climb_count:
+            first = self.level_count + self.motions - 1
+            climbing = [first <= r < first + self.climb_count for r in range(len(self.each))]
+            vertical = [i in self.vertical for i in range(propagated.mean.shape[-1])]
+            stated = torch.tensor([[climbs and i for i in vertical] for climbs in climbing], device=nis.device)
+            factors = torch.where(stated.reshape(len(stated), *(1,) * (nis.dim() - 2), -1, 1), 1.0, factors)
+        return factors * self.per_regime(propagated.process_noise)
 
-    def _widths(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Tensor:
+    @once
+    def _levels(self, like: Tensor) -> Tensor:
+        """Factors ``(1, R, ...)`` on the variance of process noise by each regime's level, for ``like (R, ...)``."""
+        levels = values_first(self.noise_levels(like), like.dim() - 1)
+        levels = torch.cat([levels, torch.ones_like(levels[:1])])
+        return taken(levels, [regime.level for regime in self.each], 0).unsqueeze(0)
+
+    def widths(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and its derivatives in a jump.
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
         standard deviation of the velocity is at least ``FASTER`` times the speed, if it is not multiplied by more than
         the position's; and so is one of the acceleration of its size.
-        """
-        mean, rank = propagated.mean, nis.dim() - 2
-        jumps = values_first(self.jump_factors(mean), rank).unsqueeze(0)
-        widths = self._of_kinds(1.0, torch.ones_like(nis), (jumps * nis).clamp(1.0, LARGEST_FACTOR).sqrt())
-        widths = widths.unsqueeze(-1)
-        std = safe_sqrt(self.agile_root(propagated).square().sum(-1))
-        rows = 1 + (widths - 1) * self._chosen(range(motion.size)[motion.position], mean)
-        for part in _derivatives(motion):
-            those = self._chosen(part, mean)
-            size = safe_sqrt((those * mean[:, :1]).square().sum(-1, keepdim=True))
-            larger = safe_divide(FASTER * size, std).clamp_min(1.0)
-            rows = rows + (torch.minimum(widths, larger) - 1) * those
-        return rows.unsqueeze(-1)
 
-    @staticmethod
-    def _chosen(components: Sequence[int], like: Tensor) -> Tensor:
-        """``(n,)`` 1 at these components, else 0."""
-        return as_tensor([float(i in components) for i in range(like.shape[-1])], like)
+        Args:
+            agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, any root.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by that prediction.
+            motion: says which components of a state are its position and its velocity.
+        """
+        if not self.jump_count:
+            return torch.ones_like(nis)[..., None, None]
+        mean, std = agile.mean, safe_sqrt(agile.scale_tril.square().sum(-1))
+        jump = (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTOR).sqrt()
+        rows = dict.fromkeys(range(motion.size)[motion.position], jump)
+        for part in filter(None, _derivatives(motion)):
+            size = FASTER * safe_sqrt(taken(mean, part, -1).square().sum(-1))
+            rows |= {i: torch.minimum(jump, safe_divide(size, std[..., i]).clamp_min(1.0)) for i in part}
+        each = (rows.get(i, torch.ones_like(jump)) for i in range(motion.size))
+        jumps = torch.stack(torch.broadcast_tensors(*each), -1)
+        others = jumps.new_ones(1, len(self.each) - self.jump_count, *jumps.shape[2:])
+        return torch.cat([others, jumps], MOTION).unsqueeze(-1)
 
     # ------------------------------------------------------------ regimes and their beliefs
 
@@ -470,9 +477,9 @@ class Regimes(Part):
         """Values of the ``S`` beliefs along an axis, repeated for each regime of a belief: ``R`` along that axis."""
         return taken(x, self.belief_of, axis)
 
-    def by_belief(self, weight: Tensor) -> Tensor:
-        """Weights ``(1, R, 2, ...)`` of regimes summed for each belief, ``(1, S, 2, ...)``."""
-        return self._per_belief(weight, MOTION, lambda x: x.sum(MOTION, keepdim=True))
+    def by_belief(self, weight: Tensor, axis: int = MOTION) -> Tensor:
+        """Weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
+        return self._per_belief(weight, axis, lambda x: x.sum(axis, keepdim=True))
 
     def log_by_belief(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
@@ -502,7 +509,7 @@ class Regimes(Part):
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
         """Values by kind or regime as ``(R, ...)`` with ``rank`` dimensions behind the first."""
-        return taken(values_first(kinds, rank), self.kind_of, 0)
+        return taken(values_first(kinds, rank), self.entries, 0)
 
     def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
         """Values ``(1, R, 2, ...)`` from those ``(1, 1 or more, 2, ...)`` of manoeuvres and jumps, and all others."""
