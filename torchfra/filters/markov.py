@@ -53,14 +53,20 @@ def transition_over(generator: Tensor, dt: Tensor) -> Tensor:
     small = generator * (safe_divide(ends, fastest) / 2**DOUBLINGS)[..., None, None]
     square = small @ small
     change = small + square / 2 + square @ (small / 6 + square / 24)  # exp(small) - I to fourth order
-    for _ in range(DOUBLINGS):
+    for _ in range(DOUBLINGS // _TOGETHER):
         change = _doubled(change)
     eye = torch.eye(generator.shape[-1], dtype=generator.dtype, device=generator.device)
     probabilities: Tensor = (eye + change).clamp_min(0.0)
     return probabilities
 
 
+_TOGETHER = 5
+"""Doublings by one call of a function of a large step."""
+
+
 @batchwise(2)
 def _doubled(change: Tensor) -> Tensor:
-    """``(I + change)^2 - I``."""
-    return 2 * change + change @ change
+    """``(I + change)^2 - I``, ``_TOGETHER`` times."""
+    for _ in range(_TOGETHER):
+        change = 2 * change + change @ change
+    return change

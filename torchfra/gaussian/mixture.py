@@ -47,13 +47,6 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     """
     if triangular and len(roots) > _TOGETHER and has_caller():
         return _in_turn(beliefs, roots, angles)
-    middle, columns = _moments(beliefs, roots, angles)
-    root = torch.cat(columns, -1)
-    return Gaussian(middle, tria(root, graded=False) if triangular else root)
-
-
-def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[Tensor, list[Tensor]]:
-    """The mean ``(..., n)`` of a mixture, and blocks that side by side are a root of its covariance."""
     root, mean = roots.unsqueeze(-1), _means(beliefs, roots, angles)
     if len(root) == 2:  # one column for both means, as their shares sum to one
         (one, other), (first, second) = root.unbind(), mean.unbind()
@@ -63,7 +56,8 @@ def _moments(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> tuple[T
     else:
         middle = (root.square() * mean).sum(0)
         of_means = list((root * (mean - middle)).unsqueeze(-1).unbind())
-    return middle, [*_weighted(roots, beliefs.scale_tril).unbind(), *of_means]
+    spread = torch.cat([*_weighted(roots, beliefs.scale_tril).unbind(), *of_means], -1)
+    return Gaussian(middle, tria(spread, graded=False) if triangular else spread)
 
 
 def _means(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Tensor:

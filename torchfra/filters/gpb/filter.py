@@ -38,7 +38,6 @@ from torchfra.filters.gpb.slopes import (
     line_at_place,
 )
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
-from torchfra.filters.interaction import for_each_model
 from torchfra.filters.several_sensors import sharing
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
@@ -294,7 +293,7 @@ class GPB(Filter[GPBState]):
             Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction by the agile level; and the
             factor ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
         """
-        propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
+        propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
         wide = self.regimes.agile_prediction(propagated)
         agile = wide._replace(scale_tril=tria(wide.scale_tril))
         compared = self.compare(self.read(agile), frame)
@@ -423,7 +422,7 @@ class GPB(Filter[GPBState]):
         if state.last is None or not self.sensor.linear:
             return None
         regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
-        propagated = propagate_motions(self.bank, self.motion_rule, mixed, for_each_model(frame))
+        propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
         predicted = regimes.predicted_parts(propagated, nis, self.motion)
         mean, root = (regimes.per_regime(x) for x in mixed)
         # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.filters.interaction import for_each_model
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import largest, matched, share_roots
 from torchfra.gaussian.model import Propagated, canonical, propagate
@@ -110,26 +111,20 @@ def merge(
         angles: components of a state that are angles, as in ``gaussian.moment_match``.
         triangular: as in ``gaussian.mixture.matched``.
     """
-    mean, root = _merged(belief, roots, axes, angles, triangular)
-    again = tuple([None if axis in axes else slice(None) for axis in range(max(axes) + 1)])
-    return Gaussian(mean[again], root[again])
-
-
-def _merged(
-    belief: Gaussian, roots: Tensor, axes: Sequence[int], angles: Sequence[int], triangular: bool = True
-) -> Gaussian:
-    """``merge`` without the axes that it has merged over."""
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
     mean = belief.mean.expand(*batch, -1)
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
     first = tuple(range(len(axes)))
     mean, root, roots = [x.movedim(tuple(axes), first).flatten(0, first[-1]) for x in (mean, root, roots.expand(batch))]
-    return matched(Gaussian(mean, root), roots, angles, triangular=triangular)
+    mean, root = matched(Gaussian(mean, root), roots, angles, triangular=triangular)
+    again = tuple([None if axis in axes else slice(None) for axis in range(max(axes) + 1)])
+    return Gaussian(mean[again], root[again])
 
 
 def moments(belief: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:
     """The Gaussian ``(..., n)`` with the moments of all hypotheses, by square ``roots`` of their probabilities."""
-    return _merged(belief, roots, (OUTLIER, MOTION, BEFORE), angles)
+    mean, root = merge(belief, roots, (OUTLIER, MOTION, BEFORE), angles)
+    return Gaussian(mean[0, 0, 0], root[0, 0, 0])
 
 
 def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
@@ -146,8 +141,9 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
         bank: the ``K`` motions.
         rule: carries a belief through them.
         belief: ``(1, S, ..., n)``.
-        frame: for each motion.
+        frame: of the step.
     """
+    frame = for_each_model(frame) if frame.transition is None else frame  # a linear bank has all that it needs
     more = belief.mean.shape[MOTION] - len(bank)
     propagated = propagate(bank, rule, models_last(by_layer(belief, len(bank))), frame)
     rank = belief.mean.dim() - 1

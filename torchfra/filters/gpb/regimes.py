@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
-from torchfra import tree
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
 from torchfra.filters.gpb.outliers import EXPECTED
 from torchfra.filters.markov import generator, sojourn_times, transition_over
@@ -499,8 +498,8 @@ class Regimes(Part):
             others = others._replace(
                 belief=others.belief._replace(scale_tril=pad(others.belief.scale_tril, (0, wider)))
             )
-        both: Hypotheses = tree.map_tensors(lambda *parts: torch.cat(parts, MOTION), first, others)
-        return both
+        mean, root = (torch.cat(parts, MOTION) for parts in zip(first.belief, others.belief, strict=True))
+        return Hypotheses(Gaussian(mean, root), torch.cat([first.log_weight, others.log_weight], MOTION))
 
     def _per_belief(self, x: Tensor, axis: int, combine: Callable[[Tensor], Tensor]) -> Tensor:
         """Values of regimes along an axis as those of beliefs: all regimes of the first belief are combined."""

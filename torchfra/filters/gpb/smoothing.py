@@ -22,7 +22,6 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.regimes import Surprise
 from torchfra.filters.gpb.states import GPBPast
-from torchfra.filters.interaction import for_each_model
 from torchfra.filters.model_smoothing import unwhitened
 from torchfra.gaussian.future import future
 from torchfra.gaussian.inputs import BackwardStep
@@ -66,7 +65,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
     mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, frame.dt, measured))
     # Shift and process noise are those of the forward pass.
-    frame = adapted(for_each_model(frame), models_last(by_layer(mixed, len(f.bank))).mean)
+    frame = adapted(frame, models_last(by_layer(mixed, len(f.bank))).mean)
     rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
     parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
     (mean, root), _ = parts.belief(triangular=False)
