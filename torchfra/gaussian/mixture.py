@@ -56,7 +56,9 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     else:
         middle = (root.square() * mean).sum(0)
         of_means = list((root * (mean - middle)).unsqueeze(-1).unbind())
-    spread = torch.cat([*_weighted(roots, beliefs.scale_tril).unbind(), *of_means], -1)
+    each = roots[..., None, None]
+    weighted = each * torch.where(each != 0, beliefs.scale_tril, 0.0)
+    spread = torch.cat([*weighted.unbind(), *of_means], -1)
     return Gaussian(middle, tria(spread, graded=False) if triangular else spread)
 
 
@@ -64,12 +66,6 @@ def _means(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Tensor:
     """The means ``(K, ..., n)`` of beliefs, 0 of those of no weight, with angles near those of the likeliest."""
     mean = torch.where(roots.unsqueeze(-1) != 0, beliefs.mean, 0.0)  # true for NaN, which must show in the result
     return _near_likeliest(mean, roots, angles) if angles else mean
-
-
-def _weighted(roots: Tensor, spread: Tensor) -> Tensor:
-    """Roots ``(..., n, p)`` of covariances times ``roots (...)`` of their weights."""
-    root = roots[..., None, None]
-    return root * torch.where(root != 0, spread, 0.0)
 
 
 _TOGETHER = 4
@@ -91,8 +87,8 @@ def _in_turn(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussia
 @batchwise(2, 1, 1, 2, 3)
 def _with_more(root: Tensor, middle: Tensor, roots: Tensor, mean: Tensor, spread: Tensor) -> Tensor:
     """The ``root (..., n, n)`` of some beliefs together with ``K`` others, around the mean of all."""
-    of_means = (roots.unsqueeze(-1) * (mean - middle.unsqueeze(-2))).mT
-    return tria(hstack(root, *_weighted(roots, spread).unbind(-3), of_means), graded=False)
+    of_means, each = (roots.unsqueeze(-1) * (mean - middle.unsqueeze(-2))).mT, roots[..., None, None]
+    return tria(hstack(root, *(each * torch.where(each != 0, spread, 0.0)).unbind(-3), of_means), graded=False)
 
 
 def share_roots(log_weights: Tensor) -> tuple[Tensor, Tensor]:

@@ -112,10 +112,10 @@ def merge(
         triangular: as in ``gaussian.mixture.matched``.
     """
     batch = broadcast_shapes(belief.mean.shape[:-1], belief.scale_tril.shape[:-2], roots.shape)
-    mean = belief.mean.expand(*batch, -1)
-    root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:])
-    first = tuple(range(len(axes)))
-    mean, root, roots = [x.movedim(tuple(axes), first).flatten(0, first[-1]) for x in (mean, root, roots.expand(batch))]
+    axes, first = tuple(axes), tuple(range(len(axes)))
+    mean = belief.mean.expand(*batch, -1).movedim(axes, first).flatten(0, first[-1])
+    root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:]).movedim(axes, first).flatten(0, first[-1])
+    roots = roots.expand(batch).movedim(axes, first).flatten(0, first[-1])
     mean, root = matched(Gaussian(mean, root), roots, angles, triangular=triangular)
     again = tuple([None if axis in axes else slice(None) for axis in range(max(axes) + 1)])
     return Gaussian(mean[again], root[again])
