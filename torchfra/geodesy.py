@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array: TypeAlias = NDArray[np.float64]
+from torchfra.numbers import Array
+
 Origin: TypeAlias = tuple[float, float, float]
 """Latitude and longitude in degrees, altitude in metres."""
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import reprlib
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+Array: TypeAlias = NDArray[np.float64]
 NUMBERS = int, float, np.integer, np.floating
 """Types of the numbers of Python and numpy that are real."""
 

@@ -17,8 +17,8 @@ from benchmarks.timing import Row, calls, timed
 from torchfra import plotting, presets
 from torchfra.association import Clutter
 from torchfra.catalogue import make_scenario
-from torchfra.cleaning.outputs.colours import BLUE
 from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity
+from torchfra.pictures import BLUE
 from torchfra.plotting.style import TITLE, finish, words
 from torchfra.sensors import Position
 from torchfra.types import Gaussian

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from torchfra.cleaning.outputs.colours import APART, BLACK, GREY, RED, REGIMES
+from torchfra.pictures import APART, BLACK, GREY, RED, REGIMES
 from torchfra.plotting.curves import WIDE
 from torchfra.plotting.labels import SIZE, beside, named
 from torchfra.plotting.style import TITLE, line_styles, without_box, words

@@ -25,8 +25,8 @@ from torch import Tensor
 from recorded_bench.tracks import Figures
 from torchfra import metrics, presets
 from torchfra.association import ChiSquare, Clutter
-from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
 from torchfra.motion import ConstantVelocity
+from torchfra.pictures import APART, BLACK, GREY
 from torchfra.plotting.style import TITLE, finish, words
 from torchfra.sensors import Position
 from torchfra.targets import SPRT, ClutterMap, Deletion, Extent, FieldOfView, Merging, OnePoint, Stitching, Targets

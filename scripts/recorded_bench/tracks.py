@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torchfra import metrics
-from torchfra.cleaning.outputs.colours import BLACK, GREY
 from torchfra.filters import Filter, biased_copies, considered, protection_level
+from torchfra.pictures import BLACK, GREY
 from torchfra.plotting.style import TITLE, finish, line_styles, words
 from torchfra.types import Estimate, Gaussian
 

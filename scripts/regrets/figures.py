@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchfra.cleaning.outputs.colours import BLUE, PALE_BLUE
+from torchfra.pictures import BLUE, PALE_BLUE
 from torchfra.plotting.style import TITLE, width, words
 
 _WORST = 10.0

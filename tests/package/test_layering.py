@@ -12,15 +12,23 @@ import train
 LIBRARY, RECIPES = Path(torchfra.__file__).parent, Path(train.__file__).parent
 LEVELS = [
     {"version"}, {"loading"}, {"tables"}, {"suggestions"}, {"angles"}, {"numbers"}, {"tree"}, {"linalg"}, {"types"},
-    {"hyper"}, {"entries"}, {"state_files"}, {"running"}, {"coordinates"}, {"geodesy"}, {"readers"}, {"losses"},
-    {"metrics"}, {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"}, {"steps"},
-    {"compiler"}, {"filters"}, {"register"}, {"stream"}, {"targets"}, {"testing"},
+    {"pictures"}, {"hyper"}, {"entries"}, {"state_files"}, {"running"}, {"coordinates"}, {"geodesy"}, {"readers"},
+    {"losses"}, {"metrics"}, {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"},
+    {"steps"}, {"compiler"}, {"filters"}, {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
     {"scenarios"}, {"catalogue"}, {"cleaning"}, {"adapters"}, {"evaluation"}, {"plotting"}, {"comparison"}, {"fitting"},
     {"cli"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
-APART = {("scenarios", "filters"), ("scenarios", "presets"), ("evaluation", "readers"), ("evaluation", "cleaning")}
+APART = {
+    ("scenarios", "filters"),
+    ("scenarios", "presets"),
+    ("evaluation", "readers"),
+    ("evaluation", "cleaning"),
+    ("fitting", "readers"),
+    ("fitting", "cleaning"),
+    ("comparison", "cleaning"),
+}
 """The first never imports the second, although it lies below."""
 OPTIONAL = {"train": "nothing", "matplotlib": "plotting"}
 """Packages from outside, and the one part of the library that may import them."""

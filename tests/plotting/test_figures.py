@@ -14,10 +14,10 @@ from scipy.optimize import least_squares
 
 from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario, scenario_filters
-from torchfra.cleaning.outputs.colours import APART
 from torchfra.evaluation import evaluate, leaders, mapped_run, measure, results_of
 from torchfra.evaluation.fixes import deviations, fixes
 from torchfra.evaluation.mapped_run import OUTLYING, typical_run
+from torchfra.pictures import APART
 from torchfra.plotting.labels import spread_apart
 from torchfra.readers import Recording
 from torchfra.scenarios import recorded

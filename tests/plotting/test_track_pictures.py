@@ -10,8 +10,8 @@ from matplotlib.text import Text
 
 from torchfra import plotting
 from torchfra.cleaning import Segment
-from torchfra.cleaning.outputs.colours import APART, BLUE, GREY, ORANGE, RED, REGIMES
 from torchfra.cleaning.outputs.view import MOST_STD, Band, placed, view
+from torchfra.pictures import APART, BLUE, GREY, ORANGE, RED, REGIMES
 from torchfra.plotting.style import line_styles
 
 

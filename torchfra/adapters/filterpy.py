@@ -12,8 +12,9 @@ import torch
 from filterpy.kalman import KalmanFilter
 
 from torchfra import motion, sensors
-from torchfra.adapters.linear import Array, Models, checked_order, gaussian
+from torchfra.adapters.linear import Models, checked_order, gaussian
 from torchfra.linalg import covariance_root
+from torchfra.numbers import Array
 
 
 def models(kf: KalmanFilter, *, order: Sequence[int] | None = None, dims: int | None = None) -> Models:

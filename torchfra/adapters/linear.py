@@ -7,14 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
-
-Array = NDArray[np.float64]
 
 
 class Models(NamedTuple):

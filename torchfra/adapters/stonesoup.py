@@ -26,9 +26,10 @@ from stonesoup.types.track import Track
 from torch import Tensor
 
 from torchfra import sensors
-from torchfra.adapters.linear import Array, checked_order, gaussian, of_seconds
+from torchfra.adapters.linear import checked_order, gaussian, of_seconds
 from torchfra.linalg import covariance_root
 from torchfra.motion import Linear, Motion
+from torchfra.numbers import Array
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.colours import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.cleaning.outputs.summary import (
     COLUMNS,
     LEGEND,
@@ -24,6 +23,7 @@ from torchfra.cleaning.outputs.summary import (
     summary,
 )
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
+from torchfra.pictures import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
 

@@ -6,13 +6,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from torchfra.fitting.vector import NORMAL_95
-from torchfra.numbers import as_numbers
+from torchfra.numbers import Array, as_numbers
 from torchfra.tables import text_table
 
-Array = NDArray[np.float64]
 _FEWEST = 20
 """Residuals of an element, without which nothing is said."""
 _STEP = 1e-3

@@ -9,7 +9,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,11 +17,9 @@ from torch import Tensor
 from torch.nn.functional import pad
 from torch.utils.data import DataLoader, Dataset
 
-from torchfra.cleaning.batches import padded, steps_of
 from torchfra.filters import Filter
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_tensor, unmasked
-from torchfra.readers.recording import Recording
+from torchfra.numbers import Array, as_tensor, unmasked
 from torchfra.scenarios.base import Scenario, Tracks
 from torchfra.sensors.base import Sensor
 from torchfra.targets.births import OnePoint
@@ -33,6 +31,16 @@ FIELDS = ("z", "std", "dt", "u", "prior", "truth")
 """Names of tensors; all but ``z`` are optional."""
 Simulator = Callable[..., Any]
 Source = Scenario | Simulator | Tensor | Tracks | Mapping[str, Any] | Iterable[Any]
+
+
+@runtime_checkable
+class Recorded(Protocol):
+    """The track of one target, such as a recording that ``readers.read`` has read."""
+
+    time: Array
+    """``(T,)`` seconds."""
+    position: Array
+    """``(T, d)`` metres."""
 
 
 class First(NamedTuple):
@@ -135,7 +143,7 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
         expected = "a Scenario, a function of a seed, tensors, a DataLoader or recordings"
         raise ValueError(f"data: expected {expected}, received {type(data).__name__}")
     items = list(data)
-    if items and all(isinstance(item, Recording) for item in items):
+    if items and all(isinstance(item, Recorded) for item in items):
         return _recorded(f, items)
     if not items:
         raise ValueError("data: expected one track or more, received none")
@@ -240,14 +248,13 @@ def lengthened(x: Tensor, longest: int, fill: float, time: int) -> Tensor:
     return torch.cat([x, x.new_full(more, fill)], time)
 
 
-def _recorded(f: Filter, recordings: list[Recording]) -> Batch:
+def _recorded(f: Filter, recordings: list[Recorded]) -> Batch:
     """The fixes of recordings as measurements."""
     size = f.sensor.size
     if any(recording.position.shape[1] < size for recording in recordings):
         raise ValueError(f"data: expected recordings of {size} dimensions, as the sensor has, received fewer")
-    cut = [steps_of(recording) for recording in recordings]
-    z, dt, _ = padded([steps._replace(raw=steps.raw[:, :size], std=steps.std[:, :size]) for steps in cut])
-    return _as_batch(f, {"z": z, "dt": dt})
+    tracks = [{"z": x.position[:, :size], "dt": np.diff(x.time - x.time[0], prepend=-1.0)} for x in recordings]
+    return _as_batch(f, _joined(tracks, 3))
 
 
 def _as_batch(f: Filter, fields: dict[str, Any]) -> Batch:

@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from torchfra.filters import Filter
 from torchfra.fitting.data import Source, batch_of
 from torchfra.fitting.objective import compiled, objective_of
 from torchfra.fitting.vector import Vector, copied
-
-Array = NDArray[np.float64]
+from torchfra.numbers import Array
 
 
 class LogLikelihood:

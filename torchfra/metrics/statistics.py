@@ -10,12 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchfra.numbers import Array
+
 LEVEL = 0.95
 """Confidence of intervals."""
 EXACT = 25
 """Runs up to which the signed-rank test needs no approximation."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
-Array = NDArray[np.float64]
 
 
 class Interval(NamedTuple):

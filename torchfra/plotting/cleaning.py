@@ -11,10 +11,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.colours import APART, BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.cleaning.outputs.summary import summary
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
-from torchfra.plotting.labels import SIZE, Array, beside, in_free_places, show
+from torchfra.numbers import Array
+from torchfra.pictures import APART, BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
+from torchfra.plotting.labels import SIZE, beside, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
 from torchfra.tables import plural
 

@@ -10,9 +10,9 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchfra.cleaning.outputs.colours import APART, BLACK, GREY
-from torchfra.cleaning.outputs.view import corners
-from torchfra.plotting.labels import SIZE, Array, at_ends, in_free_places
+from torchfra.numbers import Array
+from torchfra.pictures import APART, BLACK, GREY, corners
+from torchfra.plotting.labels import SIZE, at_ends, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, plain_ticks, without_box, words
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torchfra.cleaning.outputs.colours import BLACK, BLUE, DARK, RED
+from torchfra.pictures import BLACK, BLUE, DARK, RED
 from torchfra.plotting.labels import in_free_places, named
 from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, words
 

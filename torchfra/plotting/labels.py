@@ -8,11 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
+from torchfra.numbers import Array
 from torchfra.plotting.style import finish, lay_out, words
-
-Array = NDArray[np.float64]
 
 SIZE = 9
 """Size of the letters, points."""

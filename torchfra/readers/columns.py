@@ -14,10 +14,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from torchfra.numbers import Array as Array
 from torchfra.readers.degrees import degrees_of
 from torchfra.readers.times import count_of, counted, seconds_of, usual_iso_seconds
 
-Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")

@@ -12,6 +12,7 @@ from torchfra.cleaning.outputs.course import course
 from torchfra.cleaning.outputs.times import dates
 from torchfra.cleaning.segments import spans
 from torchfra.geodesy import to_geodetic
+from torchfra.pictures import corners
 from torchfra.readers.columns import Array
 from torchfra.tables import duration, metres, printable
 
@@ -219,15 +220,6 @@ def without_spikes(values: Array) -> tuple[Array, Array]:
     usual = median.min(0), median.max(0)
     far = (high - low).max() > _SPIKE * (usual[1] - usual[0]).max()
     return usual if far else (low, high)
-
-
-def corners(low: Array, high: Array, fixes: Array, room: float) -> tuple[Array, Array]:
-    """Lower left and upper right, with a margin, of a path and of the fixes that are at most ``room`` away from it."""
-    near = fixes[((fixes > low - room) & (fixes < high + room)).all(1)]
-    points = np.concatenate([[low], [high], near])
-    low, high = points.min(0), points.max(0)
-    margin = 0.04 * max((high - low).max(), 1.0)
-    return low - margin, high + margin
 
 
 def _regimes(cleaned: Cleaned) -> dict[str, Array]:
