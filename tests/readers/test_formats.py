@@ -387,7 +387,7 @@ def test_the_commands_take_the_same_by_options(write, capsys):
     path = write("a.csv", commas("wann;hoch;rechts\n0;1.5;2\n1;2.5;3\n"))
     assert main(["compare", str(path), "--x", "rechts", "--y", "hoch"]) == 2
     said = capsys.readouterr().err
-    assert "such as --time wann --x rechts --y hoch; columns: wann (0, 1), hoch" in said
+    assert "such as --time TIME --x rechts --y hoch; columns: wann (0, 1), hoch" in said
     assert main(["compare", str(path), "--x", "rechts", "--y", "hoch", "--time", "wann", "--decimal", "."]) == 2
     assert "expected a number in data row 1, column rechts, received '1,5'" in capsys.readouterr().err.replace(
         "hoch", "rechts"

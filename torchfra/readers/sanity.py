@@ -10,7 +10,6 @@ from torchfra.readers.layouts import Layout
 from torchfra.readers.names import unit
 from torchfra.readers.options import AskError, listed
 from torchfra.readers.recording import Recording
-from torchfra.readers.times import SINCE_1970, STARTS, UNITS, per_second
 from torchfra.tables import plural
 
 _TOO_MANY = 0.2
@@ -23,8 +22,6 @@ _RESCUE = "111"
 """How numbers of aircraft of search and rescue begin, which receivers of ships hear."""
 _ACROSS = 30.0
 """Speeds are means over so many seconds, so that noise does not count."""
-_USUAL = (0.05, 1000.0)
-"""Speeds of what is tracked, m/s."""
 _DEGREES, _AS_DEGREES = np.array([180.0, 90.0]), (2e-6, 5e-3)
 """Longitude and latitude at most, and degrees a second of what moves by 0.2 to 500 m/s."""
 
@@ -48,7 +45,7 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     judged = sum(len(recording.time) >= _MANY for recording in recordings)
     if wrong and (len(wrong) == judged or (any(layout.unread) and fixes > _TOO_MANY * total)):
         recording, said = next(iter(wrong.items()))
-        raise AskError(f"{said} of {source.word} {recording.name}; ", *_cause(recording, layout))
+        raise AskError(f"{said} of {source.word} {recording.name}; ", *_cause(layout))
     if wrong:
         names, word = (
             listed(recording.name for recording in wrong),
@@ -116,25 +113,12 @@ def _speed(recording: Recording) -> float:
     return float(np.median(legs / np.diff(recording.time)))
 
 
-def _cause(recording: Recording, layout: Layout) -> tuple[str | dict[str, str], ...]:
+def _cause(layout: Layout) -> tuple[str | dict[str, str], ...]:
     """What the cause may be, and the options that say so."""
-    column, form, speed = layout.clock.column, layout.clock.form, _speed(recording)
-    now, causes = per_second(form), list[str | dict[str, str]]()
-    if layout.degrees and _USUAL[0] < speed / 111_000 < _USUAL[1] / 10 and (now or form):
-        lat, lon = layout.columns["latitude"], layout.columns["longitude"]
-        causes += [f"; {lon} and {lat} move as metres do, not degrees: ", {"x": lon, "y": lat}]
-    if form == "seconds" and not layout.clock.dated:
-        for days in ("excel", "mjd", "matlab", "jd"):
-            start = -STARTS[days][1] / 86_400
-            if start + 3652 < recording.time[0] and recording.time[-1] < start + 29_220:
-                return f"column {column} looks like {days} days: say ", {"time_format": days}
-    for other in SINCE_1970 if now else ():
-        seconds = (recording.time[-1] - recording.time[0]) * now / UNITS[other]
-        if UNITS[other] != now and _USUAL[0] < speed * UNITS[other] / now < _USUAL[1] and seconds >= _SHORTEST:
-            causes += [f"; {column} may be in {other}: ", {"time_format": other}]
-    if not now:
-        causes += ["; if it is right: ", {"time_format": form}]
-    several = "; rows of several targets in one look so too: name what parts them, such as ", *layout.other_ids
-    if not causes:
-        return f"{column} may be no time: name another column, or its unit by the option time_format", *several
-    return str(causes[0])[2:], *causes[1:], *several
+    clock, columns, causes = layout.clock, layout.columns, list[str | dict[str, str]]()
+    if layout.degrees:
+        lat, lon = columns["latitude"], columns["longitude"]
+        causes += [f"{lon} and {lat} may be metres: ", {"x": lon, "y": lat}, "; "]
+    causes += [f"{clock.column} may be another column or in another unit: ", {"time_format": "ms"}, " or ",
+               {"time_format": "excel"}, ", say; or it is right: ", {"time_format": clock.kind.form}]  # fmt: skip
+    return *causes, "; rows of several targets in one look so too: name what parts them, such as ", *layout.other_ids
