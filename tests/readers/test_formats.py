@@ -369,10 +369,9 @@ def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):
     assert track.source.notes[0] == "time: time(millisecond), ms; not datetime(utc) (option time takes another)"
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
-def test_text_as_spreadsheets_write_it_is_read(tmp_path, encoding):
+def test_text_as_spreadsheets_write_it_is_read(tmp_path):
     path = tmp_path / "a.txt"
-    path.write_bytes(csv("time\tlat\tlon\talt", "\t").encode(encoding))
+    path.write_bytes(csv("time\tlat\tlon\talt", "\t").encode("utf-16"))
     np.testing.assert_array_equal(read(path)[0].time, START + STEPS)
 
 

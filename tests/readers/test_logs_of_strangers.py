@@ -315,26 +315,16 @@ def test_a_local_time_that_only_goes_backwards_is_put_in_order(write):
 # ---------------------------------------------------------------- numbers
 
 
-@pytest.mark.parametrize(("number", "sign"), [
-    ("1.234,50", ";"), ("1 234,50", ";"), ("1\u202f234,50", ";"), ("1'234,50", ";"),
-    ('"1,234.50"', ","), ("1'234.50", ","), ("1\u2019234.50", ","),
-])  # fmt: skip
-def test_thousands_that_are_parted_are_read_where_the_decimals_show_it(write, number, sign):
-    decimal = "," if sign == ";" else "."
-    rows = [f"{i}{sign}{i}{decimal}25{sign}{number}" for i in range(ROWS)]
-    (track,) = read(write([sign.join("txy"), *rows]))
-    assert track.position[1].tolist() == [1.25, 1234.5]
-
-
 @pytest.mark.parametrize("number", ["1,234", "1.23,4.5", "12,34.5", "1,2345.6", "1,,234.5", "1234,567.8"])
 def test_other_groups_are_no_numbers(write, number):
     with pytest.raises(ValueError, match="expected a number in data row 2, column y"):
         read(write(["t,x,y", "0,1,2", f'1,2,"{number}"', "2,3,4"]))
 
 
-def test_what_may_be_thousands_or_decimals_is_refused_as_such(write):
-    with pytest.raises(ValueError, match=r"received '1,234', whose sign may part thousands or decimals"):
-        read(write(["t,x,y", "0,1,2", '1,2,"1,234"', "2,3,4.5"]))
+@pytest.mark.parametrize("number", ["1,234", "1,234.50", "1'234.50", "1\u2019234"])
+def test_what_may_be_thousands_or_decimals_is_refused_as_such(write, number):
+    with pytest.raises(ValueError, match=f"received .{number}., whose sign may part thousands or decimals"):
+        read(write(["t,x,y", "0,1,2", f'1,2,"{number}"', "2,3,4.5"]))
 
 
 # ---------------------------------------------------------------- what is no track on the ground
@@ -345,7 +335,7 @@ def test_a_satellite_may_be_as_fast_as_it_is(write):
     rows = [f"{moment:%Y-%m-%dT%H:%M:%SZ},{6878 * np.cos(a)},{6878 * np.sin(a)},0"
             for moment, a in zip(moments(10), angles, strict=True)]  # fmt: skip
     path = write(["epoch,x_km,y_km,z_km", *rows])
-    with pytest.raises(ValueError, match=r"7.61 km/s as the median .*; if it is right: time_format='iso'"):
+    with pytest.raises(ValueError, match=r"7.61 km/s as the median .*; or it is right: time_format='iso'"):
         read(path)
     assert len(read(path, time_format="iso")[0].time) == ROWS
 

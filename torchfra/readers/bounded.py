@@ -8,6 +8,7 @@ import io
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, TextIO
@@ -29,7 +30,7 @@ _LONGEST_LINE = 1024
 """Bytes of a line of a logger; a sentence of NMEA has 82, and may have a time in front."""
 _PIECE = 2**16
 """Bytes that are read at a time."""
-_CELLS = 2**20
+_CELLS = 2**17
 """Cells that are in memory at a time, about."""
 
 
@@ -104,28 +105,28 @@ class Rows:
     """
 
     def __init__(self, text: TextIO, max_bytes: int) -> None:
-        self.blocks, self.max_bytes = _Blocks(text), max_bytes
+        self.text, self.max_bytes, self.of_row = text, max_bytes, 0
+        self.head = text.read(LONGEST_ROW)
+        """The first text, up to ``LONGEST_ROW`` of it; set it to read other text instead, before the start."""
         self.start(",")
-
-    @property
-    def head(self) -> str:
-        """The first text, up to ``LONGEST_ROW`` of it, as long as no row is read; set it to read other text instead."""
-        return self.blocks.begun()
-
-    @head.setter
-    def head(self, text: str) -> None:
-        self.blocks.rest = text
 
     def start(self, sign: str) -> None:
         """Begins to read rows whose cells are separated by a sign."""
-        blank = sign == " "
-        self.reader = csv.reader(chain.from_iterable(self.blocks), strict=True, delimiter=sign, skipinitialspace=blank)
+        self.reader = csv.reader(self._lines(), strict=True, delimiter=sign, skipinitialspace=sign == " ")
+
+    def _lines(self) -> Iterator[str]:
+        *lines, last = [*io.StringIO(self.head, newline="")] or [""]
+        if not last.endswith(("\n", "\r")):
+            last += self.text.readline(LONGEST_ROW)
+        for line in chain(lines, [last], iter(partial(self.text.readline, LONGEST_ROW + 1), "")):
+            self.of_row += len(line)  # quotes may hold a row together over many lines
+            if self.of_row > 2 * LONGEST_ROW or (len(line) > LONGEST_ROW and not line.endswith(("\n", "\r"))):
+                raise ValueError(f"expected rows of at most {LONGEST_ROW} characters, received a longer one")
+            yield line
 
     def first(self) -> list[str]:
         """The first row; empty at the end of the text."""
-        row = next((row for row in self.reader if "".join(row).strip()), [])
-        self.blocks.no_row_yet = False
-        return row
+        return next((row for row in self.reader if "".join(row).strip()), [])
 
     def parts(self, fields: int, mended: Callable[[list[str], int], list[str]]) -> Iterator[list[str]]:
         """The cells of further rows, one after the other, some rows at a time.
@@ -136,12 +137,12 @@ class Rows:
         """
         cells, rows = list[str](), 0
         for row in self.reader:
+            self.of_row = 0
             if len(row) == fields:
                 cells += row  # and no rows: Python's garbage collector would take longer than all else
             elif row:
                 cells += mended(row, rows + len(cells) // fields)
-            if self.blocks.no_row_yet or len(cells) > _CELLS:
-                self.blocks.no_row_yet = False
+            if len(cells) > _CELLS or not self.reader.line_num % _CELLS:
                 self._count(fields)
                 yield cells
                 rows, cells = rows + len(cells) // fields, []
@@ -152,30 +153,3 @@ class Rows:
     def _count(self, fields: int) -> None:
         if self.reader.line_num * max(BYTES_OF_A_ROW, fields) > self.max_bytes:
             raise too_large(self.max_bytes, f"of text, of which a row counts for {BYTES_OF_A_ROW} or more")
-
-
-class _Blocks:
-    """Whole lines of a text, some at a time; iterating over each line for itself in Python would take longer."""
-
-    def __init__(self, text: TextIO) -> None:
-        self.text, self.rest, self.no_row_yet = text, "", False
-
-    def begun(self) -> str:
-        """The first text, which is then read as before."""
-        self.rest = self.rest or self.text.read(LONGEST_ROW)
-        return self.rest
-
-    def __iter__(self) -> Iterator[TextIO]:
-        return self
-
-    def __next__(self) -> TextIO:
-        block = self.text.read(LONGEST_ROW)
-        lines = self.rest + block
-        if not lines:
-            raise StopIteration
-        end = max(lines.rfind("\n"), lines.rfind("\r")) + 1 if block else len(lines)
-        self.rest = lines[end:]
-        if self.no_row_yet or len(self.rest) > LONGEST_ROW:  # quotes may hold a row together over many lines
-            raise ValueError(f"expected rows of at most {LONGEST_ROW} characters, received a longer one")
-        self.no_row_yet = end > 0
-        return io.StringIO(lines[:end], newline="")

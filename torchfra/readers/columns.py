@@ -26,10 +26,7 @@ _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
-_GROUPED = re.compile(r"[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+|[+-]?[0-9]{1,3}(?:['\u2019][0-9]{3})+(?:\.[0-9]*)?")
-"""A number whose thousands are parted, as spreadsheets write it, where a point shows what commas are not."""
-_GROUPED_BEFORE_COMMA = re.compile(r"[+-]?[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+,[0-9]+")
-_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[., \u00a0\u202f][0-9]{3})+")
+_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[., '\u2019\u00a0\u202f][0-9]{3})+(?:[.,][0-9]*)?")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 short = _SHORT.repr
@@ -101,8 +98,6 @@ def number(value: Any) -> float:
         value = value.strip(" \t\r\n")
         if is_missing(value):
             return math.nan
-        if _GROUPED.fullmatch(value):
-            value = re.sub("[,'\u2019]", "", value)
         if not DECIMAL.fullmatch(value):
             raise ValueError
     elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -154,7 +149,9 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
     def refused(i: int, advice: str = "") -> ValueError:
         cell = cells[i].item() if isinstance(cells[i], np.generic) else cells[i]
         if isinstance(cell, str) and _THOUSANDS.fullmatch(cell.strip()) and not kind.form:
-            advice = ", whose sign may part thousands or decimals: write it without, or say which by the option decimal"
+            advice = (
+                ", whose sign may part thousands or decimals: part no thousands, or state the other (option decimal)"
+            )
         return ValueError(
             f"expected {kind.said} in data row {first + i + 1}, column {name}, received {short(cell)}{advice}"
         )
@@ -203,9 +200,6 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
 
     def plain(cell: Any) -> float:
         if isinstance(cell, str) and kind.decimal == ",":
-            whole, _, part = cell.strip(" \t\r\n").rpartition(",")
-            if _GROUPED_BEFORE_COMMA.fullmatch(f"{whole},{part}"):
-                cell = re.sub("[,.'\u2019 \u00a0\u202f]", "", whole) + f",{part}"
             cell = cell.replace(".", "_").replace(",", ".")
         with suppress(ValueError):
             return number(cell)

@@ -49,7 +49,8 @@ def csv_sheet(
     Raises:
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
-    rows = Rows(io.TextIOWrapper(file, _wide(file.peek(64)[:64]) or encoding, newline=""), max_bytes)
+    wide = file.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff")  # as spreadsheets write it
+    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else encoding, newline=""), max_bytes)
     format = format_of_text(rows.head) if options is not None else None
     if format is not None and format.refused:
         raise ValueError(f"{format.name}: {format.refused}")
@@ -76,14 +77,6 @@ def csv_sheet(
     longer = Counter[str]() if repairs is None and asked else repairs
     parts = _parts(rows, names, longer, cut=repairs is None and asked, lines=format.lines if format else "")
     return Sheet(names, parts, tuple(said), sign != ",", format, longer=longer if repairs is None else None)
-
-
-def _wide(head: bytes) -> str:
-    """The encoding of text of two bytes a letter, as spreadsheets write it, with its mark or without; "" of others."""
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return "utf-16"
-    several = (("utf-16-le", head[1::2], head[::2]), ("utf-16-be", head[::2], head[1::2]))
-    return next((encoding for encoding, zeros, letters in several if letters and not any(zeros) and all(letters)), "")
 
 
 def _begin_of_format(rows: Rows, format: Format) -> str:
@@ -119,9 +112,7 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
         What separates cells, and what is said.
     """
     lines, said = [*islice(io.StringIO(rows.head, newline=""), _ABOVE + _BENEATH + 2)], list[str]()
-    if stated := re.match(r'"?sep=(.)"?\r?\n', lines[0] if lines else ""):
-        lines, rows.head = lines[1:], rows.head[stated.end() :]
-    fixed = [options.sign] if options.sign else [stated[1]] if stated else []
+    fixed = [options.sign] if options.sign else []
     first = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
     signs = fixed or _likely(lines[first] if first < len(lines) else "")
     at, sign = first, signs[0]

@@ -167,22 +167,6 @@ def format_of_text(text: str) -> Format | None:
     return next((one for one in FORMATS if one.begins and re.match(one.begins, text, re.MULTILINE)), None)
 
 
-class Xml(NamedTuple):
-    """Elements that are fixes: their attributes, the texts in them, and the attributes of the elements around them."""
-
-    root: str
-    fix: str
-    target: str = ""
-    """Element around those of a target, which has no name."""
-
-
-XML = (
-    Xml("TrainingCenterDatabase", "Trackpoint", "Activity"),  # watches
-    Xml("fcd-export", "vehicle"),  # SUMO
-    Xml("Tracks", "detection", "particle"),  # TrackMate
-)
-
-
 class Json(NamedTuple):
     """Lists of numbers that are fixes, under a name."""
 

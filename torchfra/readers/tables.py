@@ -34,19 +34,11 @@ Wanted: TypeAlias = dict[str, Kind | None]
 HEADERS = "expected a header with a time and x,y[,z] or lat,lon[,alt]"
 """The beginning of an error message."""
 _UTF_8, _OTHERWISE = "utf-8-sig", "cp1252"
-_NO_TEXTS = (
-    (b"PK\x03\x04", 0, "a zip archive, as .kmz and .npz are: unpack it, or write a table of its arrays by np.savetxt"),
-    (
-        b"\x80",
-        0,
-        "a pickle of Python, which may run anything: write CSV by to_csv, or hand what is in it to torchfra.clean",
-    ),
-    (b"#ROSBAG", 0, "a bag of ROS: export its topic as CSV, such as by rostopic echo -p"),
-    (b"SQLite format 3", 0, "a data base of SQLite: export its table as CSV"),
-    (b"MATLAB", 0, "a file of Matlab: write a table as CSV"),
-    (b"\xb5b", 0, "UBX of a receiver: convert it to NMEA or CSV"),
+_NO_TEXT = bytes(range(7))
+"""Signs that only machines read."""
+_OTHER_FILE = (
+    "expected text in UTF-8 or a format that is read, received another file: unpack it, or export its table as CSV"
 )
-"""How other files begin, after so many bytes, and what to do with them."""
 
 
 class Table(NamedTuple):
@@ -113,8 +105,8 @@ def read_table(
             return xml_sheet(file, max_bytes)
         elif is_nmea(start, suffix):
             return nmea_sheet(file, max_bytes)
-        elif said := next((said for sign, at, said in _NO_TEXTS if start[at:].startswith(sign)), ""):
-            raise ValueError(f"expected text, received {said}")
+        elif {*start[:16]} & {*_NO_TEXT} and start[:1] not in b"\xff\xfe":
+            raise ValueError(_OTHER_FILE)
         return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
@@ -127,8 +119,8 @@ def read_table(
         table = read(_UTF_8)
     except UnicodeDecodeError as error:
         with open_bounded(path, max_bytes) as file:
-            if {*file.peek(1)} & {*range(9), *range(14, 32)}:  # signs that only machines read
-                raise ValueError(f"expected text, received another file ({error})") from error
+            if {*file.peek(1)} & {*_NO_TEXT}:
+                raise ValueError(_OTHER_FILE) from error
         try:
             table = read(_OTHERWISE)
         except AskError:

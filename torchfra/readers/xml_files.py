@@ -1,4 +1,4 @@
-"""Tracks in XML: GPX, KML, and elements that are fixes (``formats.XML``).
+"""Tracks in XML: GPX, KML and TCX.
 
 None needs entities, so that a file that defines some is refused.
 """
@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from torchfra.readers.columns import DECIMAL, short
-from torchfra.readers.formats import XML, Xml
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, whole_text
 from torchfra.running.optional import optional
 
@@ -28,7 +27,7 @@ _DEEPEST = 64
 
 
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The points of GPX, of KML, or of the elements of a format.
+    """The points of GPX, KML or TCX.
 
     Raises:
         ValueError: none of these, or it defines entities.
@@ -44,38 +43,22 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
         raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
     if root == "kml":
         return _kml_sheet(tree)
-    format = next((one for one in XML if one.root == root), None)
-    if format is None:
-        raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
-                         "time,lat,lon")  # fmt: skip
-    return _elements_sheet(tree, format)
+    if root == "TrainingCenterDatabase":
+        return _tcx_sheet(tree)
+    raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
+                     "time,lat,lon, as xml2csv.py of SUMO does")  # fmt: skip
 
 
-def _elements_sheet(tree: ElementTree.Element, format: Xml) -> Sheet:
-    """The fixes of a format: their attributes, the texts in them, and the attributes of the elements around them."""
-    records, targets = list[dict[str, Any]](), Counter[str]()
-
-    def add(element: ElementTree.Element, outer: dict[str, Any]) -> None:
-        tag = _tag(element)
-        known = outer | {name: value for name, value in element.attrib.items() if not name.startswith("{")}
-        if tag == format.target:
-            targets[tag] += 1
-            known |= {"id": f"{tag} {targets[tag]}"}
-        if tag == format.fix:
-            records.append(known | {_tag(part): text for part in element.iter() if (text := (part.text or "").strip())})
-        for inner in element if tag != format.fix else ():
-            add(inner, known)
-
-    add(tree, {})
-    if "frameInterval" in tree.attrib:  # of TrackMate, whose times are numbers of frames
-        unit, renamed = tree.get("spaceUnits", ""), {"t": "frame"}
-        renamed |= {axis: f"{axis} ({unit})" for axis in "xyz"}
-        records = [{renamed.get(name, name): value for name, value in record.items()} for record in records]
-    degrees = {"LatitudeDegrees": "latitude", "LongitudeDegrees": "longitude", "AltitudeMeters": "altitude"}
-    records = [{degrees.get(name, name): value for name, value in record.items()} for record in records]
-    if len({record.get("id") for record in records}) == 1 and format.target:
-        records = [{name: value for name, value in record.items() if name != "id"} for record in records]
-    return records_sheet(records, (f"XML: {format.root}, {format.fix}",))
+def _tcx_sheet(root: ElementTree.Element) -> Sheet:
+    """The points of activities."""
+    names = {"LatitudeDegrees": "latitude", "LongitudeDegrees": "longitude", "AltitudeMeters": "altitude"}
+    activities, records = [one for one in root.iter() if _tag(one) == "Activity"] or [root], list[dict[str, Any]]()
+    for number, activity in enumerate(activities, 1):
+        label = {"id": f"Activity {number}"} if len(activities) > 1 else {}
+        for point in (one for one in activity.iter() if _tag(one) == "Trackpoint"):
+            cells = ((names.get(_tag(part), _tag(part)), (part.text or "").strip()) for part in point.iter())
+            records.append(label | {name: text for name, text in cells if text})
+    return records_sheet(records, ("XML: TrainingCenterDatabase, Trackpoint",))
 
 
 def _checked_root(text: str) -> str:
