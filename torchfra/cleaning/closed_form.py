@@ -4,7 +4,8 @@ It is ``filters.GPB`` for what most recordings are, positions of targets at a ne
 makes the module of the same hypotheses.  A step has one of some levels of process noise, from flying straight to
 turning as hard as can be, and a fix is an inlier or an outlier.  All axes have one covariance, the mean of theirs where
 hypotheses are merged, so that a hypothesis is five numbers and two vectors, and a batch of tracks is some elementwise
-operations a step.  On one axis both filters are the same.
+operations a step.  On one axis both filters are the same.  The module does not take its place: interpreted it is more
+than ten times as slow, and to compile it takes an optional package and, the first time, longer than most files do.
 """
 
 from __future__ import annotations

@@ -16,11 +16,11 @@ SIZE = 9
 """Size of the letters, points."""
 _WIDE, _HIGH = 0.6 * SIZE, 1.3 * SIZE
 """Width and height of a letter, points."""
-_ANCHORS = 30
+_ANCHORS = 15
 """Number of places along a line from which the one that its label points to is chosen."""
 _DISTANCES = (9.0, 16.0, 26.0, 40.0, 60.0)
 """Distances of a label from its anchor that are tried, points."""
-_POINTS = 500
+_POINTS = 150
 """Number of points of a line or of marks that labels avoid, evenly chosen."""
 _SEPARATE = 25.0
 """Points of distance to everything else beyond which a line is not easier to distinguish."""
