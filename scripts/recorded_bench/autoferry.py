@@ -136,7 +136,7 @@ def manager(name: str) -> Targets:
     radar, lidar = (
         presets.jpda(
             motion, Position(STD[sensor]), clutter=Clutter(WIDTH**2, rate=RATE[sensor]), detection=DETECTION[sensor],
-            gate=ChiSquare(0.99999),
+            gate=ChiSquare(0.99999), permutations=False,
         )
         for sensor in (RADAR, LIDAR)
     )  # fmt: skip

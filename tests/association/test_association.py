@@ -57,6 +57,40 @@ def test_probabilities_are_those_of_an_oracle_that_enumerates_every_event(target
     np.testing.assert_allclose(result.log_weights[:, 0].exp(), missed, atol=1e-12)
 
 
+@given(
+    targets=st.integers(2, 4), count=st.integers(1, 5), share=st.sampled_from([0.6, 1.0]), seed=st.integers(0, 10_000)
+)
+@settings(deadline=None, max_examples=60)
+def test_without_permutations_the_best_event_of_each_set_of_targets_and_measurements_counts(
+    targets, count, share, seed
+):
+    """Plain loops over all events; the evidence stays that of all of them."""
+    rng = np.random.default_rng(seed)
+    L, c = random_scan(rng, targets, count, share)
+    ratio, miss = log_ratio(L, 0.8, c), math.log(0.2)
+    clusters = same_cluster(ratio > -torch.inf)
+    result, all_counted = associate(ratio, miss, permutations=False), associate(ratio, miss)
+    torch.testing.assert_close(result.evidence, all_counted.evidence)
+    for t in range(targets):
+        members = clusters[t].nonzero()[:, 0].tolist()
+        best = {}
+        for weight, event in oracles.every_event(members, list(range(count)), L, 0.8, c, 1.0):
+            kind = tuple(event[i] is None for i in members), frozenset(event.values())
+            if kind not in best or weight > best[kind][0]:
+                best[kind] = weight, event
+        expected = np.zeros(count + 1)
+        for weight, event in best.values():
+            expected[0 if event[t] is None else event[t] + 1] += weight
+        np.testing.assert_allclose(result.log_weights[t].exp(), expected / expected.sum(), atol=1e-12)
+
+
+def test_targets_in_one_place_keep_both_permutations_as_they_are_as_probable():
+    ratio = torch.tensor([[1.0, 2.0], [1.0, 2.0]], dtype=torch.float64)
+    same = [associate(ratio, math.log(0.1), permutations=x).log_weights for x in (False, True)]
+    torch.testing.assert_close(same[0][0], same[0][1])
+    torch.testing.assert_close(*same)
+
+
 @given(targets=st.integers(5, 8), seed=st.integers(0, 1000))
 @settings(deadline=None, max_examples=20)
 def test_many_targets_in_small_clusters_are_exact_too(targets, seed):

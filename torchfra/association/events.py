@@ -42,8 +42,14 @@ def joint_events(targets: int, measurements: int) -> Tensor:
     return _joint_events(targets, measurements)
 
 
+def permuted_events(targets: int, measurements: int) -> Tensor:
+    """Number ``(E,)`` of the kind of each joint event: those of one kind have the same targets and measurements."""
+    return _permuted_events(targets, measurements)
+
+
 # Keeps the loop out of the graph: what torch.compiler.assume_constant_result does, which would import torch._dynamo.
 joint_events._dynamo_marked_constant = True  # type: ignore[attr-defined]
+permuted_events._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 @lru_cache(maxsize=64)
@@ -54,7 +60,16 @@ def _joint_events(targets: int, measurements: int) -> Tensor:
     return torch.tensor(feasible, dtype=torch.int64)
 
 
-def sum_over_events(log_ratio: Tensor, log_miss: Tensor, weight: Tensor, diffuse: bool) -> tuple[Tensor, Tensor]:
+@lru_cache(maxsize=64)
+def _permuted_events(targets: int, measurements: int) -> Tensor:
+    events = _joint_events(targets, measurements)
+    kind: Tensor = torch.cat([events > 0, events.sort(-1)[0]], -1).unique(dim=0, return_inverse=True)[1]
+    return kind
+
+
+def sum_over_events(
+    log_ratio: Tensor, log_miss: Tensor, weight: Tensor, diffuse: bool, permutations: bool = True
+) -> tuple[Tensor, Tensor]:
     """Marginal probabilities of one cluster from all of its joint events.
 
     Args:
@@ -62,6 +77,7 @@ def sum_over_events(log_ratio: Tensor, log_miss: Tensor, weight: Tensor, diffuse
         log_miss: ``(R, n)``, as in ``GatedScans``.
         weight: ``(R,)`` number of measurements in the gates of the cluster, as in ``Clusters``.
         diffuse: whether any number of false measurements is equally probable a priori; otherwise it is Poisson.
+        permutations: whether probabilities count all events of one kind, or the most probable of each kind alone.
 
     Returns:
         Log probabilities ``(R, n, j + 1)`` of a miss and of each measurement, and ``(R,)`` the log of the sum over all
@@ -81,6 +97,11 @@ def sum_over_events(log_ratio: Tensor, log_miss: Tensor, weight: Tensor, diffuse
     misses = torch.where(log_event > -torch.inf, misses, torch.inf)
     log_event = torch.where(misses == misses.amin(-1, keepdim=True), log_event, -torch.inf)
     log_total = log_event.logsumexp(-1)
+    if not permutations:
+        kind = permuted_events(targets, measurements).to(events.device).expand(log_event.shape)
+        best = torch.full_like(log_event, -torch.inf).scatter_reduce(-1, kind, log_event.detach(), "amax")
+        log_event = torch.where(log_event >= best.gather(-1, kind), log_event, -torch.inf)
+    log_counted = log_total if permutations else log_event.logsumexp(-1)
     chosen = torch.nn.functional.one_hot(events, measurements + 1).to(log_event).flatten(-2)
-    probability = ((log_event - log_total.unsqueeze(-1)).exp() @ chosen).unflatten(-1, (targets, measurements + 1))
+    probability = ((log_event - log_counted.unsqueeze(-1)).exp() @ chosen).unflatten(-1, (targets, measurements + 1))
     return safe_log(probability), log_total

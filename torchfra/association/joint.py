@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -28,6 +29,7 @@ def associate(
     diffuse: bool = False,
     log_membership: Tensor | None = None,
     exact: tuple[int, int] = (4, 10),
+    permutations: bool = True,
 ) -> Association:
     """Marginal probabilities of association, summed over all joint events of targets and measurements.
 
@@ -46,12 +48,18 @@ def associate(
         exact: largest number of targets and of gated measurements of a cluster whose joint events are enumerated.
             Larger clusters use belief propagation, of 200 rounds at most (50 under ``torch.compile`` and
             ``torch.func``), as do single targets, for which it is exact.
+        permutations: whether all joint events count.  False keeps, of those in which the same targets have the same
+            measurements, the most probable one alone, all of them where several are as probable (JPDA*): estimates of
+            targets that stay beside one another then do not move together.  The evidence is that of all events, and
+            clusters larger than ``exact`` count all.
 
     Raises:
+        NotImplementedError: a kernel without permutations.
         ValueError: no target or no measurement, or ``exact`` allows more than 300,000 combinations, ``(measurements
             + 1)^targets``.
 
-    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(27).
+    Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(27); Blom & Bloem (2000), "Probabilistic
+    Data Association Avoiding Track Coalescence", for JPDA*.
     """
     targets, count = log_ratio.shape[-2:]
     if min(targets, count) < 1:
@@ -59,7 +67,7 @@ def associate(
     log_miss = as_tensor(log_miss, log_ratio)
     batch = broadcast_shapes(log_ratio.shape[:-2], log_miss.shape[:-1])
     scans = _gated_scans(log_ratio, log_miss, log_membership, batch, diffuse)
-    log_weights, evidence = _associate(scans, exact)
+    log_weights, evidence = _associate(scans, exact, permutations)
     return Association(log_weights.reshape(*batch, targets, count + 1), evidence.reshape(*batch, targets))
 
 
@@ -78,11 +86,11 @@ def _gated_scans(
     return GatedScans(ratio, miss, gated, find_clusters(gated, membership), diffuse)
 
 
-def _associate(scans: GatedScans, exact: tuple[int, int]) -> Association:
+def _associate(scans: GatedScans, exact: tuple[int, int], permutations: bool) -> Association:
     """The association of all clusters, each by the method for its size."""
     (targets, count), clusters, traced = scans.log_ratio.shape[-2:], scans.clusters, is_traced(scans.log_ratio)
     if is_elementary():
-        check_sets(targets, count, exact)
+        check_sets(targets, count, exact, permutations)
         return sum_over_sets(scans)
     table = min(exact[0], targets), min(exact[1], count)
     several = clusters.size > 1
@@ -95,7 +103,8 @@ def _associate(scans: GatedScans, exact: tuple[int, int]) -> Association:
     elif bool(large.any()):
         association = _associate_by_tables(scans, large, (targets, count), sum_by_messages, association)
     if targets > 1 and min(table) >= 1 and (traced or bool(small.any())):
-        association = _associate_by_tables(scans, small, table, sum_over_events, association)
+        solve = partial(sum_over_events, permutations=permutations)
+        association = _associate_by_tables(scans, small, table, solve, association)
     return association
 
 

@@ -16,12 +16,15 @@ _NOTHING = 100 * _IMPOSSIBLE
 """Log weight of sets of more targets than there have been measurements."""
 
 
-def check_sets(targets: int, count: int, exact: tuple[int, int]) -> None:
+def check_sets(targets: int, count: int, exact: tuple[int, int], permutations: bool) -> None:
     """Checks that all joint events of a scan are summed, whatever its clusters are.
 
     Raises:
-        NotImplementedError: large clusters would use belief propagation, whose number of rounds depends on the data.
+        NotImplementedError: large clusters would use belief propagation, whose number of rounds depends on the data, or
+            not all events count.
     """
+    if targets > 1 and not permutations:
+        raise NotImplementedError("permutations: kernels count all joint events, expected True, received False")
     if targets > 1 and (targets > exact[0] or count > exact[1]):
         raise NotImplementedError(
             f"exact: kernels have no belief propagation, expected exact=({targets}, {count}) or more for {targets} "

@@ -160,6 +160,7 @@ class ScansOptions(TypedDict, total=False):
     lost: probability of so many misses in a row below which a track is lost; 0 for never.
     share_noise: whether targets share their estimates of the measurement noise.
     exact: targets and measurements of a cluster up to which association is exact, ``(4, 10)`` if not given.
+    permutations: False for JPDA*, where targets stay beside one another; True if not given.
     temperature: 0, if not given, for gates with a hard edge, above for a soft one, to train by.
     """
 
@@ -168,6 +169,7 @@ class ScansOptions(TypedDict, total=False):
     lost: float
     share_noise: bool
     exact: tuple[int, int]
+    permutations: bool
     temperature: float
 
 

@@ -82,6 +82,8 @@ class JPDA(Soft, Filter[JPDAState]):
         share_noise: whether all targets share one noise estimate, the mean weighted by their probabilities of being
             measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
+        permutations: whether association counts all joint events.  False is JPDA*, for targets that stay beside one
+            another: see ``association.associate``.
         temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, which gives the
             gate's size a gradient.
 
@@ -112,6 +114,7 @@ class JPDA(Soft, Filter[JPDAState]):
         lost: float = 0.0,
         share_noise: bool = False,
         exact: tuple[int, int] = (4, 10),
+        permutations: bool = True,
         temperature: float = 0.0,
     ) -> None:
         super().__init__()
@@ -131,7 +134,9 @@ class JPDA(Soft, Filter[JPDAState]):
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
             raise ValueError(f"detection: expected a probability above 0, received {detection}")
-        self.share_noise, self.exact, self.lost = share_noise, exact, lost
+        if not isinstance(permutations, bool):
+            raise ValueError(f"permutations: expected True or False, received {permutations!r}")
+        self.share_noise, self.exact, self.lost, self.permutations = share_noise, exact, lost, permutations
         self.temperature = temperature
         for hyper in hypers(self).values():
             hyper.shared_dims += 1  # all measurements share the values of their target
@@ -279,7 +284,10 @@ class JPDA(Soft, Filter[JPDAState]):
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
         solve = associate if exists is None else partial(associate_uncertain, exists)
-        return solve(ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact)
+        return solve(
+            ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact,
+            permutations=self.permutations,
+        )  # fmt: skip
 
     def finish(self, state: JPDAState, belief: Gaussian, info: JPDAInfo) -> tuple[Gaussian, JPDAInfo]:
         """The estimates of all scans, by ``finish`` of the inner filter."""
