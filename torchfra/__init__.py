@@ -78,7 +78,7 @@ if TYPE_CHECKING:
         testing,
     )
     from torchfra.cleaning.clean import clean, track
-    from torchfra.comparison.comparison import compare
+    from torchfra.evaluation.comparison import compare
     from torchfra.fitting.correlation import correlation
     from torchfra.fitting.from_tracks import fit
     from torchfra.hyper import Hyper, learnable, summary
@@ -97,7 +97,7 @@ else:
         "fitting.from_tracks": "fit",
         "fitting.correlation": "correlation",
         "cleaning.clean": "clean track",
-        "comparison.comparison": "compare",
+        "evaluation.comparison": "compare",
         "running.memory": "keep_memory",
     })  # fmt: skip
 

@@ -31,7 +31,7 @@ PAGES = {
     "torchfra/stream/README.md": "streaming", "torchfra/targets/README.md": "targets",
     "torchfra/cleaning/README.md": "cleaning", "torchfra/compiler/README.md": "performance",
     "scripts/examples": "gallery/examples/index", "torchfra/fitting/README.md": "fitting",
-    "torchfra/comparison/README.md": "comparing",
+    "torchfra/evaluation/README.md": "comparing",
     "torchfra/adapters/README.md": "adapters", "torchfra/motion/README.md": "matrices",
     "torchfra/robust/README.md": "outliers",
 }  # fmt: skip

@@ -10,8 +10,8 @@ import torch
 
 import torchfra
 from torchfra.cli import main as cli
-from torchfra.comparison.comparison import Comparison
 from torchfra.evaluation import divergence_limit, evaluate, table
+from torchfra.evaluation.comparison import Comparison
 from torchfra.metrics.statistics import mean_interval, signed_rank
 
 SCENARIO = torchfra.scenarios.bearings_outliers(initial="truth")

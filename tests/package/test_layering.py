@@ -16,7 +16,7 @@ LEVELS = [
     {"losses"}, {"metrics"}, {"motion"}, {"sensors"}, {"gaussian"}, {"robust"}, {"adaptive"}, {"association"},
     {"steps"}, {"compiler"}, {"filters"}, {"register"}, {"stream"}, {"targets"}, {"testing"},
     {"presets"},
-    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"adapters"}, {"evaluation"}, {"plotting"}, {"comparison"}, {"fitting"},
+    {"scenarios"}, {"catalogue"}, {"cleaning"}, {"adapters"}, {"plotting"}, {"evaluation"}, {"fitting"},
     {"cli"}, {"__init__", "__main__"},
 ]  # fmt: skip
 """Lower first: a module or package imports those below it, and within a package there is no circle."""
@@ -27,7 +27,6 @@ APART = {
     ("evaluation", "cleaning"),
     ("fitting", "readers"),
     ("fitting", "cleaning"),
-    ("comparison", "cleaning"),
 }
 """The first never imports the second, although it lies below."""
 OPTIONAL = {"train": "nothing", "matplotlib": "plotting"}

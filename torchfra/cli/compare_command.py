@@ -12,7 +12,6 @@ from torchfra.cli.compiling import add_compile_option, choose, reporters
 from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
 from torchfra.cli.track_command import FILES
-from torchfra.comparison.comparison import FORMS, Comparison, bound_of, table_form
 from torchfra.evaluation import (
     BASELINE,
     check_limit,
@@ -26,10 +25,11 @@ from torchfra.evaluation import (
     results_of,
     table,
 )
+from torchfra.evaluation.comparison import FORMS, Comparison, bound_of, table_form
 from torchfra.filters import Filter
+from torchfra.pictures import picture_format
 from torchfra.running import distributed
 from torchfra.running.atomic_write import write_json
-from torchfra.running.pictures import picture_format
 from torchfra.scenarios import Scenario
 from torchfra.tables import printable
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,6 +12,7 @@ from torchfra.angles import wrap
 from torchfra.evaluation.fixes import deviations, fixes
 from torchfra.evaluation.runs import run
 from torchfra.filters.base import Filter
+from torchfra.pictures import MappedRun
 from torchfra.scenarios import Scenario
 
 OUTLYING = 4.0
@@ -23,25 +23,6 @@ _SHORTEST = 20
 """Steps of the shortest part that is shown."""
 _VISIBLE = 1 / 30
 """Least visible size of an error, as a share of the map."""
-
-
-class MappedRun(NamedTuple):
-    """A part of one run in the horizontal plane, m; ``N`` targets, ``T`` steps, ``J`` measurements of a step."""
-
-    number: int
-    """Number of the run."""
-    name: str
-    """Name of the recording, or the number in words."""
-    time: Tensor
-    """``(T,)`` seconds since the first measurement of the run was due."""
-    truth: Tensor
-    """``(N, T, 2)``."""
-    fixes: Tensor
-    """``(T, J, 2)`` positions that the measurements imply, NaN where they imply none."""
-    outlying: Tensor
-    """``(T, J)`` bool: measurements of which an element is more than ``OUTLYING`` off the truth."""
-    estimates: dict[str, Tensor]
-    """``(N, T, 2)`` by name of the filter."""
 
 
 def mapped_run(

@@ -18,8 +18,8 @@ from torchfra.fitting.judging import HeldOutComparison, Judged, judged
 from torchfra.fitting.minibatches import Settings
 from torchfra.fitting.newton import Sums
 from torchfra.fitting.objective import Objective
+from torchfra.pictures import picture_format
 from torchfra.running.atomic_write import write_json
-from torchfra.running.pictures import picture_format
 from torchfra.running.versions import versions
 from torchfra.tables import text_table
 

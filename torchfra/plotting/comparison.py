@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,12 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchfra.numbers import Array
-from torchfra.pictures import APART, BLACK, GREY, corners
+from torchfra.pictures import APART, BLACK, GREY, MappedRun, corners
 from torchfra.plotting.labels import SIZE, at_ends, in_free_places
 from torchfra.plotting.style import TITLE, finish, lay_out, line_styles, plain_ticks, without_box, words
-
-if TYPE_CHECKING:
-    from torchfra.evaluation import MappedRun
 
 _ROW = 0.27
 """Height of a filter's row, inches."""

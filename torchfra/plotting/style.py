@@ -16,9 +16,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from torchfra.pictures import APART
+from torchfra.pictures import APART, picture_format
 from torchfra.running.atomic_write import write
-from torchfra.running.pictures import picture_format
 from torchfra.tables import printable
 
 _BROKEN = ("-", "--", ":", "-.")

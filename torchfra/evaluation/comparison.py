@@ -20,8 +20,8 @@ from torchfra.evaluation.runs import check_limit, measure, results_of
 from torchfra.filters.base import Filter
 from torchfra.metrics.statistics import LEVEL, holm, signed_rank
 from torchfra.numbers import is_integer
+from torchfra.pictures import picture_format
 from torchfra.running.atomic_write import write, write_json
-from torchfra.running.pictures import picture_format
 from torchfra.scenarios import Bound, Scenario, Tracks, of_tracks
 from torchfra.scenarios import bound as bound_on
 from torchfra.tables import formed_table, significant, with_error
