@@ -28,6 +28,8 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
 
     with naming(path):
         table = read_table(path, choose, headers=f"expected a header with {', '.join(names)}")
+        if not table.rows:
+            raise ValueError(f"expected rows, received none under the columns {', '.join(table.names)}")
     return {name: table.column(name) for name in names}
 
 

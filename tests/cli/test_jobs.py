@@ -2,6 +2,7 @@
 
 import math
 import multiprocessing
+import os
 import subprocess
 import sys
 import threading
@@ -127,3 +128,32 @@ def test_an_error_leaves_the_number_of_threads_as_it_was():
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others import nothing ahead")
+def test_ctrl_c_leaves_what_they_import_to_the_end_of_this_process(tmp_path):
+    (tmp_path / "slow.py").write_text(
+        "import pathlib, time\n"
+        "pathlib.Path('begun').touch()\n"
+        "while not pathlib.Path('pressed').exists(): time.sleep(0.01)\n"
+        "pathlib.Path('done').touch()\n"
+    )
+    code = (
+        "import os, pathlib, signal, time\n"
+        "from torchfra.running.jobs import prepare\n"
+        "signal.signal(signal.SIGINT, lambda *_: None)\n"
+        "prepare('slow')\n"
+        "while not pathlib.Path('begun').exists(): time.sleep(0.01)\n"
+        "os.killpg(0, signal.SIGINT)\n"
+        "pathlib.Path('pressed').touch()\n"
+        "for _ in range(3000):\n"
+        "    if pathlib.Path('done').exists(): break\n"
+        "    time.sleep(0.01)\n"
+    )
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": paths}, capture_output=True,
+        start_new_session=True, check=True,
+    )  # fmt: skip
+    assert (tmp_path / "done").exists()
+    assert not done.stderr

@@ -104,10 +104,3 @@ def test_messages_of_receivers_of_aircraft_without_a_header_have_feet_and_target
             for i in range(ROWS) for k in range(2))  # fmt: skip
     one, two = read(write(list(rows)))
     assert (one.name, two.name, one.source.word, one.source.unit) == ("4B1800", "4B1801", "aircraft", 0.3048)
-
-
-WIDE = {
-    "names": table("time,Player11_x,Player11_y,Player1_x,Player1_y", lambda i: f"{i / 10},{i}.5,1,{2 * i},3"),
-    "blanks": table("Period,Frame,Time [s],Player11,,Player1,", lambda i: f"1,{i},{i / 10},{i}.5,1,{2 * i},3",
-                    [",,,Home,,Home,", ",,,11,,1,"]),
-}  # fmt: skip

@@ -103,35 +103,11 @@ def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
     assert_in_place(track)
 
 
-# ---------------------------------------------------------------- phones
-
-
-def timeline(fixes, path=3):
-    places = [{"point": f"{lat}\N{DEGREE SIGN}, {lon}\N{DEGREE SIGN}", "time": moment.isoformat()}
-              for moment, (lat, lon) in zip(MOMENTS[:path], PLACES[:path], strict=True)]  # fmt: skip
-    raw = [
-        {"position": {"LatLng": f"{lat}\N{DEGREE SIGN}, {lon}\N{DEGREE SIGN}", "accuracyMeters": 30,
-                      "altitudeMeters": 520.0, "source": "WIFI", "timestamp": moment.isoformat()}}
-        for moment, (lat, lon) in zip(MOMENTS[:fixes], PLACES[:fixes], strict=True)
-    ]  # fmt: skip
-    other = {"wifiScan": {"deliveryTime": "2026-05-03T08:12:16.000+02:00", "devicesRecords": []}}
-    return json.dumps({"semanticSegments": [{"timelinePath": places}] if path else [], "rawSignals": [*raw, other]})
-
-
-GNSS = [
-    "# ", "# Header Description:", "# ", "# Version: v3.1.0.0 Platform: 15 Manufacturer: Google Model: Pixel 8", "# ",
-    "# Raw,utcTimeMillis,TimeNanos,LeapSecond", "# ",
-    "# Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,AccuracyMeters,UnixTimeMillis", "# ",
-]  # fmt: skip
-
-
 # ---------------------------------------------------------------- receivers of ships
 
 
 CLASS_A = "!AIVDM,1,1,,B,15NG6V0P01G?cFhE`R2IU?wn28R>,0*05"
 """Of ship 367380120 at 37.806948, -122.404333, as pyais documents it."""
-CLASS_B = "!AIVDM,1,1,,A,B52K>;h00Fc>jpUlNV@ikwpUoP06,0*4C"
-"""Of ship 338087471 at 40.684540, -74.072132, as gpsd documents it."""
 
 
 def checksum(text):
@@ -141,20 +117,6 @@ def checksum(text):
 def tagged(message, time, more="s:r003669945,"):
     block = f"{more}c:{time}"
     return f"\\{block}*{checksum(block)}\\{message}"
-
-
-def of_second(message, second):
-    """The message with another UTC second of its fix: the six bits behind the true heading, from bit 137 or 133 on."""
-    fields = message[1:].partition("*")[0].split(",")
-    payload = fields[5]
-    values = [ord(sign) - (56 if ord(sign) > 87 else 48) for sign in payload]
-    bits = "".join(f"{value:06b}" for value in values)
-    at = 133 if values[0] == 18 else 137
-    bits = bits[:at] + f"{second:06b}" + bits[at + 6 :]
-    values = [int(bits[i : i + 6], 2) for i in range(0, len(bits), 6)]
-    fields[5] = "".join(chr(value + (48 if value < 40 else 56)) for value in values)
-    said = ",".join(fields)
-    return f"!{said}*{checksum(said)}"
 
 
 def test_the_ship_itself_is_read_where_it_hears_others(write):
@@ -248,12 +210,12 @@ def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
     assert read(write(json.dumps(records), "a.json"))[0].origin[0] == 50
 
 
-def test_what_a_recorder_puts_before_json_is_left_out(write):
-    lines = []
-    for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True):
-        fix = {"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()}
-        lines.append(f"{moment:%Y-%m-%dT%H:%M:%SZ}\t*                 \t{json.dumps(fix)}")
-    (track,) = read(write(['2026-05-03T08:14:00Z\tlwt\t{"_type": "lwt", "tst": 1}', *lines], "2026-05.rec"))
+def test_fixes_of_owntracks_are_by_its_names(write):
+    lines = [
+        json.dumps({"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()})
+        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
+    ]
+    (track,) = read(write(['{"_type": "lwt", "tst": 1}', *lines], "2026-05.json"))
     assert_in_place(track)
     assert track.name == "m"
     assert track.sigma == pytest.approx(8 / np.sqrt(-2 * np.log(0.32)))
@@ -272,14 +234,6 @@ def test_the_time_of_a_fix_goes_before_that_of_the_device(write):
 
 
 # ---------------------------------------------------------------- languages and cells
-
-
-POLISH = "Lp.;Pojazd;Data i czas;Szerokość geogr.;Długość geogr.;Prędkość [km/h]"
-RUSSIAN = "№;Время;Скорость;Широта;Долгота;Высота"
-
-
-def where(count):
-    return [(50.0 + 1e-4 * k, 20.0 + 2e-4 * k) for k in range(count)]
 
 
 def test_sentences_of_a_receiver_in_cells_of_csv_are_read(tmp_path):

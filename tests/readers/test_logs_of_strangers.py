@@ -148,11 +148,6 @@ def test_a_watch_writes_laps_and_pauses(write):
     assert track.repairs == {"rows without position dropped": 1}
 
 
-VBOX = (
-    "File created on 03/06/2024 @ 08:15\n\n[header]\nsatellites\n\n[column names]\nsats time lat long velocity height\n"
-)
-
-
 def test_objects_within_records_are_columns(write):
     records = [
         {"timestamp": round(1000 * moment.timestamp()), "coords": {"latitude": lat, "longitude": lon, "accuracy": 5}}

@@ -13,8 +13,6 @@ from test_formats import ALTITUDE, FILES, LATITUDE, LONGITUDE, ROWS, START, chec
 
 from torchfra.readers import read
 
-MANY = np.arange(963)
-
 
 @pytest.fixture
 def write(tmp_path):
@@ -27,10 +25,6 @@ def write(tmp_path):
 
 
 # ---------------------------------------------------------------- times
-
-
-def flight(times, column="timestamp"):
-    return table(f"{column},latitude,longitude", [(t, 47 + i / 1e4, 8) for i, t in enumerate(times)])
 
 
 def test_one_target_that_cannot_be_does_not_stop_the_others(write):
@@ -48,13 +42,7 @@ def test_times_of_the_day_go_on_after_midnight(write):
     assert track.source.written(track.time) == ["23:59:59.000", "00:00:00.500", "00:00:02.000"]
 
 
-# ---------------------------------------------------------------- cells
-
-
 # ---------------------------------------------------------------- formats
-
-BOMB = '<!DOCTYPE x [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>'
-POINT = '<trkpt lat="{}" lon="8"><time>2020-09-13T12:26:40Z</time></trkpt>'
 
 
 @pytest.mark.parametrize("name", ["walk.gpx", "walk.kml", "walk.nmea", "line.geojson"])

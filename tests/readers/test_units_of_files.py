@@ -54,9 +54,6 @@ def test_greenwich_is_utc(tmp_path):
     assert track.source.written(track.time[:1]) == seconds[:1]
 
 
-HINT = "looks like --time frame --time-format 25fps.*, if a second has 25 frames"
-
-
 def test_frames_are_read_and_written_by_how_many_a_second_has(tmp_path):
     (track,) = read(path(tmp_path, frame=100 + np.arange(ROWS), **straight()), time="frame", time_format="12.5fps")
     np.testing.assert_allclose(np.diff(track.time), 0.08)

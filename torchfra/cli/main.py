@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import nullcontext
+from importlib import import_module
 from typing import Any
 
 from torchfra.cli.command import Parser, exit_status, make_parser
@@ -50,12 +51,7 @@ class _Command(Parser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Adds the options of the command, then parses."""
-        from torchfra.cli.early import imported, start_processes  # which no other help needs
-
-        name = self.prog.split()[-1]
-        if name == "track":
-            start_processes(args)
-        imported(f"torchfra.cli.{name}_command").add_to(self)
+        import_module(f"torchfra.cli.{self.prog.split()[-1]}_command").add_to(self)
         options, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")

@@ -33,16 +33,13 @@ _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", r
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
-def csv_sheet(
-    file: Any, options: ReadOptions | None, headers: str, repairs: Counter[str] | None, max_bytes: int, encoding: str
-) -> Sheet:
+def csv_sheet(file: Any, options: ReadOptions | None, headers: str, max_bytes: int, encoding: str) -> Sheet:
     """The rows of a file.
 
     Args:
         file: open for reading.
         options: of the caller, which may name columns by their numbers, from 1 on; None for no options.
         headers: beginning of the error message where there is no header.
-        repairs: see ``tables.read_table``.
         max_bytes: of text.
         encoding: of its text.
 
@@ -73,10 +70,13 @@ def csv_sheet(
             f"expected every column once, received several named {twice}: give each a name of its own in the header"
         )
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
-    asked = bool(options and options.columns)
-    longer = Counter[str]() if repairs is None and asked else repairs
-    parts = _parts(rows, names, longer, cut=repairs is None and asked, lines=format.lines if format else "")
-    return Sheet(names, parts, tuple(said), sign != ",", format, longer=longer if repairs is None else None)
+    longer = Counter[str]() if options and options.columns else None
+    more = (
+        "; rows with more are read by their first fields where options name the columns, such as ", {"time": names[0]},
+        f"; or the header is another line than that of {listed(names)}",
+    ) if options else ()  # fmt: skip
+    parts = _parts(rows, names, longer, more, format.lines if format else "")
+    return Sheet(names, parts, tuple(said), sign != ",", format, longer=longer)
 
 
 def _begin_of_format(rows: Rows, format: Format) -> str:
@@ -247,9 +247,12 @@ def _line(cells: list[str], sign: str) -> str:
 
 
 def _parts(
-    rows: Rows, names: list[str], longer: Counter[str] | None, *, cut: bool, lines: str
+    rows: Rows, names: list[str], longer: Counter[str] | None, more: tuple[Any, ...], lines: str
 ) -> Iterator[tuple[int, Cells]]:
-    """The cells part by part; rows with more fields are cut where columns are named, and counted, or else refused."""
+    """The cells part by part.
+
+    Rows with more fields are cut and counted in ``longer``, or refused with ``more`` of a message if that is None.
+    """
     place, width = {name: i for i, name in enumerate(names)}, len(names)
 
     def mended(row: list[str], before: int) -> list[str]:
@@ -259,16 +262,10 @@ def _parts(
             return row[:width]
         if lines:
             return (row + [""] * width)[:width] if len(row) >= width / 2 else []
-        if longer is None or (cut and len(row) < width):
-            raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}; rows with more are "
-                           "read by "
-                           "their first fields where options name the columns, such as ", {"time": names[0]},
-                           f"; or the header is another line than that of {listed(names)}")  # fmt: skip
-        if cut:
-            longer["rows with more fields than the header read by their first fields"] += 1
-            return row[:width]
-        longer["rows with too many or too few fields emptied"] += 1
-        return [""] * width
+        if longer is None or len(row) < width:
+            raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}", *more)
+        longer["rows with more fields than the header read by their first fields"] += 1
+        return row[:width]
 
     try:
         for cells in rows.parts(width, mended):

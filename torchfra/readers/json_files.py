@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,19 +11,12 @@ from torchfra.readers.formats import JSON, Json
 from torchfra.readers.names import found, places_in
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated, whole_text
 
-_RECORDED = re.compile(rb"[0-9TZ:.-]+\t[^\t\n]+\t\{")
-"""How lines of OwnTracks' recorder begin, of which only what follows is JSON."""
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
 _DEEPEST = 5
 """Objects in another that are looked into."""
-
-
-def is_json(start: bytes) -> bool:
-    """Whether a file that begins so is JSON."""
-    return start[:1] in (b"[", b"{") or _RECORDED.match(start) is not None
 
 
 def json_sheet(file: Any, max_bytes: int) -> Sheet:
@@ -72,8 +64,6 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
 
 def _parsed(content: str) -> Any:
     """What JSON says; a list of all records where each line is an object, or a list of some, of its own."""
-    if _RECORDED.match(content[:200].encode()):
-        content = re.sub(r"(?m)^[^{\n]*", "", content)
     try:
         return json.loads(content, object_pairs_hook=_object)
     except json.JSONDecodeError as error:

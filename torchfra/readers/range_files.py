@@ -80,9 +80,9 @@ def read_ranges(
     Columns may have other common names (``stamp``, ``timestamp``; ``id``; ``distance``, ``field.distanceFromTag``);
     further ones do not matter.  Metres, and seconds, or ms, us or ns since 1970.
 
-    These are repaired and counted: rows with too many or too few fields, without time or without range, ranges that are
-    not above 0, rows out of time order, all but the first of the rows of an anchor with the same time, anchors without
-    any range, and in a folder files of another kind.
+    These are repaired and counted: rows without time or without range, ranges that are not above 0, rows out of time
+    order, all but the first of the rows of an anchor with the same time, anchors without any range, and in a folder
+    files of another kind.
 
     Args:
         source: a folder, a file, or several files of the same recording.
@@ -151,7 +151,7 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
     stem = Path(path.name.removesuffix(".gz")).stem
     with naming(path):
         try:
-            table = read_table(path, choose, headers=_HEADERS, repairs=found.repairs, max_bytes=max_bytes)
+            table = read_table(path, choose, headers=_HEADERS, max_bytes=max_bytes)
             kind = _kind_of(table.names)
         except _OtherKindError:
             found.repairs["files of another kind left out"] += 1

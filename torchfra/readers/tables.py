@@ -22,10 +22,10 @@ from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, joined, num
 from torchfra.readers.csv_files import csv_sheet
 from torchfra.readers.formats import format_of
 from torchfra.readers.igc_files import igc_sheet, is_igc
-from torchfra.readers.json_files import is_json, json_sheet
+from torchfra.readers.json_files import json_sheet
 from torchfra.readers.names import plain
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
-from torchfra.readers.options import AskError, ReadOptions, listed, named
+from torchfra.readers.options import AskError, ReadOptions, named
 from torchfra.readers.sheets import Sheet
 from torchfra.readers.xml_files import xml_sheet
 
@@ -64,7 +64,6 @@ def read_table(
     choose: Callable[[Head], Wanted],
     *,
     headers: str = HEADERS,
-    repairs: Counter[str] | None = None,
     max_bytes: int = MAX_BYTES,
     options: ReadOptions | None = None,
 ) -> Table:
@@ -74,8 +73,6 @@ def read_table(
         path: the file.
         choose: which columns to read; it may raise a ``ValueError``.
         headers: beginning of the error message where there is no header.
-        repairs: where to count rows of CSV with more or fewer fields than the header, whose cells become empty; None
-            refuses them, and tables without rows.
         max_bytes: of text; a row counts for 64 bytes or more, a name for 4096, a byte of JSON for 24 and of XML for 32.
         options: how cells are written.
 
@@ -91,7 +88,7 @@ def read_table(
         start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
         if is_igc(start, suffix):
             return igc_sheet(file, max_bytes, encoding)
-        if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and is_json(start)):
+        if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and start[:1] == b"["):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)
@@ -107,7 +104,7 @@ def read_table(
             return nmea_sheet(file, max_bytes)
         elif {*start[:16]} & {*_NO_TEXT} and start[:1] not in b"\xff\xfe":
             raise ValueError(_OTHER_FILE)
-        return csv_sheet(file, options, headers, repairs, max_bytes, encoding)
+        return csv_sheet(file, options, headers, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:
@@ -129,8 +126,6 @@ def read_table(
             raise ValueError(f"{other} (the text is no UTF-8, and was read as {_OTHERWISE})") from other
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise ValueError(f"expected a complete gzip file, received none ({error})") from error
-    if repairs is None and not table.rows:
-        raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
     return table
 
 
