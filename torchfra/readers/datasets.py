@@ -18,7 +18,7 @@ from torchfra.readers.options import listed
 from torchfra.readers.reading import SheetReader
 from torchfra.readers.recording import Recording
 from torchfra.readers.repairs import TooFewError, dropped
-from torchfra.readers.tables import naming
+from torchfra.readers.tables import head_of, naming
 from torchfra.running.optional import optional
 
 _ROWS = 2**18
@@ -162,7 +162,9 @@ def open_data(path: str | Path, **words: str | None) -> DataSet:
             raise ValueError("expected rows in Parquet files, received none")
         names = schemas[begin].names
         head = next(parquet.ParquetFile(files[begin].path).iter_batches(_HEAD, columns=names))
-        reader = SheetReader(table_sheet(pyarrow.Table.from_batches([head])), path.name, **words)
+        sheet = table_sheet(pyarrow.Table.from_batches([head]))
+        reader = SheetReader(path.name, words)
+        reader(head_of(sheet, next(iter(sheet.parts))[1]))
         if "id" not in reader.layout.columns:
             raise ValueError(f"id: expected a column that says which target a row is of, received {listed(names)}")
     wanted = _plain(schemas[begin], reader.columns).names

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,29 +36,6 @@ _UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (0.0, 1.0))
 _TIME, _METRES = Kind("a time", limit=1e19), Kind("a number of metres")
 _SAME_PLACE = 0.01
 """Metres by which the places of an anchor that stands still may differ."""
-
-
-class _AnchorRows(NamedTuple):
-    """What a table holds of one anchor."""
-
-    names: tuple[str, ...]
-    """What it may be called elsewhere; the first is its name."""
-    time: Array
-    """``(k,)`` seconds, strictly increasing."""
-    ranges: Array
-    """``(k,)`` metres."""
-    place: Array
-    """``(3,)`` metres, NaN where the table does not say."""
-
-
-@dataclass
-class _Found:
-    """What the files of a recording hold."""
-
-    anchors: list[_AnchorRows] = field(default_factory=list)
-    places: dict[str, Array] = field(default_factory=dict)
-    paths: list[Recording] = field(default_factory=list)
-    repairs: Counter[str] = field(default_factory=Counter)
 
 
 def read_ranges(
@@ -100,14 +77,17 @@ def read_ranges(
     if not paths:
         raise ValueError("source: expected a folder or files, received none")
     name = (paths[0] if single else paths[0].parent).as_posix()
-    folder = single and paths[0].is_dir()
-    found = _Found()
+    folder, found = single and paths[0].is_dir(), _Found()
     for path in _tables_in(paths[0]) if folder else paths:
         _add(path, found, max_bytes, any_kind=folder)
-    if anchors is not None:
-        found.places.update(_only("places", anchors, max_bytes).places)
-    if reference is not None:
-        found.paths = _only("paths", reference, max_bytes).paths
+    for stated, what, columns in ((anchors, "places", "anchor,x,y[,z]"), (reference, "paths", "t,x,y[,z]")):
+        if stated is None:
+            continue
+        _add(Path(stated), other := _Found(), max_bytes)
+        if not getattr(other, what):
+            raise ValueError(f"{stated}: expected rows with the columns {columns}, received a file of another kind")
+        found.places |= other.places
+        found.paths = other.paths or found.paths
     return _recording(name, found)
 
 
@@ -117,22 +97,30 @@ def range_folders(folder: str | Path) -> list[Path]:
     Raises:
         ValueError: no folder with such files.
     """
-    found = sorted({path.parent for pattern in _PATTERNS for path in Path(folder).rglob(pattern)})
-    if not found:
-        raise ValueError(f"{folder}: expected CSV or JSON files there or below, received none")
-    return found
+    return sorted({path.parent for path in _tables_in(Path(folder), below=True)})
 
 
-def _tables_in(folder: Path) -> list[Path]:
-    """The CSV and JSON files of a folder, sorted by name."""
-    files = sorted(path for pattern in _PATTERNS for path in folder.glob(pattern))
+def _tables_in(folder: Path, *, below: bool = False) -> list[Path]:
+    """The CSV and JSON files of a folder, and perhaps of those below it, sorted by name."""
+    files = sorted(path for pattern in _PATTERNS for path in (folder.rglob if below else folder.glob)(pattern))
     if not files:
-        raise ValueError(f"{folder}: expected CSV or JSON files, received none")
+        raise ValueError(f"{folder}: expected CSV or JSON files{' there or below' * below}, received none")
     return files
 
 
 class _OtherKindError(Exception):
     """A file holds neither ranges nor places nor a path."""
+
+
+@dataclass
+class _Found:
+    """What the files of a recording hold."""
+
+    anchors: list[tuple[tuple[str, ...], Array, Array, Array]] = field(default_factory=list)
+    """Names of an anchor, the first its own; times ``(k,)`` and ranges, and its place ``(3,)``, NaN where not said."""
+    places: dict[str, Array] = field(default_factory=dict)
+    paths: list[Recording] = field(default_factory=list)
+    repairs: Counter[str] = field(default_factory=Counter)
 
 
 def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -> None:
@@ -148,7 +136,6 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
         kinds = {"time": _TIME, "anchor": None}
         return {name: kinds.get(what, _METRES) for what, name in _columns_of(head.names).items()}
 
-    stem = Path(path.name.removesuffix(".gz")).stem
     with naming(path):
         try:
             table = read_table(path, choose, headers=_HEADERS, max_bytes=max_bytes)
@@ -156,29 +143,28 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
         except _OtherKindError:
             found.repairs["files of another kind left out"] += 1
             return
+        columns, stem = _columns_of(table.names), Path(path.name.removesuffix(".gz")).stem
+        position = np.stack([table.column(columns.get(axis, "")) for axis in "xyz"], 1)
+        rows = grouped(table.texts.get(columns.get("anchor", ""), []))
         if kind == "ranges":
-            found.anchors += _anchors_in(table, stem, found.repairs)
+            data = np.column_stack([_seconds(table, columns), table.column(columns["range"])])
+            found.anchors += _anchors_in(data, position, rows, stem, columns.get("anchor", ""), found.repairs)
         elif kind == "path":
-            found.paths.append(_path_in(table, stem))
+            position = position[:, :2] if np.isnan(position[:, 2]).all() else position
+            data, repairs = np.column_stack([_seconds(table, columns), position]), Counter[str]()
+            data = data[_in_order(data, "position", repairs)]
+            if len(data) < 2:
+                raise ValueError(f"expected 2 or more rows with time and position, received {len(data)}")
+            found.paths.append(Recording(stem, data[:, 0], data[:, 1:], None, dict(+repairs)))
         else:
-            found.places.update(_places_in(table))
-
-
-def _only(kind: str, path: str | Path, max_bytes: int) -> _Found:
-    """What a file holds that must hold ``"places"`` or ``"paths"``."""
-    found = _Found()
-    _add(Path(path), found, max_bytes)
-    if not getattr(found, kind):
-        columns = {"places": "anchor,x,y[,z]", "paths": "t,x,y[,z]"}[kind]
-        raise ValueError(f"{path}: expected rows with the columns {columns}, received a file of another kind")
-    return found
+            found.places.update({name: _place(position[i], name) for name, i in rows.items() if name})
 
 
 def _recording(name: str, found: _Found) -> RangeRecording:
     """A recording of all that was found."""
-    heard = [anchor for anchor in found.anchors if len(anchor.time)]
+    heard = [anchor for anchor in found.anchors if len(anchor[1])]
     found.repairs["anchors without ranges dropped"] += len(found.anchors) - len(heard)
-    names = [anchor.names[0] for anchor in heard]
+    names = [known[0] for known, *_ in heard]
     if not heard:
         raise ValueError(f"{name}: expected ranges above 0 with their times, received none")
     if repeated := sorted(one for one, count in Counter(names).items() if count > 1):
@@ -187,14 +173,14 @@ def _recording(name: str, found: _Found) -> RangeRecording:
         received = ", ".join(path.name for path in found.paths)
         raise ValueError(f"{name}: expected one reference path, received {received}")
     stated = found.places
-    places = np.stack([next((stated[n] for n in one.names if n in stated), one.place) for one in heard])
+    places = np.stack([next((stated[n] for n in known if n in stated), place) for known, _, _, place in heard])
     for one, place in zip(names, places, strict=True):
         if not np.isfinite(place[:2]).all():
             raise ValueError(f"{name}: expected x and y of every anchor, received none for {one}")
     high = np.isfinite(places[:, 2])
     if high.any() and not high.all():
         raise ValueError(f"{name}: expected z of every anchor or of none, received none for {names[high.argmin()]}")
-    times, ranges = (tuple(column) for column in zip(*(anchor[1:3] for anchor in heard), strict=True))
+    _, times, ranges, _ = zip(*heard, strict=True)
     anchors = places if high.all() else places[:, :2]
     path = found.paths[0] if found.paths else None
     return RangeRecording(name, tuple(names), anchors, times, ranges, path, dict(+found.repairs))
@@ -227,51 +213,25 @@ def _kind_of(names: list[str]) -> str:
     raise ValueError(f"{_HEADERS}; received {listed(names)}")
 
 
-def _anchors_in(table: Table, stem: str, repairs: Counter[str]) -> list[_AnchorRows]:
-    """The ranges of each anchor of a table, in the order of their first rows.
+def _anchors_in(
+    data: Array, places: Array, rows: dict[str, NDArray[np.intp]], stem: str, column: str, repairs: Counter[str]
+) -> list[tuple[tuple[str, ...], Array, Array, Array]]:
+    """The anchors of a table, in the order of their first rows.
 
     Args:
-        table: of ranges.
+        data: times and ranges ``(rows, 2)``.
+        places: of the anchors ``(rows, 3)``.
+        rows: of each name.
         stem: of the file's name, which an anchor has that the table does not name or only by its ``id``.
+        column: with the names.
         repairs: where to count them.
     """
-    columns = _columns_of(table.names)
-    data = np.stack([_seconds(table, columns), table.column(columns["range"])], 1)
-    places = _places_of(table, columns)
-    rows = grouped(table.texts.get(columns.get("anchor", ""), []))
     known = [label for label in rows if label]
     if len(known) <= 1:
-        named = "anchor" in columns.get("anchor", "").lower()
-        names = (*known, stem) if named else (stem, *known)
-        return [_AnchorRows(names, *_ranges(data, repairs), _place(places, stem))]
+        names = (*known, stem) if "anchor" in column.lower() else (stem, *known)
+        return [(names, *_ranges(data, repairs), _place(places, stem))]
     repairs["rows without anchor dropped"] += len(rows.pop("", ()))
-    return [_AnchorRows((label,), *_ranges(data[i], repairs), _place(places[i], label)) for label, i in rows.items()]
-
-
-def _places_in(table: Table) -> dict[str, Array]:
-    """Where the anchors of a table are, ``(3,)`` each with NaN where it does not say, by their names."""
-    columns = _columns_of(table.names)
-    places = _places_of(table, columns)
-    rows = grouped(table.texts[columns["anchor"]])
-    return {name: _place(places[i], name) for name, i in rows.items() if name}
-
-
-def _path_in(table: Table, stem: str) -> Recording:
-    """The reference path of a table."""
-    columns = _columns_of(table.names)
-    position = _places_of(table, columns)
-    if np.isnan(position[:, 2]).all():
-        position = position[:, :2]
-    data, repairs = np.column_stack([_seconds(table, columns), position]), Counter[str]()
-    data = data[_in_order(data, "position", repairs)]
-    if len(data) < 2:
-        raise ValueError(f"expected 2 or more rows with time and position, received {len(data)}")
-    return Recording(stem, data[:, 0], data[:, 1:], None, dict(+repairs))
-
-
-def _places_of(table: Table, columns: _Columns) -> Array:
-    """Coordinates ``(rows, 3)``, m, NaN where the table has none."""
-    return np.stack([table.column(columns.get(axis, "")) for axis in "xyz"], 1)
+    return [((label,), *_ranges(data[i], repairs), _place(places[i], label)) for label, i in rows.items()]
 
 
 def _seconds(table: Table, columns: _Columns) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,12 @@ from torchfra.geodesy import cosine, to_enu
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import Head
 from torchfra.readers.layouts import Layout, layout_of
-from torchfra.readers.options import ReadOptions, Words, listed, read_options
+from torchfra.readers.options import Words, listed, read_options
 from torchfra.readers.recording import Origin, Recording
 from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import checked
 from torchfra.readers.sheets import Sheet
-from torchfra.readers.tables import Table, Wanted, head_of, naming, read_table, table_of
+from torchfra.readers.tables import Table, Wanted, naming, read_table, table_of
 
 _ENOUGH = 25
 """Heights that are all the same from which on they are no third dimension."""
@@ -52,11 +53,11 @@ def read(
             can have moved so.
         ImportError: what reads the format is not installed.
     """
-    path, options = Path(path), read_options(words)
+    path = Path(path)
+    reader = SheetReader(path.name, words)
     with naming(path):
-        chosen = _Choice(options, path.name)
-        table = read_table(path, chosen, max_bytes=max_bytes, options=options)
-        return _recordings(table, chosen, origin, Path(path.name.removesuffix(".gz")).stem)
+        table = read_table(path, reader, max_bytes=max_bytes, options=reader.options)
+        return _recordings(table, reader, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
 def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: Words) -> list[Recording]:
@@ -65,43 +66,41 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
     Raises:
         ValueError: see ``read``.
     """
-    chosen = _Choice(read_options(words), name)
+    reader = SheetReader(name, words)
     with naming(name):
-        return _recordings(table_of(sheet, chosen, max_bytes, chosen.options), chosen, None, name)
+        return _recordings(table_of(sheet, reader, max_bytes, reader.options), reader, None, name)
 
 
 class SheetReader:
-    """Reads sheets of the same columns, such as parts of a data set.
+    """Chooses the columns of a table, and reads others of the same columns, such as parts of a data set.
 
     Args:
-        first: some of the rows, which show what the columns hold.
-        name: of the data set.
+        name: of the file or data set.
         words: see ``ReadOptions``.
 
     Raises:
-        ValueError: the columns are not understood.
+        ValueError: (when it is called, too) the words, or the columns, are not understood.
     """
 
-    def __init__(self, first: Sheet, name: str, **words: Words) -> None:
-        self._chosen = _Choice(read_options(words), name)
-        _, cells = next(iter(first.parts))
-        self._wanted = self._chosen(head_of(first, cells))
+    def __init__(self, name: str, words: Mapping[str, Words]) -> None:
+        self.name, self.options = name, read_options(words)
+        self._layout: Layout | None = None
 
-    @property
-    def options(self) -> ReadOptions:
-        """What a caller says of them."""
-        return self._chosen.options
+    def __call__(self, head: Head) -> Wanted:
+        """The columns to read."""
+        self._layout = layout_of(head, self.options, self.name)
+        return self._layout.wanted
 
     @property
     def layout(self) -> Layout:
         """What the columns hold."""
-        assert self._chosen.layout is not None
-        return self._chosen.layout
+        assert self._layout is not None
+        return self._layout
 
     @property
     def columns(self) -> list[str]:
         """Those that it reads."""
-        every = (name for one, kind in self._wanted.items() for name in ((kind and kind.joined) or (one,)))
+        every = (name for one, kind in self.layout.wanted.items() for name in ((kind and kind.joined) or (one,)))
         return list(dict.fromkeys(every))
 
     def read(self, sheet: Sheet) -> list[Recording]:
@@ -110,33 +109,22 @@ class SheetReader:
         Raises:
             ValueError: see ``read``.
         """
-        table = table_of(sheet, lambda head: self._wanted, sys.maxsize)
-        return _recordings(table, self._chosen, None, self._chosen.name, apart=True)
-
-
-class _Choice:
-    """Chooses the columns of a table, and keeps what they mean."""
-
-    def __init__(self, options: ReadOptions, name: str) -> None:
-        self.options, self.name = options, name
-        self.layout: Layout | None = None
-
-    def __call__(self, head: Head) -> Wanted:
-        self.layout = layout_of(head, self.options, self.name)
-        return self.layout.wanted
+        return _recordings(
+            table_of(sheet, lambda _: self.layout.wanted, sys.maxsize), self, None, self.name, apart=True
+        )
 
 
 def _recordings(
-    table: Table, chosen: _Choice, origin: Origin | None, stem: str, *, apart: bool = False
+    table: Table, reader: SheetReader, origin: Origin | None, stem: str, *, apart: bool = False
 ) -> list[Recording]:
     """The recordings of a table, about one origin, or each about its own first fix where they are ``apart``."""
-    layout = chosen.layout
-    if layout is None or not table.rows:
+    if not table.rows:
         raise ValueError(f"expected rows, received none under the columns {listed(table.names)}")
+    layout = reader.layout
     if not layout.degrees and origin is not None:
         raise ValueError(f"origin: expected degrees beside it, received the columns {listed(table.names)}")
     if not apart:
-        layout = _without_constant_z(table, layout, chosen.options)
+        layout = _without_constant_z(table, layout)
     targets = repaired_targets(table, layout, stem)
     shared = _origin(targets[0], origin) if layout.degrees and not apart else None
     own = [layout.degrees and (shared is None or (origin is None and _hidden(target, shared))) for target in targets]
@@ -145,12 +133,12 @@ def _recordings(
     return sorted(checked(recordings, layout), key=lambda recording: recording.name)
 
 
-def _without_constant_z(table: Table, layout: Layout, options: ReadOptions) -> Layout:
+def _without_constant_z(table: Table, layout: Layout) -> Layout:
     """Leaves out a z that is the same everywhere, as of what moves in a plane, unless it is asked for by its name."""
     z = layout.columns.get("z", "")
     heights = table.column(z)
     known = heights[np.isfinite(heights)]
-    if options.z is not None or len(known) < _ENOUGH or np.ptp(known) > 0:
+    if layout.stated.z is not None or len(known) < _ENOUGH or np.ptp(known) > 0:
         return layout
     said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (option z takes it)"
     columns = {role: name for role, name in layout.columns.items() if role != "z"}
