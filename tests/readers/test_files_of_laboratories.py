@@ -46,7 +46,7 @@ def test_radians_are_refused_whatever_the_unit_of_lengths(write):
 
 def test_three_lines_beneath_a_header_are_looked_at_for_units(write):
     above = ["POSITION_T,POSITION_X,POSITION_Y", "T,X,Y", "T,X,Y", "(sec),(micron),(micron)"]
-    with pytest.raises(ValueError, match=r"column POSITION_X: .* received \(micron\) beneath the header"):
+    with pytest.raises(ValueError, match=r"column POSITION_X \(micron\): .* received micron: convert"):
         read(write([*above, *(f"{i},{x},0" for i, x in enumerate(EAST))]))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from torchfra.readers import read
+from torchfra.readers.options import AskError
 from torchfra.readers.times import seconds_of, written
 
 START = datetime(2024, 6, 3, 8, 15, tzinfo=timezone.utc)
@@ -57,8 +58,20 @@ def test_units_beneath_the_header_count(write):
 @pytest.mark.parametrize("unit", ["rad", "[radians]", "inch", "px"])
 def test_a_unit_beneath_the_header_that_nobody_converts_is_refused(write, unit):
     path = write(["time,lat,lon", f"s,{unit},{unit}", *(f"{i},{(82 + i) / 100},0.14" for i in range(ROWS))])
-    with pytest.raises(ValueError, match=r"column lat: expected metres or degrees, received .* beneath the header"):
+    with pytest.raises(ValueError, match=r"column lat \(.*\): expected metres or degrees, received .*: convert"):
         read(path)
+
+
+@pytest.mark.parametrize("text", [
+    "t,x [furlong],y [furlong]\n", "t,x,y\ns,deg,deg\n", "# s,um,um\nt,x,y\n", "# s,rad,rad\nt,x,y\n",
+    "# units: mrad\nt,x,y\n", "Units;px\nt,x,y\n",
+])  # fmt: skip
+def test_a_unit_of_x_and_y_that_is_not_known_is_refused_wherever_it_stands_and_can_be_stated(write, text):
+    path = write(text + "".join(f"{i},{2 * i},{3 * i}\n" for i in range(ROWS)))
+    with pytest.raises(AskError) as refused:
+        read(path)
+    assert "--units" in refused.value.command
+    assert read(path, units="mm")[0].position[1] == pytest.approx([0.002, 0.003])
 
 
 def test_a_first_row_without_a_position_is_no_row_of_units(write):

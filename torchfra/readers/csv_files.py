@@ -15,7 +15,7 @@ from torchfra.readers.bounded import LONGEST_ROW, Rows
 from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
-from torchfra.readers.names import LENGTHS, OTHER_UNIT, TIMES, found, places_in
+from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in
 from torchfra.readers.options import AskError, ReadOptions, listed
 from torchfra.readers.sheets import Sheet, repeated
 
@@ -25,7 +25,8 @@ _COMMENTS = ("#", "%", "//")
 _ABOVE, _BENEATH = 100, 3
 """Lines before a header, and of units beneath it, that loggers write."""
 _LENGTH = re.compile(
-    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|mm|cm|dm|km|yards?|yd|miles?|nmi)\b",
+    r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|[mcdknu]m|\u00b5m|yards?|yd|mi(?:les?)?|nmi|px|pixels?|"
+    r"m?rad(?:ians?)?)\b",
     re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
@@ -133,10 +134,9 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
             break
     above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
     units = [line for line in above if "unit" in line.lower() and _LENGTH.search(line)]
-    if units and not options.units and not bare:
-        unit = _LENGTH.search(units[0])
-        raise AskError(f"a line before the header states lengths in {unit and unit[0]}: state it by ", {"units": "mm"},
-                       ", or another unit")  # fmt: skip
+    if units and not options.units and not bare and (unit := _LENGTH.search(units[0])):
+        raise AskError(f"a line before the header states lengths in {unit[0]}: state it by ",
+                       {"units": LENGTHS.get(unit[0].lower(), "mm")}, ", or another unit")  # fmt: skip
     if kept := [line for line in above if not _is_comment(line)]:
         said.append(f"lines before the header left out: {len(kept)}")
     rest = rows.head[sum(map(len, lines[: at + 1])) :]
@@ -181,24 +181,25 @@ def _beneath(
             or not all(_WORDS.fullmatch(cells[i]) and not is_missing(cells[i]) for i in at)
         ):
             break
-        other = next((i for i in at if OTHER_UNIT.fullmatch(cells[i].strip("[]()"))), None)
-        if other is not None and not options.units:
-            raise ValueError(f"column {names[other]}: expected metres or degrees, received {cells[other]} beneath the "
-                             "header: "
-                             "convert them")  # fmt: skip
         words.append(cells)
     comment = _split(above[-1].lstrip(' \t"#%/'), sign) if above and _is_comment(above[-1]) and sign != " " else []
-    units = max([*words, comment], key=lambda line: sum(_is_unit(cell) for cell in line), default=[])
+    stated = [[f"{name} ({one.strip('[]()')})" if name and _is_unit(one, name) else name
+               for name, one in zip(names, line, strict=True)]
+              for line in (*words, comment) if len(line) == len(names)]  # fmt: skip
+    best = max(stated, key=lambda line: sum(one != name for one, name in zip(line, names, strict=True)), default=names)
     said = [f"lines of units beneath the header: {len(words)}"] if words else []
-    if len(units) == len(names) and any(map(_is_unit, units)):
-        names = [f"{name} ({one.strip('[]()')})" if name and _is_unit(one) else name
-                 for name, one in zip(names, units, strict=True)]  # fmt: skip
-        said += [] if words else ["units in the comment before the header"]
-    return rest[sum(map(len, lines[: len(words)])) :], names, said
+    said += ["units in the comment before the header"] if best != names and not words else []
+    return rest[sum(map(len, lines[: len(words)])) :], best, said
 
 
-def _is_unit(cell: str) -> bool:
-    return cell.strip("[]()").lower().removesuffix(" msl") in {*LENGTHS, *TIMES}
+def _is_unit(cell: str, name: str) -> bool:
+    """Whether a cell above or beneath a name is its unit; degrees of what is called x or y are none to read it by."""
+    word = cell.strip("[]()").lower().removesuffix(" msl")
+    return (
+        word in {*LENGTHS, *TIMES}
+        or OTHER_UNIT.fullmatch(word) is not None
+        or (word in DEGREES and bool(found([name], "x") or found([name], "y")))
+    )
 
 
 def _is_header(names: list[str], options: ReadOptions) -> bool:

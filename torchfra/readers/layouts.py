@@ -207,6 +207,7 @@ def _counts(name: str, head: Head) -> bool:
 
 def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | None, head: Head) -> float:
     """Metres in the unit of x, y and z, or of altitudes."""
+    up = [columns[role] for role in _HEIGHTS if role in columns]
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
     for column in [columns[role] for role in ("latitude", "longitude") if role in columns] + lengths:
         word = unit(column)
@@ -217,9 +218,11 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
                 )
             advice = (", or ", *instead_of(word)) if "x" in columns else ()
             raise AskError(f"column {column}: expected metres or degrees, received {word}: convert them", *advice)
-        if column in lengths and word and word not in LENGTHS and not options.units and "deg" in word:
-            raise AskError(f"column {column}: expected lengths, received an angle: degrees are named by ",
-                           {"lat": "LAT", "lon": "LON"})  # fmt: skip
+        bracketed = re.findall(r"[\[(]\s*([^\W\d][^\[\]()]*?)\s*[\])]\s*$", column) if column not in up else ()
+        other = "" if word in LENGTHS or options.units or column not in lengths else word or "".join(bracketed)
+        if other and (column not in up or "deg" in other):
+            raise AskError(f"column {column}: expected lengths, received {other}: degrees are named by ",
+                           {"lat": "LAT", "lon": "LON"}, ", a unit by ", {"units": "m"}, ", say")  # fmt: skip
     if down := [column for column in lengths if {"down", "depth"} & {*name_words(column)} or plain(column) == "posd"]:
         raise ValueError(f"column {down[0]}: expected heights, which grow upwards: name a column of its negative")
     zones = {cell for name in head.names if plain(name) in ("zone", "utmzone") for cell in texts_of(head.cells(name))}

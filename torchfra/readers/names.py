@@ -24,7 +24,7 @@ TIMES = {
     "min": "minutes", "mins": "minutes", "minutes": "minutes", "h": "hours", "hr": "hours", "hrs": "hours",
     "hours": "hours", "d": "days", "days": "days",
 }  # fmt: skip
-_DEGREES = {"deg", "degree", "degrees", "dd", "semicircles", "e7"}
+DEGREES = {"deg", "degree", "degrees", "dd", "semicircles", "e7"}
 OTHER_UNIT = re.compile(
     r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nu]m|[\u00b5\u03bc]m|microns?|micromet(?:er|re)s?|px|pixels?", re.IGNORECASE
 )
@@ -85,17 +85,17 @@ def name_words(name: str) -> list[str]:
 def _parted(name: str) -> tuple[str, str]:
     """A name without what adds nothing to it, and its unit: a word of ``LENGTHS`` or ``TIMES``, or another; or ""."""
     words, unit = name_words(name), ""
-    if len(words) > 1 and words[-1] in LENGTHS.keys() | TIMES.keys() | _DEGREES:
+    if len(words) > 1 and words[-1] in LENGTHS.keys() | TIMES.keys() | DEGREES:
         rest = _bare(words[:-2] if words[-2] == "in" and len(words) > 2 else words[:-1])
         role = _KNOWN.get(rest, "")
-        fits = LENGTHS if role in _LONG else TIMES if role == "time" else _DEGREES if "itude" in role else {}
+        fits = LENGTHS if role in _LONG else TIMES if role == "time" else DEGREES if "itude" in role else {}
         if words[-1] in fits or (role == "z" and words[-1] in LENGTHS):
             return rest, words[-1]
     bracketed = re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", name)
     if bracketed and len(words) > 1:
         unit = bracketed[1].lower().removesuffix(" msl")
         short = _bare(name_words(name[: bracketed.start()]))
-        if short in _KNOWN or unit in {*LENGTHS, *TIMES, *_DEGREES}:
+        if short in _KNOWN or unit in {*LENGTHS, *TIMES, *DEGREES}:
             return short, unit
     return _bare(words), unit if OTHER_UNIT.fullmatch(unit) else ""
 
