@@ -22,9 +22,8 @@ _LEAST_CHANGE = 0.03
 changes of the level."""
 _PERIODS = 3.0
 """Least duration of levels, in periods, where these are long: the mean over many levels changes slowly."""
-_WALKS, _WALKS_RARE, _APART = 5, 8, 2.5
-"""Levels of a random walk between two fixes, the same where fixes are rarer than any level lasts, and the ratio of the
-ways by which they move a target."""
+_WALKS, _APART = 5, 2.5
+"""Levels of a random walk between two fixes, and the ratio of the ways by which they move a target."""
 _WALK_FIXES = 3.0
 """Duration of these levels, in fixes, as a target that rests moves now and then."""
 _DRIFT_FIXES = 10.0
@@ -105,20 +104,17 @@ def _log_shares(rarer: Tensor, ended: Tensor) -> Tensor:
 def _with_walks(levels: Levels, farthest: Tensor, period: Tensor, stops: Tensor, walking: Tensor) -> Levels:
     """Adds levels of a random walk by shares of the ``farthest (B,)`` distance, m; targets stop in ``stops (B,)`` s.
 
-    Targets that are not ``walking``, or have frequent fixes in a batch with rare ones, have more levels than they need.
-    These equal their smallest one: any other, however seldom it begins, would change the estimates.
+    Targets that are not ``walking`` in a batch with those that are have more levels than they need.  These equal their
+    smallest one: any other, however seldom it begins, would change the estimates.
     """
-    rare = period > LONGEST
-    number = torch.arange(_WALKS_RARE if rare.any() else _WALKS).flip(0).unsqueeze(1)
-    there = walking & (rare | (number < _WALKS))
-    size = walking * farthest / _APART ** torch.where(rare, number, number.clamp_max(_WALKS - 1))
+    number = torch.arange(_WALKS).flip(0).unsqueeze(1)
+    size = walking * farthest / _APART**number
     walks = torch.where(walking, period / (period + 4 * stops), math.exp(_NEVER))
-    each = torch.where(there | ~walking, walks / torch.where(walking, there.sum(0), len(number)), math.exp(_NEVER))
     usual = levels.duration[:1]
     drift, walk = (usual.maximum(walking * count * period) for count in (_DRIFT_FIXES, _WALK_FIXES))
     return Levels(
         torch.cat([levels.q, levels.q[:1].expand_as(size)]),
-        torch.cat([levels.log_share + torch.log1p(-walks), each.log()]),
+        torch.cat([levels.log_share + torch.log1p(-walks), (walks / _WALKS).log().expand_as(size)]),
         torch.cat([drift, levels.duration[1:], walk.expand_as(size)]),
         torch.cat([levels.walk, size.square() / period]),
     )

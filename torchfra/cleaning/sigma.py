@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchfra.cleaning.circles import IN_A_ROW, off_circles, off_lines
-from torchfra.cleaning.closed_form import Fixes, Levels, OutlierModel, steps
+from torchfra.cleaning.closed_form import Fixes, Levels, steps
 from torchfra.cleaning.homes import log_odds_of_roughness
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
@@ -55,28 +55,24 @@ _STRAIGHT = 0.2
 
 def first_sigma(part: Part, owner: Tensor) -> Tensor:
     """Standard deviations ``(B,)`` of the largest likelihood on a coarse grid below what third differences allow."""
-    tried = _largest_sigma(part.fixes, owner) / 2.0 ** torch.arange(_COARSE).unsqueeze(1)
-    logs = _posterior(tried, *_likelihoods(part.fixes, part.levels, owner, tried, part.model.independent_offsets))
-    return _likeliest(tried, logs).minimum(part.most)
+    halves = 2.0 ** torch.arange(_COARSE).unsqueeze(1)
+    return _of_largest_likelihood(part, owner, _largest_sigma(part.fixes, owner) / halves)
 
 
 def finer_sigma(part: Part, owner: Tensor) -> Tensor:
-    """Standard deviations ``(B,)`` of the largest likelihood near those of the part.
-
-    They are the larger ones of outliers with independent offsets, and of those that may repeat theirs.
-    """
-    tried = part.sigma * (_FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype)).unsqueeze(1)
-    both = _likelihoods(part.fixes, part.levels, owner, tried.repeat(2, 1), part.model, independent=len(tried))
-    alone, usual = (_likeliest(tried, of) for of in _posterior(tried.repeat(2, 1), *both).chunk(2))
-    return alone.maximum(usual).minimum(part.most)
+    """Standard deviations ``(B,)`` of the largest likelihood near those of the part."""
+    factors = _FINE ** torch.arange(2, -3, -1, dtype=part.sigma.dtype).unsqueeze(1)
+    return _of_largest_likelihood(part, owner, factors * part.sigma)
 
 
-def _posterior(sigma: Tensor, log_likelihood: Tensor, outliers: Tensor, count: Tensor) -> Tensor:
-    """Logs ``(G, B)`` of the likelihoods of standard deviations, less what many outliers cost.
+def _of_largest_likelihood(part: Part, owner: Tensor, tried: Tensor) -> Tensor:
+    """Of standard deviations ``tried (G, B)``, those ``(B,)`` of the largest likelihood, less what many outliers cost.
 
     The prior of sigma decides where noise and motion cannot be distinguished: for noise.
     """
-    return log_likelihood - _COST * (outliers - _MOST_OUTLIERS * count).clamp_min(0.0) + _PRIOR_EXPONENT * sigma.log()
+    log_likelihood, outliers, count = _likelihoods(part, part.levels, owner, tried)
+    cost = _COST * (outliers - _MOST_OUTLIERS * count).clamp_min(0.0)
+    return _likeliest(tried, log_likelihood - cost + _PRIOR_EXPONENT * tried.log()).minimum(part.most)
 
 
 def _likeliest(sigma: Tensor, log_likelihood: Tensor) -> Tensor:
@@ -125,7 +121,7 @@ def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
         asked.append(slow)
     fits, least = [], []
     for levels, rows in zip(several, asked, strict=True):
-        log_likelihood, _, count = _likelihoods(part.fixes, levels, owner, tried, part.model.independent_offsets)
+        log_likelihood, _, count = _likelihoods(part, levels, owner, tried)
         fits.append(log_likelihood.where(rows, -torch.inf))  # what is tried of some tracks changes no others
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
@@ -171,28 +167,19 @@ def _misfit(levels: Levels, part: Part) -> Tensor:
     return torch.where(period >= _HOME, torch.inf, misfit)
 
 
-def _likelihoods(
-    fixes: Fixes, levels: Levels, owner: Tensor, sigma: Tensor, model: OutlierModel, independent: int = 0
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Log-likelihoods, expected outliers and numbers of fixes ``(G, B)`` for standard deviations ``(G, B)``.
-
-    The offsets of outliers are independent for the first so many, ``independent``, of the standard deviations.
-    """
-    count, chosen = len(sigma), _rows_for_sigma(fixes, owner)
-    part = Fixes(*(x[:_STEPS, ..., chosen] for x in fixes))
-    variance = sigma[:, chosen].square() * part.variance.unsqueeze(1)
+def _likelihoods(part: Part, levels: Levels, owner: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Log-likelihoods, expected outliers and numbers of fixes ``(G, B)`` for standard deviations ``(G, B)``."""
+    count, chosen = len(sigma), _rows_for_sigma(part.fixes, owner)
+    fixes = Fixes(*(x[:_STEPS, ..., chosen] for x in part.fixes))
+    variance = sigma[:, chosen].square() * fixes.variance.unsqueeze(1)
 
     def repeated(x: Tensor) -> Tensor:
         """Values ``(..., B)`` for each of the standard deviations, ``(..., G B)``."""
         return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
 
-    tried = Fixes(repeated(part.z), repeated(part.gap), variance.flatten(1), repeated(part.log_odds))
-    rows = model.of_rows(lambda x: repeated(x[chosen]))
-    if independent:
-        again = torch.zeros(count, len(chosen)).to(sigma) + (torch.zeros_like(owner) + model.same_offset)[chosen]
-        again[:independent] = 0.0
-        rows = rows._replace(same_offset=again.flatten())
-    every = steps(tried, Levels(*(repeated(x[:, chosen]) for x in levels)), rows)
+    tried = Fixes(repeated(fixes.z), repeated(fixes.gap), variance.flatten(1), repeated(fixes.log_odds))
+    model = part.model.independent_offsets.of_rows(lambda x: repeated(x[chosen]))
+    every = steps(tried, Levels(*(repeated(x[:, chosen]) for x in levels)), model)
     log_likelihood, outlier = (
         torch.stack(x) for x in zip(*((s.log_likelihood, s.outlier) for s in every), strict=True)
     )
