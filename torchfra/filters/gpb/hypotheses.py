@@ -145,7 +145,7 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
     """
     frame = for_each_model(frame) if frame.transition is None else frame  # a linear bank has all that it needs
     more = belief.mean.shape[MOTION] - len(bank)
-    propagated = propagate(bank, rule, models_last(by_layer(belief, len(bank))), frame)
+    propagated = propagate(bank, rule, for_bank(belief, len(bank)), frame)
     rank = belief.mean.dim() - 1
 
     def back(event: int, x: Tensor) -> Tensor:
@@ -154,31 +154,24 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
             return x
         # The first layer has the beliefs of the motions; in each other one only that by the first motion counts.
         layers = x.expand(more + 1, *x.shape[1:])
-        return torch.cat([layers[:1], *(layers[i : i + 1, :1] for i in range(1, more + 1))], MOTION)
+        return torch.cat([layers[:1], layers[1:, :1].transpose(0, MOTION)], MOTION)
 
     result: Propagated = tree.map_ranked(back, propagated)
     return result
 
 
-def by_layer(belief: Gaussian, count: int) -> Gaussian:
-    """Beliefs ``(1, S, ...)`` as layers of ``count`` motions, ``(1 + S - count, count, ...)``.
+def for_bank(belief: Gaussian, count: int) -> Gaussian:
+    """Beliefs ``(1, S, ...)`` as a ``Bank`` of ``count`` motions takes them: layers ``(1 + S - count, ..., count)``.
 
     The first layer has the beliefs of the motions, each other layer one of the rest, repeated for each motion.
     """
-    more = belief.mean.shape[MOTION] - count
-    if not more:
-        return belief
-
-    def layered(x: Tensor) -> Tensor:
-        rest = x[:, count:]
-        return torch.cat([x[:, :count], rest.transpose(0, MOTION).expand(more, count, *rest.shape[2:])])
-
-    return Gaussian(layered(belief.mean), layered(belief.scale_tril))
-
-
-def models_last(belief: Gaussian) -> Gaussian:
-    """Beliefs with motions on axis ``MOTION`` as a ``Bank`` wants them, ``(..., K, n)``."""
-    return Gaussian(belief.mean.movedim(MOTION, -2), belief.scale_tril.movedim(MOTION, -3))
+    mean, root = belief
+    if more := mean.shape[MOTION] - count:
+        mean, root = [
+            torch.cat([x[:, :count], x[:, count:].transpose(0, MOTION).expand(more, count, *x.shape[2:])])
+            for x in belief
+        ]
+    return Gaussian(mean.movedim(MOTION, -2), root.movedim(MOTION, -3))
 
 
 def from_state(belief: Gaussian, log_weight: Tensor, axes: tuple[int, int], count: int = 3) -> Hypotheses:

@@ -13,10 +13,9 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
-    by_layer,
     estimate,
+    for_bank,
     from_state,
-    models_last,
     propagate_motions,
     to_state,
 )
@@ -65,7 +64,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
     mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, frame.dt, measured))
     # Shift and process noise are those of the forward pass.
-    frame = adapted(frame, models_last(by_layer(mixed, len(f.bank))).mean)
+    frame = adapted(frame, for_bank(mixed, len(f.bank)).mean)
     rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
     parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
     (mean, root), _ = parts.belief(triangular=False)
