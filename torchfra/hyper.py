@@ -332,13 +332,6 @@ def natural_values(module: nn.Module) -> dict[str, float]:
     return values
 
 
-def brings_batch(module: nn.Module) -> bool:
-    """Whether a hyperparameter of a module has a batch of values; a filter asks in every step, so it is quick."""
-    if isinstance(module, Hyper):
-        return module.batch_rank > 0
-    return any(part is not None and brings_batch(part) for part in module._modules.values())
-
-
 def out_of_range(module: nn.Module) -> Tensor | None:
     """``(...)`` bool, where a hyperparameter of a module is NaN or out of its range; None if none is anywhere.
 

@@ -20,11 +20,11 @@ from torchfra.filters.base import Filter, Mix
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame
+from torchfra.gaussian.inputs import Frame, batch_rank
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
-from torchfra.hyper import Hyper, Value, brings_batch, once, one_of
+from torchfra.hyper import Hyper, Value, once, one_of
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
@@ -381,7 +381,7 @@ class FRA(Soft, Filter[FRAState]):
         parts: list[Any] = [self.gate, self.preference, self.plain, self.robust, self.fading, self.sensor]
         parts += [] if self.motion.linear else [self.motion]  # a linear one has given its matrices for each track
         own = not self.motion.linear and bool(self.motion.stacked)
-        return own or any(part is not None and brings_batch(part) for part in parts)
+        return own or any(part is not None and batch_rank(part) for part in parts)
 
 
 def best(scores: Tensor) -> Choice:
