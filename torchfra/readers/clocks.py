@@ -39,8 +39,8 @@ _DAY, _AWAY = 86_400.0, 3600.0
 """Seconds; and those for which rows may lack about midnight."""
 _DATED = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
 """Names of times that are a date too."""
-_PARTS = {"year": "%Y", "month": "%m", "day": "%d", "hour": "%H", "minute": "%M", "min": "%M", "second": "%S",
-          "seconds": "%S", "sec": "%S"}  # fmt: skip
+_PARTS = {"date": "%Y-%m-%d", "year": "%Y", "month": "%m", "day": "%d", "hour": "%H", "minute": "%M", "min": "%M",
+          "second": "%S", "seconds": "%S", "sec": "%S"}  # fmt: skip
 _FEW, _FINER = 0.1, 2
 """Share of the times of a clock that may not have been set yet; how many times as many moments a
 column of times has to have, to be taken although another has the date."""
@@ -148,7 +148,8 @@ def clock_of(
     names = {plain(name): name for name in head.names}
     parts = [name for name in _PARTS if name in names]
     candidates, clocks, refusals = found(head.names, "time"), list[Clock](), dict[str, ValueError]()
-    if len({*parts} & {"hour", "minute", "min"}) and len(parts) > 2:
+    apart = len(parts) > 2 or all(plain(one) in _PARTS for one in candidates)
+    if {*parts} & {"hour", "minute", "min"} and len(parts) > 1 and apart:
         whole = {
             "time": ",".join(names[part] for part in parts),
             "time_format": " ".join(map(_PARTS.__getitem__, parts)),
@@ -321,8 +322,9 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
                        f"{values.max():.15g}: "
                        "name another column, or say their unit: ", *choices)  # fmt: skip
     if packed := _packed(values):
+        hours = (" or ", {"time": name, "time_format": "%H%M"}) if "S" in packed and values.max() < 2400 else ()
         raise AskError(f"column {name}: expected times, received {values[0]:.15g}, which looks like hours, minutes and "
-                       "seconds in one number: say ", {"time": name, "time_format": packed})  # fmt: skip
+                       "seconds in one number: say ", {"time": name, "time_format": packed}, *hours)  # fmt: skip
     if middle > _LATEST:
         raise AskError(f"column {name}: expected seconds since a start or since 1970, received {values[0]:.15g}, "
                        "which is "
@@ -334,7 +336,7 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
 def _packed(values: Array) -> str:
     """The form of numbers whose digits are a clock, which counts of seconds would leave at 60; "" of others."""
     moments = np.unique(values)
-    for parts, form in ((1.0, "%H%M%S"), (1e3, "%H%M%S%f"), (1e2, "%H%M%S%f")):
+    for parts, form in ((1.0, "%H%M%S"), (1e3, "%H%M%S%f"), (1e2, "%H%M%S%f"), (1e-2, "%H%M")):
         digits = moments / parts
         if len(moments) < 20 or digits[0] < 0 or digits[-1] >= 240_000 or digits[-1] // 100 == digits[0] // 100:
             continue

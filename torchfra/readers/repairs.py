@@ -246,7 +246,8 @@ class _Columns:
         rows of a moment are no farther apart than those of two, as rows of several targets would be.
         """
         time, steps = self.time[index], np.diff(self.time[index])
-        coarse = next((one for one in _COARSE if len(time) and (time % one == 0).all()), 0.0)
+        whole_hours = (time % _HOUR == 0).all()  # such as dates whose clock is in another column
+        coarse = next((one for one in _COARSE if not whole_hours and (time % one == 0).all()), 0.0)
         if not coarse or (steps < 0).any() or (steps == 0).sum() < _OFTEN * len(time) or not (steps > 0).any():
             return 0
         starts = np.flatnonzero(np.diff(time, prepend=-math.inf) > 0)
