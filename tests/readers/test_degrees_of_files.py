@@ -122,3 +122,19 @@ def test_arrays_keep_their_length_where_a_number_stands_for_none():
     position[[3, 13]] = -999
     cleaned = torchfra.clean((np.arange(ROWS), position), missing="-999", sigma=1.0, q=0.01)
     assert cleaned.position[[3, 13]] == pytest.approx(np.array([[30, 9], [130, 39]]), abs=1)
+
+
+@pytest.mark.parametrize(("header", "side"), [
+    ("time,Latitude,Hemisphere,Longitude", ",S"), ("time,lat,unknown,lon", ",S"), ("time,Latitude (S),Longitude", ""),
+    ("time,lat,Longitude (W)", ""),
+])  # fmt: skip
+def test_degrees_to_the_south_or_west_without_a_sign_are_refused(write, header, side):
+    with pytest.raises(ValueError, match="expected degrees that grow to the north and east, received others, as"):
+        read(write([header, *(f"{i},{47 + i / 1e4}{side},8.5" for i in range(40))]))
+
+
+def test_numbers_of_days_are_no_seconds(write):
+    path = write(["day,lat,lon", *(f"{i},{47 + i / 1e4},8.5" for i in range(40))])
+    with pytest.raises(ValueError, match="time='day', time_format='days'"):
+        read(path)
+    assert read(path, time="day", time_format="days")[0].time[1] == 86_400

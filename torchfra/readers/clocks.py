@@ -37,7 +37,8 @@ _LATEST = 1e7
 """Seconds since a start that a recording may have, 115 days; more without a unit are another unit, or no count."""
 _DAY, _AWAY = 86_400.0, 3600.0
 """Seconds; and those for which rows may lack about midnight."""
-_DATED = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc"}
+_DATED = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch", "unixtimestamp", "timestamputc",
+          "date", "day"}  # fmt: skip
 """Names of times that are a date too."""
 _PARTS = {"date": "%Y-%m-%d", "year": "%Y", "month": "%m", "day": "%d", "hour": "%H", "minute": "%M", "min": "%M",
           "second": "%S", "seconds": "%S", "sec": "%S"}  # fmt: skip
@@ -314,7 +315,7 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
     if stated:
         return Clock((name,), _count(stated, False), stated, False)
     middle = float(np.median(values)) if len(values) else 0.0
-    likely = ("excel",) if 3e4 < middle < 6e4 else ("seconds", "ms", "us")
+    likely = ("excel",) if 3e4 < middle < 6e4 else ("days",) if plain(name) == "day" else ("seconds", "ms", "us")
     asks = ({"time": name, "time_format": form} for form in likely)
     choices = [part for ask in asks for part in (" or ", ask)][1:]
     if plain(name) in _DATED and not sure and len(values) > 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -262,16 +263,28 @@ def _kind(role: str, column: str, length: float, format: Format | None, options:
 
 
 def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
-    """Columns with the letters of the sides, by the columns of latitudes and longitudes that have no signs."""
-    sides = {}
-    for name in head.names:
-        role = match.lastgroup if (match := _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))) else None
-        if role is None or role not in columns or name in columns.values():
-            continue
-        letters = {text.upper() for text in texts_of(head.cells(name))}
-        values = values_of(head.cells(columns[role]))
-        if letters and letters <= {*_SIDES[role]} and (not len(values) or values.min() >= 0):
-            sides[columns[role]] = name
+    """Columns with the letters of the sides, by the columns of latitudes and longitudes that have no signs.
+
+    Raises:
+        ValueError: other columns say that degrees are south or west, or the names of these do.
+    """
+    sides = dict[str, str]()
+    for role, letters_of in _SIDES.items():
+        plus, minus = [*letters_of]
+        column = columns.get(role, "")
+        values = values_of(head.cells(column)) if column else ()
+        for before, name in pairwise(["", *head.names]) if column and not (len(values) and min(values) < 0) else ():
+            letters = {text.upper() for text in texts_of(head.cells(name))} if name not in columns.values() else set()
+            if name == column and minus.lower() in name_words(name) and plus.lower() not in name_words(name):
+                letters, before = {minus}, column
+            named = _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))
+            if not letters or not letters <= {plus, minus}:
+                continue
+            if named and named.lastgroup == role:
+                sides[column] = name
+            elif before == column and minus in letters:
+                raise ValueError(f"column {column}: expected degrees that grow to the north and east, received others, "
+                                 f"as {name} says: write a sign in front of each")  # fmt: skip
     return sides
 
 
