@@ -8,6 +8,7 @@ import pytest
 import torchfra
 from torchfra.cleaning.outputs.summary import MIXED, sentences
 from torchfra.readers import read
+from torchfra.readers.options import AskError
 
 ROWS = 60
 NOISE = np.random.default_rng(5).normal(0, 0.5, (3 * ROWS, 2))
@@ -94,3 +95,15 @@ def test_scattered_outliers_are_not_taken_for_other_targets():
     cleaned = torchfra.clean((time, place), bank="vehicle")
     assert (cleaned.flag == "outlier").sum() > 30
     assert not any(said.startswith(MIXED) for said in sentences(cleaned))
+
+
+@pytest.mark.parametrize(("header", "options"), [
+    ("time,gps_lat,gps_lon,pos_lat,pos_lon", {"lat": "gps_lat", "lon": "gps_lon"}),
+    ("time,field.x,field.y,pose.x,pose.y", {"x": "field.x", "y": "field.y"}),
+])  # fmt: skip
+def test_of_two_positions_with_names_as_good_nobody_chooses_in_silence(write, header, options):
+    path = write([header, *(f"{i},{10 + i / 1e3},{i / 1e3},{20 + i / 1e3},{i / 1e3}" for i in range(ROWS))])
+    with pytest.raises(AskError) as refused:
+        read(path)
+    assert options in refused.value.args
+    assert len(read(path, **options)[0].time) == ROWS

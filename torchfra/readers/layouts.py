@@ -171,7 +171,7 @@ def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
         raise ValueError(f"expected a column for each coordinate, received {listed(places)}")
     if not {"latitude", "longitude"} <= degrees.keys() or "x" in roles:
         if {"x", "y"} <= metres.keys():
-            return metres
+            return _one_pair(head, roles, metres, ("x", "y"))
         times = roles.get("time") or found(head.names, "time")[:1]
         known = {
             _OPTIONS.get(role, role): column for role, column in {**metres, **degrees}.items() if role not in _HEIGHTS
@@ -180,7 +180,24 @@ def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
         raise unclear(
             head, "a position (x and y, or latitude and longitude)" if times else "a time and a position", known
         )
-    return degrees
+    return _one_pair(head, roles, degrees, ("latitude", "longitude"))
+
+
+def _one_pair(
+    head: Head, roles: Mapping[str, tuple[str, ...]], columns: dict[str, str], pair: tuple[str, str]
+) -> dict[str, str]:
+    """The columns, if no other has as good a name, as ``pos_lat`` beside ``gps_lat``.
+
+    Raises:
+        ValueError: another is: which is meant nobody says.
+    """
+    for role in pair:
+        words = plain(columns[role]), len(name_words(columns[role]))
+        alike = [one for one in found(head.names, role) if (plain(one), len(name_words(one))) == words]
+        if role not in roles and len(alike) > 1:
+            options = {_OPTIONS.get(one, one): columns[one] for one in pair}
+            raise AskError(f"expected one column of {role}, received {listed(alike)}: say which, such as ", options)
+    return columns
 
 
 def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict[str, str]:
