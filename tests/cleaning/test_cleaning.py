@@ -695,14 +695,6 @@ def test_a_van_that_brakes_just_before_each_pause_and_starts_just_after_is_where
     assert error_over_raw_in_bursts(path, gaps, "target") < 1.05
 
 
-def test_a_car_that_drives_in_few_of_the_pauses_between_bursts_is_as_fast_as_it_drives():
-    rng, gaps = np.random.default_rng(6), np.tile((1800.0, *[5.0] * 29), 20)
-    drives = (gaps > 60.0) & (rng.random(len(gaps)) < 0.4)
-    path = np.cumsum(np.where(drives, 15.0 * gaps, 0.0)[:, None] * (1.0, 0.5), 0)
-    _, kind = kind_of(Recording("car", np.cumsum(gaps), path + rng.standard_normal(path.shape), None, {}))
-    assert kind.fastest > 60.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("period", "sigma", "rare"), [(290.0, 5.0, ("ship", 900.0)), (20.0, 3.0, ("marine", 7200.0))])
 def test_a_track_is_cleaned_as_alone_beside_one_whose_fixes_are_rare(period, sigma, rare):

@@ -441,10 +441,11 @@ def _with_spread(inside: list[Tensor], weight: Tensor, dp: Tensor, dv: Tensor) -
         dv: ``(d, ...)`` of the velocity.
     """
     share = weight / len(dp)
-    for p, v, p_share, v_share in zip(*(x.unbind() for x in (dp, dv, share * dp, share * dv)), strict=True):
-        inside[0].addcmul_(p_share, p)
-        inside[1].addcmul_(p_share, v)
-        inside[2].addcmul_(v_share, v)
+    p_share, v_share = share * dp, share * dv
+    for axis in range(len(dp)):
+        inside[0].addcmul_(p_share[axis], dp[axis])
+        inside[1].addcmul_(p_share[axis], dv[axis])
+        inside[2].addcmul_(v_share[axis], dv[axis])
     return inside
 
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.second_differences import second_differences, spread
 from torchfra.readers.recording import Recording
 from torchfra.readers.sanity import speed_across
@@ -48,8 +47,6 @@ _FASTER = 5.0
 """Largest ratio of the speed of a target to that of its kind, if a user states the kind."""
 _MANY = 25
 """Fixes from which on this ratio is checked."""
-_MOST, _RARE_MOVES = 0.98, 8
-"""Share of the moves over long gaps that are no outliers, and the fewest such moves that tell a speed."""
 _CHANGES, _LEAST_CHANGE = 4.3, 6.0
 """Largest change of the velocity of an unknown target in a step, in units of its own speed, and m/s at least."""
 _HARDEST = 2.8
@@ -90,7 +87,7 @@ def kind_of(recording: Recording) -> tuple[str, Kind]:
     word = _OTHER_WORDS.get(recording.source.word, recording.source.word)
     if word in KINDS:
         return word, KINDS[word]
-    speed = max(speed_across(recording, 0.9), _speed_of_rare_moves(recording))
+    speed = speed_across(recording, 0.9)
     hardest = max(min(max(_HARDEST * speed**0.25, 3.0), 10.0), _HARDER * _acceleration(recording))
     return UNKNOWN, Kind(hardest, 2.0, max(_CHANGES * speed, _LEAST_CHANGE))
 
@@ -111,20 +108,3 @@ def _acceleration(recording: Recording) -> float:
             most = max(most, math.sqrt((size**2 - before[0] ** 2) / (seen**2 - before[1] ** 2)))
         time, position, before = time[::2], position[::2], (size, seen)
     return most
-
-
-def _speed_of_rare_moves(recording: Recording) -> float:
-    """Speed, m/s, that one in fifty moves exceeds over the long gaps of a track; 0 if these are few.
-
-    Such targets mostly rest, and their mean speed is far below their largest.  The length of a move is the least of the
-    distances between the fixes on either side of it and those next to them, so that a single outlier is no move.
-    """
-    there = np.isfinite(recording.position[:, :2]).all(1)
-    time, position = recording.time[there], recording.position[there, :2]
-    gap = np.diff(time)[1:-1]
-    rare = gap > LONGEST
-    if rare.sum() < _RARE_MOVES:
-        return 0.0
-    one, two = (np.linalg.norm(position[k:] - position[:-k], axis=1) for k in (1, 2))
-    move = np.minimum(one[1:-1], np.minimum(two[:-1], two[1:]))
-    return float(np.quantile((move / gap)[rare], _MOST))
