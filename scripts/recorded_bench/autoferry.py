@@ -143,7 +143,7 @@ def manager(name: str) -> Targets:
     both = name == "radar_lidar"
     return Targets(
         radar, birth=OnePoint(SPEED), confirmation=SPRT(false=1e-4), deletion=Deletion(4, speed=3 * SPEED),
-        merging=Merging(), extent=Extent(), clutter_map=ClutterMap(SPREAD, 60.0, EMPTY), stitching=STITCHING,
+        merging=Merging(), extent=Extent(two=0.8), clutter_map=ClutterMap(SPREAD, 60.0, EMPTY), stitching=STITCHING,
         sensors={"lidar": lidar} if both else None, views={"lidar": FieldOfView(REACH)} if both else None,
     )  # fmt: skip
 
