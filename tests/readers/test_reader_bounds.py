@@ -40,7 +40,7 @@ def megabytes(work):
 
 ROWS = b"0,1,2\n" * 2**17
 BOMBS = {
-    "zeros.csv.gz": (b"t,x,y\n", bytes(2**20), 200, "rows of at most 1048576 characters"),
+    "zeros.csv.gz": (b"t,x,y\n0,0,0\n1,1,1\n", bytes(2**20), 200, "rows of at most 1048576 characters"),
     "spaces.json.gz": (b"[", b" " * 2**20, 200, "at most 1073741824 bytes of text, of which one of JSON counts for 24"),
     "names.csv.gz": (b"t,x,y", b",a234567" * 2**17, 130, "rows of at most 1048576 characters"),
     "quotes.csv.gz": (b"t,x,y\n0,0,0\n", b'"\n",' * 2**18, 100, "rows of at most 1048576 characters"),
