@@ -121,6 +121,12 @@ def test_more_targets_than_all_of_whose_events_are_summed_are_refused():
     close(*both(plane(exact=(2, 4)), z[:1, :2], Gaussian(prior.mean[:1], prior.scale_tril[:1])))
 
 
+def test_what_counts_the_best_permutation_alone_is_refused():
+    z, prior = scans()
+    with pytest.raises(NotImplementedError, match="JPDA: permutations: kernels count all joint events"):
+        plane(permutations=False).compile()(z, prior)
+
+
 @pytest.mark.slow
 def test_gradients_are_finite_where_the_tail_beyond_a_soft_gate_is_no_normal_number_any_more():
     """The tail of chi squared of two is below the normal numbers from 1417 on, and 0 from 1490 on."""

@@ -83,7 +83,7 @@ class JPDA(Soft, Filter[JPDAState]):
             measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
         permutations: whether association counts all joint events.  False is JPDA*, for targets that stay beside one
-            another: see ``association.associate``.
+            another, which does not compile: see ``association.associate``.
         temperature: 0 for gates with a hard edge; above, the width of the edge as a share of the gate, which gives the
             gate's size a gradient.
 
@@ -96,7 +96,8 @@ class JPDA(Soft, Filter[JPDAState]):
 
     Source: Fortmann, Bar-Shalom & Scheffe (1983); Chen, Zou & Wu, eqs. (25)-(30), and (19) with the innovations
     weighted by their probabilities, which is our reading; Chen & Tugnait (2001), "Tracking of Multiple Maneuvering
-    Targets in Clutter Using IMM/JPDA Filtering and Fixed-Lag Smoothing", for several models.
+    Targets in Clutter Using IMM/JPDA Filtering and Fixed-Lag Smoothing", for several models; Blom & Bloem (2000),
+    "Probabilistic Data Association Avoiding Track Coalescence", for JPDA*.
     """
 
     scans = True
