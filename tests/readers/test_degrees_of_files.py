@@ -126,7 +126,7 @@ def test_arrays_keep_their_length_where_a_number_stands_for_none():
 
 @pytest.mark.parametrize(("header", "side"), [
     ("time,Latitude,Hemisphere,Longitude", ",S"), ("time,lat,unknown,lon", ",S"), ("time,Latitude (S),Longitude", ""),
-    ("time,lat,Longitude (W)", ""),
+    ("time,lat,Longitude (W)", ""), ("time,lat,ns,lon", ",South"), ("time,lat,unknown,lon", ",south"),
 ])  # fmt: skip
 def test_degrees_to_the_south_or_west_without_a_sign_are_refused(write, header, side):
     with pytest.raises(ValueError, match="expected degrees that grow to the north and east, received others, as"):

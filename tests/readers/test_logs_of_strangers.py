@@ -105,6 +105,20 @@ def test_short_names_of_units_before_the_header_count_too(write, unit):
         read(path)
 
 
+def test_radians_before_the_header_may_be_of_an_angle_beside_metres(write):
+    path = write(["# units: m, s, rad", "time,x,y,heading", *(f"{i},{i},0,1" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=r"lengths in rad: say units='m'"):
+        read(path)
+    assert read(path, units="m")[0].position[1, 0] == 1
+
+
+def test_unknown_units_beneath_x_and_y_are_refused(write):
+    path = write(["time,x,y", "s,furlong,furlong", *(f"{i},{i},0" for i in range(ROWS))])
+    with pytest.raises(ValueError, match=r"column x \(furlong\): expected lengths, received furlong: .*units='m'"):
+        read(path)
+    assert read(path, units="m")[0].position[1, 0] == 1
+
+
 def test_columns_of_one_name_are_refused_with_what_to_do(write):
     lines = ["Trajectories", "100", "Frame,Sub Frame,X,Y,Z,X,Y,Z", *(f"{i},0,1,2,3,4,5,6" for i in range(ROWS))]
     with pytest.raises(ValueError, match=r"several named X, Y, Z: give each a name of its own in the header"):

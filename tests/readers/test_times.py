@@ -115,3 +115,11 @@ def test_a_clock_in_two_columns_or_without_seconds_is_refused_with_the_options_t
     assert options in refused.value.args
     (track,) = read(path, **options)
     assert np.diff(track.time).tolist() == [step] * 59
+
+
+def test_an_hour_beside_a_whole_moment_is_no_part_of_the_time(write):
+    moments = [datetime(2024, 5, 6, 22, 59, 40) + timedelta(seconds=i) for i in range(60)]
+    (track,) = read(
+        write(["date,hour,lat,lon", *(f"{one},{one.hour},{47 + i / 1e5},8" for i, one in enumerate(moments))])
+    )
+    assert np.diff(track.time).tolist() == [1] * 59

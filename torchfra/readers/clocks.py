@@ -147,7 +147,9 @@ def clock_of(
     if "time" in asked:
         return _clock(asked["time"], head, form, sure=options.time is not None), []
     names = {plain(name): name for name in head.names}
-    parts = [name for name in _PARTS if name in names]
+    parts = [
+        one for one in _PARTS if one in names and not any(":" in text for text in texts_of(head.cells(names[one])))
+    ]
     candidates, clocks, refusals = found(head.names, "time"), list[Clock](), dict[str, ValueError]()
     apart = len(parts) > 2 or all(plain(one) in _PARTS for one in candidates)
     if {*parts} & {"hour", "minute", "min"} and len(parts) > 1 and apart:

@@ -16,7 +16,7 @@ from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
 from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in
-from torchfra.readers.options import AskError, ReadOptions, listed
+from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
 from torchfra.readers.sheets import Sheet, repeated
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
@@ -135,8 +135,11 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
     above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
     units = [line for line in above if "unit" in line.lower() and _LENGTH.search(line)]
     if units and not options.units and not bare and (unit := _LENGTH.search(units[0])):
-        raise AskError(f"a line before the header states lengths in {unit[0]}: state it by ",
-                       {"units": LENGTHS.get(unit[0].lower(), "mm")}, ", or another unit")  # fmt: skip
+        word = unit[0].lower()
+        known = {"units": LENGTHS.get(word, "nmi" if word == "nm" else "mm")}
+        other = OTHER_UNIT.fullmatch(word) and word != "nm"
+        advice = instead_of(word) if other else ("state it by ", known, ", or another unit")
+        raise AskError(f"a line before the header states lengths in {unit[0]}: ", *advice)
     if kept := [line for line in above if not _is_comment(line)]:
         said.append(f"lines before the header left out: {len(kept)}")
     rest = rows.head[sum(map(len, lines[: at + 1])) :]
@@ -183,7 +186,7 @@ def _beneath(
             break
         words.append(cells)
     comment = _split(above[-1].lstrip(' \t"#%/'), sign) if above and _is_comment(above[-1]) and sign != " " else []
-    stated = [[f"{name} ({one.strip('[]()')})" if name and _is_unit(one, name) else name
+    stated = [[f"{name} ({one.strip('[]()')})" if name and _is_unit(one, name, line is not comment) else name
                for name, one in zip(names, line, strict=True)]
               for line in (*words, comment) if len(line) == len(names)]  # fmt: skip
     best = max(stated, key=lambda line: sum(one != name for one, name in zip(line, names, strict=True)), default=names)
@@ -192,13 +195,13 @@ def _beneath(
     return rest[sum(map(len, lines[: len(words)])) :], best, said
 
 
-def _is_unit(cell: str, name: str) -> bool:
-    """Whether a cell above or beneath a name is its unit; degrees of what is called x or y are none to read it by."""
+def _is_unit(cell: str, name: str, beneath: bool) -> bool:
+    """Whether a cell above or beneath a name is its unit, as of x and y all words beneath them are, known or not."""
     word = cell.strip("[]()").lower().removesuffix(" msl")
     return (
         word in {*LENGTHS, *TIMES}
         or OTHER_UNIT.fullmatch(word) is not None
-        or (word in DEGREES and bool(found([name], "x") or found([name], "y")))
+        or ((word in DEGREES or (beneath and word != "")) and bool(found([name], "x") or found([name], "y")))
     )
 
 

@@ -30,6 +30,7 @@ from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
 from torchfra.readers.recording import Source
 
 _SIDES = {"latitude": "NS", "longitude": "EW"}
+_WORDS = {"NORTH": "N", "SOUTH": "S", "EAST": "E", "WEST": "W"}
 _LIMITS = {"latitude": 90.0, "longitude": 180.0}
 _SIDE = re.compile(
     "(?P<latitude>(?:ns|northsouth)(?:ind|indicator|hemisphere)?|lat(?:itude)?(?:ns|dir|direction|hem|hemisphere|ref))"
@@ -291,17 +292,20 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
         column = columns.get(role, "")
         values = values_of(head.cells(column)) if column else ()
         for before, name in pairwise(["", *head.names]) if column and not (len(values) and min(values) < 0) else ():
-            letters = {text.upper() for text in texts_of(head.cells(name))} if name not in columns.values() else set()
+            cells = texts_of(head.cells(name)) if name not in columns.values() else []
+            letters = {_WORDS.get(cell.upper(), cell.upper()) for cell in cells}
             if name == column and minus.lower() in name_words(name) and plus.lower() not in name_words(name):
                 letters, before = {minus}, column
             named = _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))
             if not letters or not letters <= {plus, minus}:
                 continue
-            if named and named.lastgroup == role:
+            beside = named is not None and named.lastgroup == role
+            if beside and all(len(cell) == 1 for cell in cells):
                 sides[column] = name
-            elif before == column and minus in letters:
+            elif (beside or before == column) and minus in letters:
                 raise ValueError(f"column {column}: expected degrees that grow to the north and east, received others, "
-                                 f"as {name} says: write a sign in front of each")  # fmt: skip
+                                 f"as {name} says: write a sign in front of each, or leave out a column of other "
+                                 "directions")  # fmt: skip
     return sides
 
 
