@@ -164,7 +164,12 @@ class GPB(Filter[GPBState]):
         """What each regime is, in the order of ``info.probabilities``; of a batch of values by its first levels."""
         regimes, (first, *others) = self.regimes, self.bank.names
         levels = regimes.noise_levels().flatten()[: regimes.level_count].tolist()
-        counts = {"climb": regimes.climb_count, "manoeuvre": regimes.manoeuvre_count, "jump": regimes.jump_count}
+        counts = {
+            "climb": regimes.climb_count,
+            "manoeuvre": regimes.manoeuvre_count,
+            "jump": regimes.jump_count,
+            "settled": regimes.settled,
+        }
         named = (f"{first}, noise x {level:.3g}" for level in levels)
         return (*named, *others, *(name for name, count in counts.items() for _ in range(count)))
 
@@ -215,7 +220,7 @@ class GPB(Filter[GPBState]):
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
-        smoothed = mixing.smoothed(regimes.by_belief(posterior.probability.sum(OUTLIER, keepdim=True)))
+        smoothed = mixing.smoothed(regimes.by_source(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
         # The next state; its probabilities of outliers are those of the last step with a measurement.
@@ -301,14 +306,14 @@ class GPB(Filter[GPBState]):
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
         widths = self.regimes.widths(wide, nis, self.motion)
-        jumped = self.regimes.jumped(propagated, agile, compared, widths, frame, self.motion)
+        jumped = self.regimes.jumped(propagated, agile, compared, nis, widths, frame, self.motion)
         cost, least = self.outliers.cost(
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
         first = self.outliers.first_rarer(frame.measured, relaxation)
         rarity = self.regimes.rarity(cost, cost - least, first, jumped)
         surprise = Surprise(nis, rarity, cost)
-        mean, root = self.regimes.predictions(propagated, nis, widths)
+        mean, root = self.regimes.predictions(propagated, agile, nis, widths, self.motion)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening
@@ -376,16 +381,19 @@ class GPB(Filter[GPBState]):
         kept = ("angle", "rate", "bias", "parameter", "acceleration")
         inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
         rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
-        both, jumps = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1), self.regimes.jump_count
-        others = len(self.regimes.each) - jumps
-        return torch.cat([both] * others + [torch.ones_like(both)] * jumps, MOTION) if jumps else both
+        both, (start, jumps, settled) = (
+            torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1),
+            self.regimes.counts,
+        )
+        return torch.cat([both] * start + [torch.ones_like(both)] * jumps + [both] * settled, MOTION) if jumps else both
 
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
         """Hypotheses after the measurement: see ``Outliers.update``."""
-        compare = self.comparison(Gaussian(*(x[:, -1:] for x in predicted.belief)), frame)
+        widest = len(self.regimes.each) - 1 - self.regimes.settled  # a jump if there is one
+        compare = self.comparison(Gaussian(*(x[:, widest : widest + 1] for x in predicted.belief)), frame)
         return self.outliers.update(
             predicted, compare, self.sensor.reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -28,6 +29,12 @@ LARGEST_FACTOR = 1e10
 SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
+NEAR, FAR = 100.0, 1000.0
+"""Standard deviations of the noise up to which ``burst`` says how long outliers stay where they are, and from which on
+``far_burst`` does; between them a number between them, by the log."""
+AGILE_AFTER = 0.1
+"""Probability that a target that has jumped is as agile as the agile level: it may be too far off for a straight line
+of the sensor, or much faster than before."""
 FASTER = 3.0
 """Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
 NEVER = 1e-12
@@ -42,11 +49,13 @@ class Regime(NamedTuple):
     motion: int
     """Of the bank."""
     belief: int
-    """From which it predicts, and into which it is merged after the step."""
+    """Into which it is merged after the step, and from which it predicts unless there is a ``source``."""
     level: int
     """Of the process noise; as many as there are levels for noise as the motion states it."""
     entry: int
     """Of self-transition probabilities or sojourn times, and of the restart distribution."""
+    source: int | None = None
+    """The belief from which it predicts, if it is another one: of a jump."""
 
 
 class Surprise(NamedTuple):
@@ -70,6 +79,8 @@ class Jumped(NamedTuple):
     lost: Tensor
     """Of the measurements of the longest burst and the next one, as it knows less of the velocity and of the
     acceleration than was stated, or than they themselves tell."""
+    burst: Tensor
+    """How many measurements the longest burst has: see ``Regimes.longest_burst``."""
 
 
 class Switching(NamedTuple):
@@ -88,7 +99,7 @@ class Switching(NamedTuple):
 class Regimes(Part):
     """The Markov chain of a step's regime: levels of process noise, motions of a bank, climbs, manoeuvres and jumps.
 
-    There are ``R = L + (K - 1) + C + M + J`` regimes, in this order.  The first motion has ``L`` levels of process
+    There are ``R = L + (K - 1) + C + M + J + D`` regimes, in this order.  The first motion has ``L`` levels of process
     noise, the last of which is called the agile level.  Each other motion of a bank is one regime, and so is each of
     ``C`` climbs (below).  In each of ``M`` manoeuvres the process noise of the agile level is multiplied in proportion
     to the normalised innovation squared; so is the covariance of the predicted position in each of ``J`` jumps.  A
@@ -96,12 +107,16 @@ class Regimes(Part):
     restart distribution.  The chain starts from its stationary distribution.  Self-transition probabilities or sojourn
     times and the restart distribution are given by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
     manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
-    ``(..., R - C)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
+    ``(..., R - C - D)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
 
     The levels of a motion share a belief, except for ``separate_levels``, which keep beliefs of their own: while a
     target moves as calmly as such a level states, the covariance of its belief shrinks accordingly, and while it is as
-    agile, its mean follows.  So there are ``S = K + (separate levels) + C`` beliefs: of each motion, of these levels,
-    then of climbs.
+    agile, its mean follows.  Jumps have one of their own as well: a jump is rarer than a few outliers until the
+    measurements that follow agree with it, and in a belief that it shares with agile levels their tails would hide it.
+    It adds to the position an offset that is independent of all else, so the velocity and the heading stay what they
+    were.  After it a target is settled: it goes on from that belief, by the stated motion or by the agile level (``D``
+    regimes: 2, 1 of a single level, 0 without jumps), for some measurements; then another regime begins.  So there are
+    ``S = K + (separate levels) + C + (1 if J)`` beliefs: of each motion, of these levels, of climbs, and of jumps.
 
     If ``vertical`` components are given, each separate level that is lower than all others has a climb beside it; else
     ``C`` is 0.  In a climb the vertical process noise is the stated one and all other noise that of the level: a sensor
@@ -114,16 +129,20 @@ class Regimes(Part):
         motions: number of motions, ``K``.
         noise_levels: ``(..., L)`` factors on the variance of the first motion's process noise, ascending.
         jump_factors: ``(..., J)`` factors on the covariance of the predicted position per unit of the normalised
-            innovation squared per element; the product is 1 at least.  Correlations of the position stay.
-        self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``.
-        durations: instead of these, mean sojourn times, s, by kind or regime: a Markov chain in continuous time.
+            innovation squared per element; the product is 1 at least.
+        self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``; that of a jump
+            is of a settled target, and of a step with a measurement.
+        durations: instead of these, mean sojourn times, s, by kind or regime: a Markov chain in continuous time.  That
+            of a jump is of a settled target, and in measurements.
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
-            theirs evenly, and a level with its climb.
+            theirs evenly, and a level with its climb.  Of jumps it says only how they share what is theirs.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
             normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations its
             weight falls with its size, as a single large innovation is rather an outlier.
         burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
             are taken for a jump.
+        far_burst: the same of outliers of 1000 standard deviations or more, where ``burst`` holds up to 100; None is
+            ``burst``.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
             of any.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
@@ -141,7 +160,8 @@ class Regimes(Part):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
-        burst: Value = 4.0, separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
+        burst: Value = 4.0, far_burst: Value | None = None, separate_levels: int | Sequence[int] = 0,
+        vertical: Sequence[int] = (),
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -169,21 +189,33 @@ class Regimes(Part):
         levels_own = {level: motions + i for i, level in enumerate(own)}  # beliefs
         entry_of_motion = [self.level_count + (0 if self.by_kind else k) for k in range(motions - 1)]
         last = (kinds if self.by_kind else count) - scaled
+        landed = motions + len(own) + self.climb_count  # the belief of jumps
+        settled = [self.level_count, self.level_count - 1][: min(self.level_count, 2)] if self.jump_count else []
         self.each = (
             *(Regime(0, levels_own.get(i, 0), i, i) for i in range(self.level_count)),
             *(Regime(k, k, self.level_count, entry) for k, entry in enumerate(entry_of_motion, 1)),
             *(Regime(0, motions + len(own) + i, i, i) for i in range(self.climb_count)),
-            *(Regime(0, 0, self.level_count - 1, last + i) for i in range(scaled)),
+            *(Regime(0, 0, self.level_count - 1, last + i) for i in range(self.manoeuvre_count)),
+            *(Regime(0, landed, self.level_count - 1, last + i, 0) for i in range(self.manoeuvre_count, scaled)),
+            *(Regime(0, landed, level, last + scaled - 1) for level in settled),
         )
         """The regimes."""
+        self.settled = len(settled)
+        """The number of regimes of a target that has jumped."""
+        self.landed = range(len(self.each) - self.jump_count - self.settled, len(self.each))
+        """The indices of jumps and of these."""
+        self.counts = [self.landed.start, self.jump_count, self.settled]
+        """The numbers of regimes before jumps, of jumps, and of a target that has jumped."""
         self.belief_of = tuple(regime.belief for regime in self.each)
         """The index of each regime's belief."""
+        self.source_of = tuple(regime.belief if regime.source is None else regime.source for regime in self.each)
+        """The index of the belief from which each regime predicts."""
         self.beliefs = max(self.belief_of) + 1
         """The number of beliefs, ``S``."""
         self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
         """The indices of the first belief's regimes."""
-        self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, self.beliefs))
-        """The index of the only regime of each other belief."""
+        self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, landed))
+        """The index of the only regime of each other belief, but that of jumps."""
         self.entries = tuple(regime.entry for regime in self.each)
         """The index of each regime's values."""
         self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
@@ -192,6 +224,9 @@ class Regimes(Part):
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.burst = Hyper(burst, constraints.greater_than_eq(SOONER), name="burst")
+        self.far_burst = None
+        if far_burst is not None:
+            self.far_burst = Hyper(far_burst, constraints.greater_than_eq(SOONER), name="far_burst")
         self.self_transition = self.durations = None
         if sojourn == "durations":
             self.durations = sojourn_times(stay, 1, sojourn)
@@ -203,9 +238,15 @@ class Regimes(Part):
 
     @once
     def restart_distribution(self, like: Tensor) -> Tensor:
-        """The restart distribution ``(R, ...)``, which sums to one, for ``like (R, ...)``."""
+        """The restart distribution ``(R, ...)`` but for jumps, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1) / self._sharing(like)
+        odds = torch.where(self._has_jumped(like), 0.0, odds)
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
+
+    def _has_jumped(self, like: Tensor) -> Tensor:
+        """Whether a regime is a jump or of a settled target, ``(R, ...)`` bool, for ``like (R, ...)``."""
+        landed = torch.tensor([r in self.landed for r in range(len(self.each))], device=like.device)
+        return landed.reshape(-1, *(1,) * (like.dim() - 1))
 
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
@@ -269,8 +310,9 @@ class Regimes(Part):
         """
         rank = like.dim() - 1
         durations, restart = self.durations(like), self.restart(like)  # type: ignore[misc]
-        if self.motions == 1:  # the kind "any other motion" has no regime
-            present = as_tensor([float(k != self.level_count) for k in range(restart.shape[-1])], restart)
+        begins = set(self.entries[: self.landed.start])  # of a single motion the kind "any other motion" has no regime
+        if len(begins) < restart.shape[-1]:
+            present = as_tensor([float(k in begins) for k in range(restart.shape[-1])], restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
         of_kinds = transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)
@@ -288,37 +330,63 @@ class Regimes(Part):
         """
         top = largest(log_weight, MOTION, keepdim=True)
         weight = (log_weight - top).exp()
-        if self.durations is not None:
-            lasts, ended = self.continuous(weight[0], dt)
-            stayed, restarted = lasts * weight, (ended * weight).sum(1).unsqueeze(0)
-            return Switching(stayed, weight - stayed, restarted, safe_log(stayed + restarted) + top)
-        stay, restart = self.discrete(weight[0], dt, measured)
-        stayed, ended = stay * weight, (1 - stay) * weight
-        restarted = ended.sum(MOTION, keepdim=True) * restart
-        return Switching(stayed, ended, restarted, safe_log(stayed + restarted) + top)
+        stay, ended = self.chain(weight[0], dt, measured)
+        stayed, restarted = stay * weight, (ended * weight).sum(1).unsqueeze(0)
+        goes_on = self._settled(stayed, MOTION)
+        return Switching(goes_on, weight - stayed, restarted, safe_log(goes_on + restarted) + top)
 
     def transition(self, like: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
         """Logs ``(R now, 2, R before, ...)`` of the transition probabilities, for ``like (R, 2, ...)``."""
-        if self.durations is None:
-            stay, restart = self.discrete(like, dt, measured)
-            stay = stay.movedim(0, 1)
-            ended = restart.unsqueeze(2) * (1 - stay)
-        else:
-            stay, ended = self.continuous(like, dt)
-            stay, ended = stay.movedim(0, 1), ended.movedim(1, 2)
+        stay, ended = self.chain(like, dt, measured)
+        stay, ended = stay.movedim(0, 1), ended.movedim(1, 2)
         count = stay.shape[1]
-        same = torch.eye(count, dtype=stay.dtype, device=stay.device)
+        same = self._settled(torch.eye(count, dtype=stay.dtype, device=stay.device), 0)
         return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
+    def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
+        """Transition probabilities over a step of ``dt (...)`` seconds, for ``like (R, ...)``.
+
+        Returns:
+            ``(R, ...)`` probability that a regime goes on, and ``(R now, R was, ...)`` that it ends and this one
+            begins.  A jump goes on as a settled target.
+        """
+        if self.durations is None:
+            stay, restart = self.discrete(like, dt, measured)
+            ended = restart.unsqueeze(1) * (1 - stay)
+        else:
+            stay, ended = self.continuous(like, dt)
+        if not self.jump_count:
+            return stay, ended
+        keeps = (
+            self._stay(like)
+            if self.durations is None
+            else self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
+        )
+        keeps, jumped = torch.where(measured, keeps, 1.0), self._has_jumped(like)
+        begins = self.restart_distribution(like).unsqueeze(1) * (1 - keeps)
+        return torch.where(jumped, keeps, stay), torch.where(jumped, begins, ended)
+
+    def _settled(self, x: Tensor, axis: int) -> Tensor:
+        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
+        if not self.jump_count:
+            return x
+        others, jumped = x.split([self.landed.start, len(self.landed)], axis)
+        total = jumped.sum(axis, keepdim=True)
+        shares = [1.0] if self.settled == 1 else [1 - AGILE_AFTER, AGILE_AFTER]
+        none = torch.zeros_like(jumped.narrow(axis, 0, self.jump_count))
+        return torch.cat([others, none, *(share * total for share in shares)], axis)
+
     def jumped(
-        self, propagated: Propagated, agile: Gaussian, compared: Whitened, widths: Tensor, frame: Frame, motion: Motion
-    ) -> Jumped:
+        self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, widths: Tensor, frame: Frame,
+        motion: Motion,
+    ) -> Jumped:  # fmt: skip
         """What a jump costs by itself, in the step in which it comes and after it.
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
             agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, with a lower root.
             compared: the measurement compared with it.
+            nis: as in ``widths``.
             widths: from ``widths``.
             frame: of the step.
             motion: as in ``widths``.
@@ -328,19 +396,33 @@ class Regimes(Part):
         seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
         expected = safe_divide(seen * safe_divide(before, place), count).log1p().clamp(max=EXPECTED)
         if not self.jump_count:
-            return Jumped(expected, torch.zeros_like(seen), torch.zeros_like(seen))
-        widths = widths[:, -1:]
-        # The diagonal of the root: what a component varies by where those before it are known, as after a measurement.
-        variances = (widths * agile.scale_tril).diagonal(dim1=-2, dim2=-1).square()
+            return Jumped(expected, *[torch.zeros_like(seen)] * 3)
+        last = self.landed.start + self.jump_count - 1
+        variances = (widths.narrow(MOTION, last, 1) * agile.scale_tril).square().sum(-1)
+        longest = self.longest_burst(compared.residual, frame.measured)
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
         for order, components in enumerate(_derivatives(motion), 1):
-            enough = told * safe_divide(_told(order, self.burst(seen) + 1), frame.dt ** (2 * order))
+            enough = told * safe_divide(_told(order, longest + 1), frame.dt ** (2 * order))
             known = torch.where((seen > 0).unsqueeze(-1), torch.maximum(stated, enough.unsqueeze(-1)), variances)
             less = 0.5 * safe_divide(variances, known).clamp_min(1.0).log()
             lost = lost + sum(less[..., i] for i in components)
         free = count.clamp(1.0, motion.dims)
-        wider = widths[..., motion.position.start or 0, 0].square() * seen / free
-        return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost)
+        wider = self._jumps(nis)[:, -1:] * seen / free
+        return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost, longest)
+
+    def longest_burst(self, residual: Tensor, measured: Tensor) -> Tensor:
+        """How many equal outliers in a row are no jump, ``(...)``, by how far off a measurement is.
+
+        Args:
+            residual: ``(..., m)`` in units of the noise; its square may overflow.
+            measured: ``(..., m)`` 1 where measured, 0 where missing.
+        """
+        near = self.burst(residual[..., 0])
+        if self.far_burst is None:
+            return near
+        square = (residual.square().sum(-1) / measured.sum(-1).clamp_min(1.0)).clamp(NEAR**2, FAR**2)
+        far = 0.5 * (square / NEAR**2).log() / math.log(FAR / NEAR)
+        return near + far * (self.far_burst(near) - near)
 
     def rarity(self, cost: Tensor, beyond: Tensor, first: Tensor, jumped: Jumped) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
@@ -362,7 +444,7 @@ class Regimes(Part):
             return -cost
         held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
         cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
-        burst, given = self.burst(cost) - SOONER, jumped.own - cost + jumped.lost - first
+        burst, given = jumped.burst - SOONER, jumped.own - cost + jumped.lost - first
         rarity = torch.where(cost > 0, beyond.clamp(0.0, 1.0) * given - cost * burst, 0.0)
         return torch.where(held, rarity, -torch.inf)
 
@@ -382,12 +464,14 @@ class Regimes(Part):
         others = log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre))
         if not self.jump_count:
             return others
-        chain = log_weight.narrow(MOTION, -self.jump_count, self.jump_count)
-        restart = self.restart_distribution(log_weight[0])[-self.jump_count :]
+        before, _, settled = others.split(self.counts, MOTION)
+        restart = self._by_regime(self.restart(log_weight[0]), log_weight.dim() - 2)[
+            self.landed.start : self.landed.start + self.jump_count
+        ]
         share = safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
         jumps = log_sum(log_weight, MOTION).unsqueeze(MOTION) + share + surprise.rarity
-        jumps = torch.where(surprise.rarity == 0, chain, jumps)  # without a measurement the chain goes on as it is
-        return torch.cat([others.narrow(MOTION, 0, len(self.each) - self.jump_count), jumps], MOTION)
+        jumps = torch.where(surprise.rarity == 0, -torch.inf, jumps)  # none without a measurement
+        return torch.cat([before, jumps, settled], MOTION)
 
     # ------------------------------------------------------------ predictions
 
@@ -400,7 +484,9 @@ class Regimes(Part):
         noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
         return Gaussian(propagated.mean[:, :1], hstack(propagated.spread[:, :1], noise))
 
-    def predictions(self, propagated: Propagated, nis: Tensor, widths: Tensor) -> Gaussian:
+    def predictions(
+        self, propagated: Propagated, agile: Gaussian, nis: Tensor, widths: Tensor, motion: Motion
+    ) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -409,18 +495,30 @@ class Regimes(Part):
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
+            agile: from ``agile_prediction``, with a lower root.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
             widths: from ``widths``.
+            motion: as in ``widths``.
         """
         # Columns may be of any scale; beside a triangle the noise leaves them so.
         root = self.per_regime(tria(propagated.spread))
         root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
+        if self.jump_count:
+            before, _, settled = root.split(self.counts, MOTION)
+            jumps = tria(hstack(agile.scale_tril, self._offsets(agile, nis, motion)))
+            root = torch.cat([before, jumps, settled], MOTION)
         return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
 
     def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made."""
-        widths = self.widths(self.agile_prediction(propagated), nis, motion)
+        agile = self.agile_prediction(propagated)
+        widths = self.widths(agile, nis, motion)
         spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
+        if self.jump_count:
+            offsets = self._offsets(agile, nis, motion)
+            none = torch.zeros_like(offsets[:, :1])
+            before, after = [none] * self.landed.start, [none] * self.settled
+            noise = hstack(noise, torch.cat([*before, offsets, *after], MOTION))
         return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
 
     def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
@@ -446,11 +544,11 @@ class Regimes(Part):
         return taken(levels, [regime.level for regime in self.each], 0).unsqueeze(0)
 
     def widths(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
-        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of position and its derivatives in a jump.
+        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of velocity and acceleration in a jump.
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
         standard deviation of the velocity is at least ``FASTER`` times the speed, if it is not multiplied by more than
-        the position's; and so is one of the acceleration of its size.
+        that of an element; and so is one of the acceleration of its size.
 
         Args:
             agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, any root.
@@ -460,21 +558,41 @@ class Regimes(Part):
         if not self.jump_count:
             return torch.ones_like(nis)[..., None, None]
         mean, std = agile.mean, safe_sqrt(agile.scale_tril.square().sum(-1))
-        jump = (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTOR).sqrt()
-        rows = dict.fromkeys(range(motion.size)[motion.position], jump)
+        jump, rows = self._jumps(nis).sqrt(), {}
         for part in filter(None, _derivatives(motion)):
             size = FASTER * safe_sqrt(taken(mean, part, -1).square().sum(-1))
             rows |= {i: torch.minimum(jump, safe_divide(size, std[..., i]).clamp_min(1.0)) for i in part}
         each = (rows.get(i, torch.ones_like(jump)) for i in range(motion.size))
         jumps = torch.stack(torch.broadcast_tensors(*each), -1)
-        others = jumps.new_ones(1, len(self.each) - self.jump_count, *jumps.shape[2:])
-        return torch.cat([others, jumps], MOTION).unsqueeze(-1)
+        before, after = (jumps.new_ones(1, n, *jumps.shape[2:]) for n in (self.landed.start, self.settled))
+        return torch.cat([before, jumps, after], MOTION).unsqueeze(-1)
+
+    def _jumps(self, nis: Tensor) -> Tensor:
+        """Factors ``(1, J, 2, ...)`` on the covariance of the position by jumps."""
+        return (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTOR)
+
+    def _offsets(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
+        """Roots ``(1, J, 2, ..., n, p)`` of what jumps add to the covariance of the position, by any root of it."""
+        place = as_tensor([float(i in range(motion.size)[motion.position]) for i in range(motion.size)], nis)
+        return safe_sqrt(self._jumps(nis) - 1)[..., None, None] * place.unsqueeze(-1) * agile.scale_tril
 
     # ------------------------------------------------------------ regimes and their beliefs
 
     def per_regime(self, x: Tensor, axis: int = MOTION) -> Tensor:
-        """Values of the ``S`` beliefs along an axis, repeated for each regime of a belief: ``R`` along that axis."""
+        """Values of the ``S`` beliefs along an axis for each regime that predicts from one: ``R`` along that axis."""
+        return taken(x, self.source_of, axis)
+
+    def per_merged(self, x: Tensor, axis: int = MOTION) -> Tensor:
+        """Values of the ``S`` beliefs along an axis for each regime that is merged into one: ``R`` along that axis."""
         return taken(x, self.belief_of, axis)
+
+    def by_source(self, weight: Tensor) -> Tensor:
+        """Weights ``(1, R, 2, ...)`` of regimes, summed for each belief from which they predict, ``(1, S, 2, ...)``."""
+        if not self.jump_count:
+            return self.by_belief(weight)
+        before, jumps, settled = weight.split(self.counts, MOTION)
+        first = before[:, :1] + jumps.sum(MOTION, keepdim=True)  # jumps predict from the first belief
+        return self.by_belief(torch.cat([first, before[:, 1:], torch.zeros_like(jumps), settled], MOTION))
 
     def by_belief(self, weight: Tensor, axis: int = MOTION) -> Tensor:
         """Weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
@@ -489,22 +607,26 @@ class Regimes(Part):
 
         If not ``triangular``, their roots are ``(..., n, p)``, as in ``gaussian.mixture.matched``.
         """
-        first = every.of(self.of_first).merged(MOTION, BEFORE, angles=angles, triangular=triangular)
-        if not self.of_others:
-            return first
-        others = every.of(self.of_others).merged(BEFORE, angles=angles, triangular=triangular)
-        wider = first.belief.scale_tril.shape[-1] - others.belief.scale_tril.shape[-1]
-        if wider:
-            others = others._replace(
-                belief=others.belief._replace(scale_tril=pad(others.belief.scale_tril, (0, wider)))
-            )
-        mean, root = (torch.cat(parts, MOTION) for parts in zip(first.belief, others.belief, strict=True))
-        return Hypotheses(Gaussian(mean, root), torch.cat([first.log_weight, others.log_weight], MOTION))
+        parts = [every.of(self.of_first).merged(MOTION, BEFORE, angles=angles, triangular=triangular)]
+        if self.of_others:
+            parts.append(every.of(self.of_others).merged(BEFORE, angles=angles, triangular=triangular))
+        if self.landed:
+            parts.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles, triangular=triangular))
+        if len(parts) == 1:
+            return parts[0]
+        columns = max(part.belief.scale_tril.shape[-1] for part in parts)
+        roots = [pad(part.belief.scale_tril, (0, columns - part.belief.scale_tril.shape[-1])) for part in parts]
+        mean, log_weight = (
+            torch.cat(x, MOTION) for x in zip(*((p.belief.mean, p.log_weight) for p in parts), strict=True)
+        )
+        return Hypotheses(Gaussian(mean, torch.cat(roots, MOTION)), log_weight)
 
     def _per_belief(self, x: Tensor, axis: int, combine: Callable[[Tensor], Tensor]) -> Tensor:
-        """Values of regimes along an axis as those of beliefs: all regimes of the first belief are combined."""
-        first = combine(taken(x, self.of_first, axis))
-        return torch.cat([first, taken(x, self.of_others, axis)], axis) if self.of_others else first
+        """Values of regimes along an axis as those of beliefs: all regimes of a belief are combined."""
+        parts = [combine(taken(x, self.of_first, axis))]
+        parts += [taken(x, self.of_others, axis)] if self.of_others else []
+        parts += [combine(taken(x, self.landed, axis))] if self.landed else []
+        return torch.cat(parts, axis) if len(parts) > 1 else parts[0]
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
         """Values by kind or regime as ``(R, ...)`` with ``rank`` dimensions behind the first."""
@@ -515,8 +637,10 @@ class Regimes(Part):
         batch = jumps.shape[2:]
         manoeuvres = manoeuvres.expand(1, self.manoeuvre_count, *batch)
         jumps = jumps.expand(1, self.jump_count, *batch)
-        rest = jumps.new_full((1, self.level_count + self.motions - 1 + self.climb_count, *batch), others)
-        return torch.cat([rest, manoeuvres, jumps], MOTION)
+        rest, settled = (
+            jumps.new_full((1, n, *batch), others) for n in (self.landed.start - self.manoeuvre_count, self.settled)
+        )
+        return torch.cat([rest, manoeuvres, jumps, settled], MOTION)
 
 
 def _derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:

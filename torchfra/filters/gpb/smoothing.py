@@ -71,14 +71,14 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     predicted = Gaussian(mean, rows * root)
     to_step = Hypotheses(predicted, log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles, triangular=False).belief, later.belief, difference)
-    measurement = tree.map_tensors(regimes.per_regime, measurement)  # (2, R, 1, 1, ...)
+    measurement = tree.map_tensors(regimes.per_merged, measurement)  # (2, R, 1, 1, ...)
 
     # The belief of every motion before, propagated by every regime, is updated by it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.beliefs, *x.shape[2:]) for x in before.belief))
     by_regime = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, every, frame), surprise.nis, f.motion)
     by_regime = by_regime._replace(spread=rows * by_regime.spread, process_noise=rows * by_regime.process_noise)
     each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
-    joint = prior + regimes.per_regime(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
+    joint = prior + regimes.per_merged(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
     none = total == -torch.inf  # no hypothesis before leads to this one
     joint = without_failed(torch.where(none, -torch.inf, joint - torch.where(none, 0.0, total))) + later.log_weight
