@@ -25,18 +25,18 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
     },
     "jumps": {
         "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (1078, 25.27, 10.0), "restart": (0.076, 0.914, 0.01),
+        "durations": (1078, 25.27, 2.0), "restart": (0.076, 0.914, 0.01),
     },
     "some": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 10.0),
+        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
         "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 10.0),
+        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 2.0),
         "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
     },
 }  # fmt: skip
@@ -50,13 +50,13 @@ IN_SPACE: dict[str, dict[str, Any]] = {
     "some": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 10.0),
+        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 2.0),
         "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
     },
     "hard": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 10.0),
+        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 2.0),
         "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8732, 0.0001, 0.012),
     },
 }  # fmt: skip
@@ -65,7 +65,7 @@ IN_SPACE: dict[str, dict[str, Any]] = {
 BURST = 4.0
 """Equal outliers in a row that no target follows."""
 MEASURED_BURST = 30.0
-"""Outliers in a row that no motion that measures itself follows, up to 100 standard deviations off.  With 4 the error
+"""Outliers in a row that no motion that measures itself follows, up to 50 standard deviations off.  With 4 the error
 on one recorded day of a robot on a campus is 9.3 m for 4.0; with 30 and 60 all days are as without jumps."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
@@ -129,7 +129,7 @@ def gpb(
         burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
             longer is taken to have jumped.  None is 4, and ``MEASURED_BURST`` for a motion that measures itself, beside
             which a sensor that is wrong for long is likelier than a target that was moved.
-        far_burst: the same of outliers of 1000 standard deviations or more, while ``burst`` is of up to 100.  None is
+        far_burst: the same of outliers of 200 standard deviations or more, while ``burst`` is of up to 50.  None is
             4 if ``burst`` is None, else as ``burst``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
             three or more motions also one for each other motion.

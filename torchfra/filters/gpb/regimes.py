@@ -29,7 +29,7 @@ LARGEST_FACTOR = 1e10
 SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
-NEAR, FAR = 100.0, 1000.0
+NEAR, FAR = 50.0, 200.0
 """Standard deviations of the noise up to which ``burst`` says how long outliers stay where they are, and from which on
 ``far_burst`` does; between them a number between them, by the log."""
 AGILE_AFTER = 0.1
@@ -141,7 +141,7 @@ class Regimes(Part):
             weight falls with its size, as a single large innovation is rather an outlier.
         burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
             are taken for a jump.
-        far_burst: the same of outliers of 1000 standard deviations or more, where ``burst`` holds up to 100; None is
+        far_burst: the same of outliers of ``FAR`` standard deviations or more, where ``burst`` holds up to ``NEAR``; None is
             ``burst``.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
             of any.
