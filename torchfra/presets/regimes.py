@@ -66,7 +66,8 @@ BURST = 4.0
 """Equal outliers in a row that no target follows."""
 MEASURED_BURST = 100.0
 """Outliers in a row that no motion that measures itself follows, up to 50 standard deviations off.  With 4 the error
-on one recorded day of a robot on a campus is 9.3 m for 4.0; with 30 that on another is 10.4 for 5.0; with 60 and 150 all days are as without jumps."""
+on one recorded day of a robot on a campus is 9.3 m for 4.0, with 30 it is 10.4 m for 5.0 on another; with 60 and 150 it
+is as without jumps."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
@@ -125,14 +126,15 @@ def gpb(
         self_transition: instead of ``durations``, self-transition probabilities of the regimes, of a step whatever its
             ``dt``, in the same order.
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
-            motions share theirs evenly.
+            motions share theirs evenly.  Of several jumps it says how likely each is beside the others.
         burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
             longer is taken to have jumped.  None is 4, and ``MEASURED_BURST`` for a motion that measures itself, beside
             which a sensor that is wrong for long is likelier than a target that was moved.
         far_burst: the same of outliers of 200 standard deviations or more, while ``burst`` is of up to 50.  None is
             4 if ``burst`` is None, else as ``burst``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
-            three or more motions also one for each other motion.
+            three or more motions also one for each other motion.  That of a jump is in measurements, for which its
+            belief stays apart from the others.
         climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
             level, with its probabilities, and defaults ``presets.regimes.IN_SPACE``.  None is True for a motion in
             space (``Motion.vertical``) if no argument from ``noise_levels`` to ``durations`` is given.
