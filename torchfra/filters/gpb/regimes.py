@@ -591,8 +591,9 @@ class Regimes(Part):
         if not self.jump_count:
             return self.by_belief(weight)
         before, jumps, settled = weight.split(self.counts, MOTION)
-        first = before[:, :1] + jumps.sum(MOTION, keepdim=True)  # jumps predict from the first belief
-        return self.by_belief(torch.cat([first, before[:, 1:], torch.zeros_like(jumps), settled], MOTION))
+        weight = self.by_belief(torch.cat([before, torch.zeros_like(jumps), settled], MOTION))
+        jumps = jumps.sum(MOTION, keepdim=True)  # they predict from the first belief
+        return torch.cat([weight[:, :1] + jumps, weight[:, 1:]], MOTION)
 
     def by_belief(self, weight: Tensor, axis: int = MOTION) -> Tensor:
         """Weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
