@@ -113,17 +113,22 @@ def regimes(stay, restart, levels, jumps=(200.0,), motions=1, manoeuvres=(), sep
     count, others = len(levels), motions - 1
     stay, restart = ([*x[:count], *[x[count]] * others, *x[count + 1 :]] for x in (stay, restart))
     restart[count : count + others] = [x / others for x in restart[count : count + others]]
-    odds = np.array(restart) / sum(restart)
-    chain = oracle.restart_transition(stay, odds)
-    unmeasured = (
-        oracle.unmeasured_transition(stay, list(odds), range(count, count + others)) if others else np.eye(len(stay))
-    )
     factors = [*levels, *[1.0] * others]
     which = [*range(motions, motions + separate), *[0] * (count - separate), *range(1, motions)]
-    first = oracle.stationary(chain)
-    return options | VALUES, oracle.Regimes(
-        which, factors, list(jumps), chain, unmeasured, first, count - 1, manoeuvres, burst=VALUES["burst"]
-    )
+    return options | VALUES, of_oracle(which, factors, jumps, stay, restart, count - 1, manoeuvres, others)
+
+
+def of_oracle(which, factors, jumps, stay, restart, home, manoeuvres=(), others=0):
+    """Regimes of the oracle, with these values of each level, manoeuvre and jump."""
+    count = len(factors) + len(manoeuvres)
+    odds, begins = np.array(restart[:count]) / sum(restart[:count]), np.array(restart[count:])
+    chain, stay, keeps = oracle.restart_transition(stay[:count], odds), stay[:count], stay[count:]
+    motions = range(home + 1, home + 1 + others)
+    unmeasured = oracle.unmeasured_transition(stay, list(odds), motions) if others else np.eye(count)
+    return oracle.Regimes(
+        which, factors, list(jumps), chain, unmeasured, oracle.stationary(chain), home, manoeuvres,
+        burst=VALUES["burst"], restart=odds, keeps=keeps, shares=begins / begins.sum(),
+    )  # fmt: skip
 
 
 TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))

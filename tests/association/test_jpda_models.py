@@ -7,6 +7,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from gpb_loops import of_oracle
 from oracles import gpb as regimes
 from oracles import joint_models
 
@@ -127,12 +128,10 @@ def test_gpb_of_two_targets_is_that_of_plain_loops():
         detection=0.9, clutter=Clutter(VOLUME, rate=2.0),
     )  # fmt: skip
     F, SQ = carried(motion)
-    # One motion: its two levels, and the jump after the second of them.
+    # One motion: its two levels, and the jump.
     stay, restart = (np.delete(GPB[name], 2) for name in ("self_transition", "restart"))
-    odds = restart / restart.sum()
-    chain = regimes.restart_transition(list(stay), list(odds))
-    first = regimes.stationary(chain)
-    r = regimes.Regimes([0, 0], list(GPB["noise_levels"]), list(GPB["jump_factors"]), chain, np.eye(3), first, 1)
+    r = of_oracle([0, 0], list(GPB["noise_levels"]), GPB["jump_factors"], list(stay), list(restart), 1)
+    r = r._replace(burst=4.0)
     q = regimes.OutlierModes(
         [[0, 1]], np.array(GPB["outlier_transition"]), list(GPB["outlier_sizes"]), list(GPB["outlier_shares"])
     )

@@ -22,6 +22,7 @@ from gpb_loops import (
     carried,
     expected,
     measured,
+    of_oracle,
     path,
     position,
     ranges,
@@ -29,7 +30,6 @@ from gpb_loops import (
     same,
     tensor,
 )
-from oracles import gpb as oracle
 from test_gpb_promises import agree
 from torch.testing import assert_close
 
@@ -261,12 +261,7 @@ def test_other_motions_may_last_and_begin_each_in_its_own_way():
     case, motions = position(), bank()
     stay, restart = [0.9, 0.8, 0.7, 0.5, 0.1], [0.3, 0.3, 0.2, 0.15, 0.05]
     options, r = regimes((0.9, 0.8, 0.7, 0.1), (0.3, 0.3, 0.3, 0.1), (0.1, 1.0), motions=3)
-    chain = oracle.restart_transition(stay, restart)
-    r = r._replace(
-        transition=chain,
-        unmeasured=oracle.unmeasured_transition(stay, restart, range(2, 4)),
-        first=oracle.stationary(chain),
-    )
+    r = of_oracle(r.motions, r.levels, r.jumps, stay, restart, 1, others=2)
     f = presets.gpb(motions, case.sensor, **options | {"self_transition": stay, "restart": restart})
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0) for motion in motions], r))
 
@@ -373,18 +368,8 @@ def test_a_climb_is_what_the_oracle_says():
     )  # fmt: skip
     root = np.full(6, np.sqrt(levels[0]))
     root[list(vertical)] = 1.0
-    odds = np.array([0.2, 0.2, 0.1, 0.2, 0.2])  # of levels, the climb, the jump: calm is shared, others are impossible
-    chain = oracles.gpb.restart_transition([0.9, 0.5, 0.6, 0.9, 0.2], list(odds / odds.sum()))
-    r = oracles.gpb.Regimes(
-        [1, 0, 0, 2],
-        [*levels, np.outer(root, root)],
-        jumps,
-        chain,
-        np.eye(5),
-        oracles.gpb.stationary(chain),
-        2,
-        burst=VALUES["burst"],
-    )
+    odds = [0.2, 0.2, 0.1, 0.2, 0.2]  # of levels, the climb, the jump: calm is shared, others are impossible
+    r = of_oracle([1, 0, 0, 2], [*levels, np.outer(root, root)], jumps, [0.9, 0.5, 0.6, 0.9, 0.2], odds, 2)
     same(f(tensor(case.z), PRIOR), expected(case, [carried(motion, 1.0)] * 3, r))
 
 
@@ -432,7 +417,7 @@ def test_regimes_have_names_in_the_order_of_their_probabilities():
     info = f(torch.zeros(3, 3).double(), Gaussian.from_std([0.0] * f.motion.size, 5.0)).info
     assert len(names) == info.probabilities.shape[-1]
     assert names[0].startswith("constant velocity, noise x ")
-    assert names[f.regimes.level_count :] == (f.bank.names[1], "climb", "manoeuvre", *["jump"] * f.regimes.jump_count)
+    assert names[f.regimes.level_count :] == (f.bank.names[1], "climb", "manoeuvre", "jump", "settled", "settled")
 
 
 # ---------------------------------------------------------------- when there are climbs

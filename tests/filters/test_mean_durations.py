@@ -148,14 +148,14 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
     f = presets.gpb(Bank(bank), case.sensor, durations=last, outlier_durations=(15.0, 2.5), **options)
 
     others = motions - 1
-    by_regime = np.array([*last[:2], *[last[2]] * others, last[3]])
-    odds = np.array([*restart[:2], *[restart[2] / max(others, 1)] * others, restart[3]])
-    generator = (np.tile(odds / odds.sum(), (len(odds), 1)) - np.eye(len(odds))) / by_regime[:, None]
+    by_regime, odds = np.array([*last[:2], *[last[2]] * others]), regimes.restart
+    generator = (np.tile(odds, (len(odds), 1)) - np.eye(len(odds))) / by_regime[:, None]
     first = odds * by_regime / (odds * by_regime).sum()
     regimes = regimes._replace(
         seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])),
         first=first,
         steps=dt.__getitem__,
+        keeps=[np.exp(-1 / last[3])],  # measurements
     )
     modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
                                  (15.0, 2.5), dt)  # fmt: skip

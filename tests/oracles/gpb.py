@@ -26,27 +26,81 @@ MODES = (0, 1)
 READS = 2  # sensors read the position alone
 BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e10, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
+BURST_FROM, BURST_TO = 50.0, 200.0  # standard deviations between which a burst goes from one length to another
+AGILE_AFTER = 0.1  # of targets that have jumped
 
 
 class Regimes(NamedTuple):
-    """Levels of process noise, each of one motion, and jumps of the position after the prediction of one of them."""
+    """Levels of process noise, each of one motion; manoeuvres, jumps, and what a target does after a jump.
+
+    A jump begins from the belief of the first motion. It has a belief of its own, the last, and so have targets that
+    have jumped: they move by the first motion with its stated noise, or its home level's if it has several.
+    """
 
     motions: list[int]  # of each level
     levels: list[Any]  # factors on Q, or matrices (n,n) by which its entries are multiplied
-    jumps: list[float]  # factors on the covariance of the home level's predicted position, times its NIS per element
-    transition: Array  # (R,R), [i, j] = P(now j | was i), levels first
-    unmeasured: Array  # (R,R) the same in a step without any measurement
-    first: Array  # (R,) probabilities before the first step
+    jumps: list[float]  # how much wider the home level's predicted position is, times its NIS per element
+    transition: Array  # (B,B) without jumps, [i, j] = P(now j | was i), levels and manoeuvres
+    unmeasured: Array  # (B,B) the same in a step without any measurement
+    first: Array  # (B,) probabilities before the first step
     home: int
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
-    seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead of transition and unmeasured: see `switched`
+    seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead: (B,) what lasts, (B,B) the transition
     burst: float = 4.0  # equal outliers in a row that are no jump
+    far_burst: float | None = None  # the same of those that are far off
     steps: Any = 1.0  # seconds of each step, one number or (T,)
+    restart: Any = None  # (B,) which regime begins when a target that has jumped is as any other
+    keeps: Any = ()  # of each jump: P(it has jumped still) at the next measurement
+    shares: Any = ()  # of each jump in those that begin
 
     @property
-    def all_motions(self) -> list[int]:
-        """Of levels, manoeuvres and jumps."""
-        return self.motions + [self.motions[self.home]] * (len(self.manoeuvres) + len(self.jumps))
+    def settled(self) -> list[Any]:
+        """The levels of targets that have jumped."""
+        return [1.0, self.levels[self.home]][: self.home + 1] if self.jumps else []
+
+    @property
+    def landed(self) -> int:
+        """The belief of jumps."""
+        return max(self.motions) + 1
+
+    @property
+    def beliefs(self) -> list[int]:
+        """Into which each regime is merged: levels, manoeuvres, jumps, settled targets."""
+        after = len(self.jumps) + len(self.settled)
+        return self.motions + [0] * len(self.manoeuvres) + [self.landed] * after
+
+    @property
+    def sources(self) -> list[int]:
+        """From which each regime predicts."""
+        return self.motions + [0] * (len(self.manoeuvres) + len(self.jumps)) + [self.landed] * len(self.settled)
+
+    @property
+    def jumping(self) -> range:
+        """The jumps among the regimes."""
+        begin = len(self.levels) + len(self.manoeuvres)
+        return range(begin, begin + len(self.jumps))
+
+    def with_jumps(self, transition: Array, restart: Array, measured: bool) -> Array:
+        """A transition (B,B) with jumps and settled targets, (R,R): nothing becomes one of these by itself."""
+        count, settled = len(transition), len(self.settled)
+        keeps = [*self.keeps, *[self.keeps[-1]] * settled] if self.jumps else []
+        all_of_them = np.zeros((count + len(keeps),) * 2)
+        all_of_them[:count, :count] = transition
+        for i, keep in enumerate(keeps if measured else [1.0] * len(keeps), count):
+            all_of_them[i, :count] = (1 - keep) * restart
+            all_of_them[i, -settled:] = keep * np.array([1 - AGILE_AFTER, AGILE_AFTER] if settled == 2 else [1.0])
+        return all_of_them
+
+    def pairs(self, log_regimes: Array, measured: bool, k: int) -> Array:
+        """Logs of the probabilities of the regimes before and after a step, (2,R,R)."""
+        none = np.zeros(len(self.first))
+        with np.errstate(divide="ignore"):
+            if self.seconds is None:
+                chain = self.transition if measured else self.unmeasured
+                return log_regimes[:, :, None] + np.log(self.with_jumps(chain, self.restart, measured))
+            lasts, after = self.seconds(k)
+            stays = self.with_jumps(np.diag(lasts), none, measured)
+            return np.log(switched(np.exp(log_regimes), stays, self.with_jumps(after, self.restart, measured)))
 
 
 class OutlierModes(NamedTuple):
@@ -80,16 +134,16 @@ def exponential(matrix: Array) -> Array:
     return np.real(vectors @ np.diag(np.exp(values)) @ np.linalg.inv(vectors))
 
 
-def switched(weights: Array, lasts: Array, after: Array) -> Array:
-    """Regimes before and after a step (2,R,R): what has lasted (R,), else `after` (R,R) from what all that ended know.
+def switched(weights: Array, stays: Array, after: Array) -> Array:
+    """Regimes before and after a step (2,R,R): what has lasted (R,R), else `after` (R,R) from what all that ended know.
 
     The regimes after the step are as likely as the transition in time says.
     """
     pairs = np.zeros((2, *after.shape))
     for q in MODES:
-        ended = weights[q] * (1 - lasts)
-        begun = weights[q] @ after - weights[q] * lasts
-        pairs[q] = np.diag(weights[q] * lasts) + np.outer(ended / ended.sum(), begun)
+        ended = weights[q] * (1 - stays.sum(1))
+        begun = weights[q] @ (after - stays)
+        pairs[q] = weights[q][:, None] * stays + np.outer(ended / ended.sum(), begun)
     return pairs
 
 
@@ -139,17 +193,21 @@ def interacted(beliefs: Beliefs, log_pairs: Array, motion: list[int]) -> tuple[B
                 log_sum([log_pairs[q, i, j] for i, m in enumerate(motion) if m == was for j in to])
                 for was in range(count)
             ]
-            shares[q, :, now] = np.exp(np.array(log_from) - log_sum(log_from))
+            total = log_sum(log_from)
+            # what has no weight stays as it is
+            shares[q, :, now] = np.eye(count)[now] if total == -math.inf else np.exp(np.array(log_from) - total)
             mixed[q, now] = matched([(shares[q, was, now], *beliefs[q, was]) for was in range(count)])
     return mixed, shares
 
 
 def predicted(mixed: Beliefs, motions: list[Propagate], regimes: Regimes, k: int) -> Beliefs:
-    """The prediction of every level."""
+    """The prediction of every level, and of targets that have jumped."""
+    after = range(regimes.jumping.stop, len(regimes.beliefs))
+    moves = [(r, m, m) for r, m in enumerate(regimes.motions)] + [(r, 0, regimes.landed) for r in after]
     predictions = {}
     for q in MODES:
-        for r, (motion, level) in enumerate(zip(regimes.motions, regimes.levels, strict=True)):
-            mean, J, Q = motions[motion](*mixed[q, motion], k)
+        for (r, motion, belief), level in zip(moves, [*regimes.levels, *regimes.settled], strict=True):
+            mean, J, Q = motions[motion](*mixed[q, belief], k)
             predictions[q, r] = mean, J + level * Q
     return predictions
 
@@ -163,65 +221,76 @@ def widening(prediction: Belief, z: Array, model: Model, k: int) -> float:
 
 
 def jumped(
-    predictions: Beliefs, mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array,
-    model: Model, k: int, outlying: OutlierModes, transition: Array,
-) -> tuple[Beliefs, Array, Beliefs, list[float]]:  # fmt: skip
+    mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array, model: Model, k: int,
+    outlying: OutlierModes, transition: Array,
+) -> tuple[Beliefs, Array, dict[tuple[int, int], tuple[Array, Array]], list[float]]:  # fmt: skip
     """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) logs of how rare they are.
 
-    Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise before that;
-    and how much less likely the measurement is as outliers.
+    Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise (n,n); and
+    how much less likely the measurement is as outliers.
     """
     after, rarity, factors, costs = {}, [], {}, []
+    level = regimes.levels[regimes.home]
     for q in MODES:
-        mean, P = predictions[q, range(len(regimes.levels))[regimes.home]]
+        mean, J, Q = motions[0](*mixed[q, 0], k)
+        P = J + level * Q
         m = read((mean, P), z, model, k)
         nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
-        count = len(regimes.manoeuvres)
-        motion, level = regimes.motions[regimes.home], regimes.levels[regimes.home]
-        _, J, Q = motions[motion](*mixed[q, motion], k)
         R = measurement_noise(model, k, present(z))
         seen = np.trace(np.linalg.solve(R, m.Pzz - R)) if len(m.e) else 0.0
         place, stated = np.diag(P)[position].sum(), np.diag(J + Q)
         usual = min(math.log(1 + seen * stated[position].sum() / place / max(len(m.e), 1)), EXPECTED)
         rarer, beyond = cost(m.e, z, model, k, outlying, transition, position.stop, usual)
         costs.append(rarer)
-        factors |= {(q, r): (np.ones(len(mean)), x) for r, x in enumerate(regimes.levels)}
+        unchanged, beliefs = np.ones(len(mean)), [*regimes.motions, *[regimes.landed] * len(regimes.settled)]
+        each = [*range(len(regimes.levels)), *range(regimes.jumping.stop, len(regimes.beliefs))]
+        for r, belief, factor in zip(each, beliefs, [*regimes.levels, *regimes.settled], strict=True):
+            motion = motions[0 if belief == regimes.landed else belief]
+            factors[q, r] = unchanged, factor * motion(*mixed[q, belief], k)[2]
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
-            carried_mean, J, Q = motions[motion](*mixed[q, motion], k)
-            factors[q, r] = np.ones(len(mean)), level * min(max(factor * nis, 1.0), LARGEST)
-            after[q, r] = carried_mean, J + factors[q, r][1] * Q
+            factors[q, r] = unchanged, level * min(max(factor * nis, 1.0), LARGEST) * Q
+            after[q, r] = mean, J + factors[q, r][1]
         rare = 0.0
-        for r, jump in enumerate(regimes.jumps, len(regimes.levels) + count):
-            widen = np.ones(len(mean))
-            widen[position] = width = math.sqrt(min(max(jump * nis, 1.0), LARGEST))
+        for r, jump in zip(regimes.jumping, regimes.jumps, strict=True):
+            size = min(max(jump * nis, 1.0), LARGEST)
+            offset, widen = np.zeros_like(P), np.ones(len(mean))
+            offset[position, position] = (size - 1) * P[position, position]  # independent of all else
             for order in (1, 2):  # velocity and acceleration: three times as large as before, at least
                 rates = range(order * position.stop, min((order + 1) * position.stop, len(mean)))
                 for i in (i for i in rates if P[i, i] > 0):
-                    widen[i] = min(width, max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
-            factors[q, r] = widen, level
-            after[q, r] = mean, P * np.outer(widen, widen)
+                    widen[i] = min(math.sqrt(size), max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
+            factors[q, r] = widen, (level * Q + offset) * np.outer(widen, widen)
+            after[q, r] = mean, (P + offset) * np.outer(widen, widen)
             if rarer > 0:
-                free = min(len(m.e), position.stop)
-                own = free / 2 * (math.log(1 + width**2 * seen / free) - 1 - usual)
-                left = given(after[q, r][1], stated, place / seen, regimes, position.stop, k)
+                free, burst = min(len(m.e), position.stop), longest_burst(regimes, m.e, R)
+                own = free / 2 * (math.log(1 + size * seen / free) - 1 - usual)
+                left = given(after[q, r][1], stated, place / seen, burst, position.stop, at(regimes.steps, k))
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
-                rare = min(beyond, 1.0) * (own - rarer + left - first) - (regimes.burst - 0.7) * rarer
-        rarity.append([-2 * math.log(max(nis / 30.0, 1.0))] * count + [rare] * len(regimes.jumps))
+                rare = min(beyond, 1.0) * (own - rarer + left - first) - (burst - 0.7) * rarer
+        manoeuvre = -2 * math.log(max(nis / 30.0, 1.0))
+        rarity.append([manoeuvre] * len(regimes.manoeuvres) + [rare] * len(regimes.jumps))
     return after, np.array(rarity), factors, costs
 
 
-def given(P: Array, stated: Array, noise: float, regimes: Regimes, dims: int, k: int) -> float:
+def longest_burst(regimes: Regimes, e: Array, R: Array) -> float:
+    """How many equal outliers in a row are no jump, by how many standard deviations they are off."""
+    if regimes.far_burst is None:
+        return regimes.burst
+    off = min(max(math.sqrt(fit(e, R)[0] / len(e)), BURST_FROM), BURST_TO)
+    return regimes.burst + (regimes.far_burst - regimes.burst) * math.log(off / BURST_FROM, BURST_TO / BURST_FROM)
+
+
+def given(P: Array, stated: Array, noise: float, burst: float, dims: int, dt: float) -> float:
     """Log of what later measurements are less likely after a jump, as the velocity and the acceleration are unknown.
 
     With the jump's covariance (n,n), the variances (n,) as stated, and that of the measurement as a place.
     """
-    count, total = regimes.burst + 1, 0.0
+    count, total = burst + 1, 0.0
     for order in (1, 2):  # by the variance of a coefficient of an orthogonal polynomial
-        told = noise / at(regimes.steps, k) ** (2 * order)
+        told = noise / dt ** (2 * order)
         told *= 12 / (count * (count**2 - 1)) * (60 / max(count**2 - 4, 1e-12) if order == 2 else 1.0)
         for i in range(order * dims, min((order + 1) * dims, len(P))):
-            left = P[i, i] - P[i, :i] @ np.linalg.pinv(P[:i, :i], hermitian=True) @ P[:i, i]
-            total += math.log(max(left / max(stated[i], told), 1.0)) / 2
+            total += math.log(max(P[i, i] / max(stated[i], told), 1.0)) / 2
     return total
 
 
@@ -247,21 +316,15 @@ def cost(
 
 
 def paths(
-    mixed: Beliefs,
-    predictions: Beliefs,
-    motions: list[Propagate],
-    regimes: Regimes,
-    factors: Beliefs,
-    q: OutlierModes,
-    k: int,
-) -> Beliefs:
+    mixed: Beliefs, predictions: Beliefs, regimes: Regimes, factors: dict[tuple[int, int], tuple[Array, Array]],
+    q: OutlierModes, k: int,
+) -> Beliefs:  # fmt: skip
     """By how much a step changes the state, by every regime."""
     moved = {}
-    for (before, r), (widen, level) in factors.items():
-        motion = regimes.all_motions[r]
-        mean, P = mixed[before, motion]
-        change = np.diag(widen) @ q.transitions[motion](k) - np.eye(len(mean))
-        Q = level * motions[motion](mean, P, k)[2] * np.outer(widen, widen)
+    for (before, r), (widen, Q) in factors.items():
+        belief = regimes.sources[r]
+        mean, P = mixed[before, belief]
+        change = np.diag(widen) @ q.transitions[0 if belief == regimes.landed else belief](k) - np.eye(len(mean))
         moved[before, r] = predictions[before, r][0] - mean, change @ P @ change.T + Q
     return moved
 
@@ -515,9 +578,10 @@ class State(NamedTuple):
 
 def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlier: float, factor: float) -> State:
     """The prior as given, and the same widened."""
-    count = max(regimes.motions) + 1
-    beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in MODES for m in range(count)}
-    log_regimes = np.log(np.array([share * regimes.first for share in (1 - prior_outlier, prior_outlier)]))
+    beliefs = {(i, m): (mean, P * (factor if i else 1.0)) for i in MODES for m in set(regimes.beliefs)}
+    first = np.append(regimes.first, np.zeros(len(regimes.beliefs) - len(regimes.first)))
+    with np.errstate(divide="ignore"):
+        log_regimes = np.log(np.array([share * first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
     return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise)
@@ -537,12 +601,12 @@ class Hypothesis(NamedTuple):
 
 def hypotheses(
     predictions: Beliefs, moved: Beliefs, log_chance: Array, c: State, transition: Array, z: Array, model: Model,
-    q: OutlierModes, k: int,
+    q: OutlierModes, widest: int, k: int,
 ) -> list[Hypothesis]:  # fmt: skip
     """All of a step, before their weights are made to sum to one."""
-    found, last = [], max(r for _, r in predictions)
+    found: list[Hypothesis] = []
     nothing = np.isnan(z).all()
-    lines = [None if nothing else line_at_place(predictions[before, last], z, model, k) for before in MODES]
+    lines = [None if nothing else line_at_place(predictions[before, widest], z, model, k) for before in MODES]
     for before, r in predictions:
         q = q._replace(line=lines[before])
         mode, prior = outlier_probabilities(transition, c.outlier, before)
@@ -566,6 +630,8 @@ def hypotheses(
 def merged(every: list[Hypothesis]) -> tuple[float, Belief]:
     """Log weight and moments of some hypotheses together."""
     total = log_sum([h.log_weight for h in every])
+    if total == -math.inf:  # as any other: it has no weight
+        return total, every[0].belief
     return total, matched([(math.exp(h.log_weight - total), *h.belief) for h in every])
 
 
@@ -598,36 +664,31 @@ def step(
     k: int,
 ) -> tuple[State, dict[str, Any], Belief]:
     """One step: the state after it, its output, and the one-step smoothed belief of the step before."""
-    motion, nothing = regimes.all_motions, bool(np.isnan(z).all())
+    beliefs, source, nothing = regimes.beliefs, regimes.sources, bool(np.isnan(z).all())
     known = c.noise
     if known is not None:
         known = forgotten(known, q, z)
         model = louder(model, k, known, q)
     seconds = 0.0 if q.dt is None else c.elapsed + q.dt[k]
-    with np.errstate(divide="ignore"):
-        if regimes.seconds is None:
-            log_pairs = c.log_regimes[:, :, None] + np.log(regimes.unmeasured if nothing else regimes.transition)
-        else:
-            log_pairs = np.log(switched(np.exp(c.log_regimes), *regimes.seconds(k)))
-    mixed, shares = interacted(c.beliefs, log_pairs, motion)
+    log_pairs = regimes.pairs(c.log_regimes, not nothing, k)
+    mixed, shares = interacted(c.beliefs, log_pairs, beliefs)
     predictions = predicted(mixed, motions, regimes, k)
     over = q.over(seconds)
-    after_jumps, rarity, factors, costs = jumped(predictions, mixed, motions, regimes, position, z, model, k, q, over)
+    after_jumps, rarity, factors, costs = jumped(mixed, motions, regimes, position, z, model, k, q, over)
     predictions |= after_jumps
-    moved = paths(mixed, predictions, motions, regimes, factors, q, k) if q.same_offset else {}
-    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(motion))] for q in MODES])
-    jumps = len(regimes.jumps)
+    moved = paths(mixed, predictions, regimes, factors, q, k) if q.same_offset else {}
+    chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(beliefs))] for q in MODES])
+    jumps = regimes.jumping
     if jumps and not nothing:  # as likely as all regimes together, but for how rare they are
-        share = regimes.transition[0, -jumps:] / regimes.transition[0, -jumps:].sum()
-        chance[:, -jumps:] = [[log_sum(row)] * jumps for row in chance] + np.log(share)
-    chance[:, len(regimes.levels) :] += rarity
+        chance[:, jumps] = [[log_sum(row)] * len(jumps) for row in chance] + np.log(regimes.shares)
+    chance[:, len(regimes.levels) : jumps.stop] += rarity
     wider, rare, begun = c.wider, [0.0, 0.0], 0.0
     if c.count < -math.log2(0.7) and not nothing:
         wider = widening(predictions[1, 0], z, model, k)
         predictions |= {
             key: (mean, P * np.outer(*[np.where(np.arange(len(mean)) < 2 * position.stop, wider**0.5, 1.0)] * 2))
             for key, (mean, P) in predictions.items()
-            if key[0] and key[1] < len(motion) - jumps
+            if key[0] and key[1] not in jumps
         }
         rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.9) * costs[1]) for i in (1, 2)]
     if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:
@@ -635,19 +696,19 @@ def step(
         m = read(predictions[0, 0], z, model, k)
         R = measurement_noise(model, k, present(z))
         begun = min(0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1]), 3 * np.log(c.wider))
-    every = hypotheses(predictions, moved, chance, c, over, z, model, q, k)
+    every = hypotheses(predictions, moved, chance, c, over, z, model, q, jumps.stop - 1, k)
     gains = {(0, 0): begun, (1, 0): 0.0, (0, 1): -rare[0], (1, 1): -rare[1]}
     every = [h._replace(log_weight=h.log_weight + gains[h.now, h.before]) for h in every]
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
-    after = {key: merged([h for h in every if (h.now, motion[h.regime]) == key])[1] for key in c.beliefs}
+    after = {key: merged([h for h in every if (h.now, beliefs[h.regime]) == key])[1] for key in c.beliefs}
     log_regimes = np.array([
         [log_sum([h.log_weight for h in every if (h.now, h.regime) == (now, r)] or [-math.inf])
-         for r in range(len(motion))]
+         for r in range(len(beliefs))]
         for now in MODES
     ])  # fmt: skip
     lagged = matched([
-        (sum(math.exp(h.log_weight) * shares[i, was, motion[h.regime]] for h in every if h.before == i), *belief)
+        (sum(math.exp(h.log_weight) * shares[i, was, source[h.regime]] for h in every if h.before == i), *belief)
         for (i, was), belief in c.beliefs.items()
     ])  # fmt: skip
     outlier = np.sum([h.now * math.exp(h.log_weight) * h.outlier for h in every], axis=0)

@@ -87,7 +87,7 @@ def regimes(
     prior_outlier: float, prior_inflation: float,
 ) -> Target:  # fmt: skip
     """GPB2 over regimes and outlier modes."""
-    motion = r.all_motions
+    motion = r.beliefs
 
     def step(state: Any, z: Array, k: int) -> tuple[Any, float, Array, Array]:
         after, output, _ = gpb.step(state, z, motions, model, r, q, slice(0, 2), k)
@@ -100,12 +100,15 @@ def regimes(
             of = [i for i in range(len(motion)) if motion[i] == m]
             each = [w * np.exp(s.log_regimes[mode, of]).sum() for w, s in parts]
             found = [s.beliefs[mode, m] for _, s in parts]
-            beliefs[mode, m] = matched([(w / sum(each), *b) for w, b in zip(each, found, strict=True)])
+            parts_of = [w / sum(each) for w in each] if sum(each) else [1.0, *[0.0] * (len(each) - 1)]
+            beliefs[mode, m] = matched([(w, *b) for w, b in zip(parts_of, found, strict=True)])
         dirty = [w * np.exp(s.log_regimes[1]).sum() for w, s in parts]
         outlier = sum(w / sum(dirty) * s.outlier for w, (_, s) in zip(dirty, parts, strict=True))
         nothing = np.full_like(parts[0][1].last, np.nan)  # no measurement is one target's alone
         count = -np.log2(sum(w * 0.5**s.count for w, s in parts))
         wider = sum(w * s.wider for w, s in parts)
-        return gpb.State(beliefs, np.log(chances), np.asarray(outlier), nothing, count=count, wider=wider)
+        with np.errstate(divide="ignore"):
+            logs = np.log(chances)
+        return gpb.State(beliefs, logs, np.asarray(outlier), nothing, count=count, wider=wider)
 
     return Target(gpb.start(mean, P, r, q, prior_outlier, prior_inflation), step, merge)
