@@ -107,13 +107,16 @@ def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
 def _calm_first(f: GPB, weights: Tensor) -> Tensor:
     """Sums of regimes ``(..., R)``: the first motion up to its stated process noise, above it, other motions, jumps.
 
-    A climb is calm but for the vertical noise, which is the stated one.
+    A climb is calm but for the vertical noise, which is the stated one.  After a jump a target moves as stated, or is
+    agile.
     """
     regimes, levels = f.regimes, f.regimes.noise_levels()
-    counts = regimes.climb_count, regimes.manoeuvre_count, regimes.jump_count
-    own, others, climbs, manoeuvres, jumps = weights.split((regimes.level_count, regimes.motions - 1, *counts), -1)
+    counts = regimes.climb_count, regimes.manoeuvre_count, regimes.jump_count, regimes.settled
+    parts = weights.split((regimes.level_count, regimes.motions - 1, *counts), -1)
+    own, others, climbs, manoeuvres, jumps, settled = parts
     calm, agile = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
-    calm, agile = calm + climbs.sum(-1, keepdim=True), agile + manoeuvres.sum(-1, keepdim=True)
+    calm = calm + torch.cat([climbs, settled[..., :1]], -1).sum(-1, keepdim=True)
+    agile = agile + torch.cat([manoeuvres, settled[..., 1:]], -1).sum(-1, keepdim=True)
     return torch.cat([calm, agile, others, jumps.sum(-1, keepdim=True)], -1)
 
 
