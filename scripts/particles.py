@@ -85,11 +85,13 @@ def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particle
 def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator) -> tuple[Tensor, Particles]:
     """The mean ``(n,)`` over all continuations, and those that are kept."""
     measured = frame.measured.sum() > 0
-    mixed = Gaussian(*(x[None, None, None] for x in before.belief))  # one motion, no outliers before
+    beliefs = f.regimes.beliefs  # all of them are that of the particle
+    mixed = Gaussian(*(x[None, None, None].expand(1, beliefs, 1, *x.shape) for x in before.belief))
     ahead, sure = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.zeros_like(before.log_weight)
     every, _, _ = f.predict_regimes(mixed, ahead, frame, sure, None)  # an outlying prior is inflated as is said
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
-    compare = f.comparison(Gaussian(*(x[-1:] for x in predicted)), frame)
+    widest = len(f.regimes.each) - 1 - f.regimes.settled  # the last jump
+    compare = f.comparison(Gaussian(*(x[widest : widest + 1] for x in predicted)), frame)
     whitened = compare(f.read(predicted), f.outliers.blocks[0])  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
@@ -110,7 +112,7 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
 
 def log_ahead(f: GPB, before: Particles, dt: Tensor, measured: Tensor) -> Tensor:
     """Logs ``(R, N)`` of the transition probabilities from the regimes of the particles."""
-    like = before.belief.mean[:1, :1].expand(len(f.regimes.motion_of), 1)
+    like = before.belief.mean[:1, :1].expand(len(f.regimes.each), 1)
     return f.regimes.transition(like, dt, measured)[:, 0, before.regime]
 
 
