@@ -12,7 +12,7 @@ from torch.testing import assert_close
 from torchfra import presets, scenarios, tree
 from torchfra.filters import GPB, Outliers, Regimes
 from torchfra.gaussian import fifth_degree
-from torchfra.motion import ConstantAcceleration, ConstantVelocity
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, Odometry
 from torchfra.sensors import Position, Ranges
 from torchfra.types import Gaussian
 
@@ -167,6 +167,100 @@ def test_a_level_with_a_belief_of_its_own_smooths_like_a_motion_of_its_own():
     z[10:12] = torch.nan
     prior = Gaussian(torch.zeros(4).double(), torch.diag(torch.tensor([20.0, 20, 9, 9]).double()))
     agree(one, two, z, prior, dt)
+
+
+# ---------------------------------------------------------------- jumps
+
+
+JUMP, RUNS = 25, 8
+SIZES = tensor([50.0, 100, 300, 1000, 3000])
+"""Standard deviations of the noise of fixes, which is 1."""
+
+
+def ways(count):
+    """Directions, ``(count, 2)``."""
+    angle = torch.linspace(0, 6, count, dtype=torch.float64)
+    return torch.stack([angle.cos(), angle.sin()], -1)
+
+
+def drifting(index):
+    """A filter, truth and fixes of it, as stated, and where ``RUNS`` targets of each size jump to."""
+    g, count = torch.Generator().manual_seed(0), RUNS * len(SIZES)
+    motion, second = ConstantVelocity(index**2, continuous=True), tensor(1.0)
+    F, L = motion.transition(second), motion.process_noise(second)
+
+    def normal(*shape):
+        return torch.randn(*shape, dtype=torch.float64, generator=g)
+
+    prior = Gaussian(torch.zeros(count, 4).double(), tensor([1.0, 1, 5, 5]).diag())
+    x, path = normal(count, 4) @ prior.scale_tril, []
+    for _ in range(40):
+        x = x @ F.mT + normal(count, L.shape[-1]) @ L.mT
+        path.append(x)
+    truth = torch.stack(path, 1)
+    away = SIZES.repeat_interleave(RUNS).unsqueeze(-1) * ways(count)
+    return presets.gpb(motion, Position(1.0)), prior, truth, truth[..., :2] + normal(count, 40, 2), away.unsqueeze(1)
+
+
+def off(estimate, place):
+    """Distances from a place from the jump on, ``(5, RUNS, T)``, in sizes of jumps."""
+    distance = (estimate.mean[..., :2] - place)[:, JUMP:].norm(dim=-1)
+    return distance.unflatten(0, (len(SIZES), RUNS)) / SIZES[:, None, None]
+
+
+@pytest.mark.parametrize("index", [0.1, 1.0])
+def test_a_target_that_jumps_is_followed_with_the_fifth_to_the_seventh_measurement(index):
+    f, prior, truth, z, away = drifting(index)
+    z[:, JUMP:] += away
+    distance = off(f(z, prior), truth[..., :2] + away)
+    further = 2 if index == 1 else 0  # nearer by, the most agile level may take it for a turn sooner
+    assert (distance[further:, :, :4] > 0.5).all()
+    assert (distance[:, :, 6:] < 0.1).all()
+
+
+@pytest.mark.parametrize("index", [0.1, 1.0])
+def test_four_equal_outliers_are_not_followed(index):
+    f, prior, truth, z, away = drifting(index)
+    z[:, JUMP : JUMP + 4] += away
+    further = 2 if index == 1 else 0  # as above
+    distance = off(f(z, prior), truth[..., :2])
+    assert (distance[further:] < 0.5).all()
+    assert (distance[:, :, 6:] < 0.1).all()  # it is back, from wherever it was
+
+
+@pytest.mark.parametrize("index", [0.1, 1.0])
+def test_after_the_reset_of_a_receiver_the_velocity_is_known_as_before(index):
+    f, prior, truth, z, away = drifting(index)
+    without = f(z, prior)
+    z[:, JUMP:] += away
+    jumped, plain = ((e.mean - truth)[:, JUMP + 6 :, 2:4].square().mean().sqrt() for e in (f(z, prior), without))
+    assert jumped < 1.3 * plain
+
+
+def beside_odometry(length, size):
+    """Distances ``(runs, T)`` of robots, that measure their way, from where fixes are that are off by one offset."""
+    g, runs, steps, std = torch.Generator().manual_seed(0), 8, 60, 3.0
+
+    def normal(*shape):
+        return torch.randn(*shape, dtype=torch.float64, generator=g)
+
+    u = tensor([1.5, 0.0]) + 0.02 * normal(runs, steps, 2)
+    truth = torch.stack([1.5 * torch.arange(1, steps + 1).double(), torch.zeros(steps).double()], -1)
+    z, away = truth + std * normal(runs, steps, 2), std * size * ways(runs).unsqueeze(1)
+    z[:, JUMP : JUMP + length] += away
+    prior = Gaussian(torch.zeros(4).double(), tensor([1.0, 1.0, 0.05, 0.02]).diag())
+    estimate = presets.gpb(Odometry(1e-2, 1e-6, 1e-7), Position(std))(z, prior, u=u)
+    return (estimate.mean[..., :2] - truth - away)[:, JUMP:].norm(dim=-1) / std
+
+
+def test_beside_odometry_a_robot_that_was_carried_far_away_is_followed_with_the_fifth_or_sixth_measurement():
+    distance = beside_odometry(60, 1e4)
+    assert (distance[:, :4] > 5e3).all()
+    assert (distance[:, 5:] < 3).all()
+
+
+def test_beside_odometry_fixes_that_are_off_for_twenty_measurements_are_not_followed():
+    assert (beside_odometry(20, 30.0) > 27).all()
 
 
 # ---------------------------------------------------------------- errors
