@@ -276,7 +276,7 @@ def longest_burst(regimes: Regimes, e: Array, R: Array) -> float:
     """How many equal outliers in a row are no jump, by how many standard deviations they are off."""
     if regimes.far_burst is None:
         return regimes.burst
-    off = min(max(math.sqrt(fit(e, R)[0] / len(e)), BURST_FROM), BURST_TO)
+    off = min(max(math.sqrt(fit(e, R)[0]), BURST_FROM), BURST_TO)
     return regimes.burst + (regimes.far_burst - regimes.burst) * math.log(off / BURST_FROM, BURST_TO / BURST_FROM)
 
 

@@ -64,7 +64,7 @@ IN_SPACE: dict[str, dict[str, Any]] = {
 
 BURST = 4.0
 """Equal outliers in a row that no target follows."""
-MEASURED_BURST = 100.0
+MEASURED_BURST = 60.0
 """Outliers in a row that no motion that measures itself follows, up to 50 standard deviations off.  With 4 the error
 on one recorded day of a robot on a campus is 9.3 m for 4.0, with 30 it is 10.4 m for 5.0 on another; with 60 and 150 it
 is as without jumps."""

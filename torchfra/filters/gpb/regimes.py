@@ -399,7 +399,7 @@ class Regimes(Part):
             return Jumped(expected, *[torch.zeros_like(seen)] * 3)
         last = self.landed.start + self.jump_count - 1
         variances = (widths.narrow(MOTION, last, 1) * agile.scale_tril).square().sum(-1)
-        longest = self.longest_burst(compared.residual, frame.measured)
+        longest = self.longest_burst(compared.residual)
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
         for order, components in enumerate(_derivatives(motion), 1):
             enough = told * safe_divide(_told(order, longest + 1), frame.dt ** (2 * order))
@@ -410,17 +410,12 @@ class Regimes(Part):
         wider = self._jumps(nis)[:, -1:] * seen / free
         return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost, longest)
 
-    def longest_burst(self, residual: Tensor, measured: Tensor) -> Tensor:
-        """How many equal outliers in a row are no jump, ``(...)``, by how far off a measurement is.
-
-        Args:
-            residual: ``(..., m)`` in units of the noise; its square may overflow.
-            measured: ``(..., m)`` 1 where measured, 0 where missing.
-        """
+    def longest_burst(self, residual: Tensor) -> Tensor:
+        """How many equal outliers in a row are no jump ``(...)``, of ``residual (..., m)`` in units of the noise."""
         near = self.burst(residual[..., 0])
         if self.far_burst is None:
             return near
-        square = (residual.square().sum(-1) / measured.sum(-1).clamp_min(1.0)).clamp(NEAR**2, FAR**2)
+        square = residual.square().sum(-1).clamp(NEAR**2, FAR**2)
         far = 0.5 * (square / NEAR**2).log() / math.log(FAR / NEAR)
         return near + far * (self.far_burst(near) - near)
 
