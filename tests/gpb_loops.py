@@ -135,8 +135,8 @@ TWO = ((0.9, 0.8, 0.7, 0.1), (0.5, 0.3, 0.15, 0.05), (0.1, 30.0))
 """Two levels, other motions if any, and a jump: how they stay, how they are drawn anew, and what the levels are."""
 
 
-def same(estimate, r, tolerance=1e-9):
-    """Every result is that of the oracle, relative to its largest entry."""
+def same(estimate, r, tolerance=1e-9, least=1e-4):
+    """Every result is that of the oracle, relative to its largest entry; every regime is at least as probable once."""
     info = estimate.info
     for name, a in (
         ("mean", info.filtered.mean), ("P", info.filtered.covariance), ("lagged_mean", info.lagged.mean),
@@ -147,7 +147,7 @@ def same(estimate, r, tolerance=1e-9):
         near = {"rtol": tolerance, "atol": tolerance * b.abs().max().item()}
         torch.testing.assert_close(a, b, **near, msg=lambda m, n=name: f"{n}: {m}")
     assert r["outlier"].max() > 0.5
-    assert r["regimes"].max(0).min() > 1e-4  # every regime has its say
+    assert r["regimes"].max(0).min() > least  # every regime has its say
 
 
 def bank():

@@ -141,8 +141,8 @@ class Regimes(Part):
             weight falls with its size, as a single large innovation is rather an outlier.
         burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
             are taken for a jump.
-        far_burst: the same of outliers of ``FAR`` standard deviations or more, where ``burst`` holds up to ``NEAR``; None is
-            ``burst``.
+        far_burst: the same of outliers of ``FAR`` standard deviations or more, where ``burst`` holds up to ``NEAR``;
+            None is ``burst``.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
             of any.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
@@ -412,12 +412,13 @@ class Regimes(Part):
 
     def longest_burst(self, residual: Tensor) -> Tensor:
         """How many equal outliers in a row are no jump ``(...)``, of ``residual (..., m)`` in units of the noise."""
-        near = self.burst(residual[..., 0])
+        near: Tensor = self.burst(residual[..., 0])
         if self.far_burst is None:
             return near
         square = residual.square().sum(-1).clamp(NEAR**2, FAR**2)
         far = 0.5 * (square / NEAR**2).log() / math.log(FAR / NEAR)
-        return near + far * (self.far_burst(near) - near)
+        longest: Tensor = near + far * (self.far_burst(near) - near)
+        return longest
 
     def rarity(self, cost: Tensor, beyond: Tensor, first: Tensor, jumped: Jumped) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
@@ -553,7 +554,7 @@ class Regimes(Part):
         if not self.jump_count:
             return torch.ones_like(nis)[..., None, None]
         mean, std = agile.mean, safe_sqrt(agile.scale_tril.square().sum(-1))
-        jump, rows = self._jumps(nis).sqrt(), {}
+        jump, rows = self._jumps(nis).sqrt(), dict[int, Tensor]()
         for part in filter(None, _derivatives(motion)):
             size = FASTER * safe_sqrt(taken(mean, part, -1).square().sum(-1))
             rows |= {i: torch.minimum(jump, safe_divide(size, std[..., i]).clamp_min(1.0)) for i in part}
