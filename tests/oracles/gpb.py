@@ -690,7 +690,7 @@ def step(
             for key, (mean, P) in predictions.items()
             if key[0] and key[1] not in jumps
         }
-        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.9) * costs[1]) for i in (1, 2)]
+        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.8) * costs[1]) for i in (1, 2)]
     if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:
         # What a prior that is off does not know is no evidence.
         m = read(predictions[0, 0], z, model, k)

@@ -60,7 +60,7 @@ PRIOR_MARGIN = 4.0
 FIRST, THIRD = 0.7, 0.2
 """Values of ``doubt`` above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8,
 so that no rounding of a mean over hypotheses decides."""
-PRIOR_BURST, PRIOR_SOONER = 2.0, 0.9
+PRIOR_BURST, PRIOR_SOONER = 2.0, 0.8
 """How many outliers in a row at the beginning are taken for outliers, with one more the prior is off; and by how many
 it is likelier then, as ``regimes.SOONER``."""
 PRIOR_STEEP = 3.0
