@@ -277,6 +277,12 @@ def test_a_start_without_a_prior_does_not_move_what_is_found():
         assert abs(found.learned[name] - known) < 3 * found.errors[name]
 
 
+def test_cleaned_tracks_are_no_measurements():
+    cleaned = torchfra.clean((np.arange(30.0), walks(0, 1, 30)[1][0].numpy()), bank="vehicle")
+    with pytest.raises(ValueError, match=r"data: expected z .*, received Cleaned"):
+        batch_of(start(), [cleaned], runs=0, seed=0)
+
+
 def test_recordings_of_different_lengths_are_learned_from():
     _, z = walks(5, 30, 20)
     lengths = [20 - i % 5 for i in range(30)]

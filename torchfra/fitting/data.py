@@ -37,6 +37,8 @@ Source = Scenario | Simulator | Tensor | Tracks | Mapping[str, Any] | Iterable[A
 class Recorded(Protocol):
     """The track of one target, such as a recording that ``readers.read`` has read."""
 
+    name: str
+    """Of the target; estimates, whose positions are no measurements, have times and positions too, but no name."""
     time: Array
     """``(T,)`` seconds."""
     position: Array
