@@ -312,7 +312,7 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
 def _has_commas(head: Head, columns: list[str]) -> bool:
     """Whether a coordinate or a time is written as 1,5."""
     cells = [str(cell) for name in (*columns, *found(head.names, "time")) for cell in head.cells(name)]
-    parted = re.compile(r"[+-]?(?:[0-9]*|[0-9]{1,3}(?:[.'\u2019 \u00a0\u202f][0-9]{3})+),[0-9]*(?:[eE][+-]?[0-9]+)?")
+    parted = re.compile(r"[+-]?[0-9]*,[0-9]*(?:[eE][+-]?[0-9]+)?")
     return any(parted.fullmatch(cell.strip()) for cell in cells)
 
 
