@@ -632,7 +632,6 @@ def test_a_step_of_no_time_without_a_measurement_changes_nothing(motion):
 
 
 @pytest.mark.slow
-@LATE
 def test_smoothed_it_is_as_near_the_truth():
     truth, z, prior = turning(20.0)
     f = presets.gpb(CONTINUOUS["one motion"], FIXES)

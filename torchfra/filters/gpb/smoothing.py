@@ -69,7 +69,12 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
     (mean, root), _ = parts.belief(triangular=False)
     predicted = Gaussian(mean, rows * root)
-    to_step = Hypotheses(predicted, log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE))
+    # Regimes count in a belief as they did after the step: a jump and what follows one predict different places.
+    by_now = log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE)
+    known = from_state(step.next.hypotheses, step.next.log_weights, (OUTLIER, MOTION), AXES).log_weight
+    all_before = log_sum(by_now, BEFORE).unsqueeze(BEFORE)
+    by_now = without_failed(torch.where(all_before == -torch.inf, -torch.inf, by_now - all_before)) + known
+    to_step = Hypotheses(predicted, by_now)
     measurement = future(regimes.merged(to_step, f.motion.angles, triangular=False).belief, later.belief, difference)
     measurement = tree.map_tensors(regimes.per_merged, measurement)  # (2, R, 1, 1, ...)
 
