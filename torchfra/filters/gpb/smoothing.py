@@ -71,7 +71,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     predicted = Gaussian(mean, rows * root)
     # Regimes count in a belief as they did after the step: a jump and what follows one predict different places.
     by_now = log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE)
-    known = from_state(step.next.hypotheses, step.next.log_weights, (OUTLIER, MOTION), AXES).log_weight
+    known = step.next.log_weights.movedim((-2, -1), (0, 1))[:, :, None, None]
     all_before = log_sum(by_now, BEFORE).unsqueeze(BEFORE)
     by_now = without_failed(torch.where(all_before == -torch.inf, -torch.inf, by_now - all_before)) + known
     to_step = Hypotheses(predicted, by_now)

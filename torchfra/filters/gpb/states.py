@@ -106,7 +106,7 @@ class GPBPast(NamedTuple):
     """``(..., R)`` log likelihood ratio of outliers after an outlier, with and without ``same_offset``."""
 
     def of_next(self) -> GPBPast:
-        """As in ``records.Past``: of the next step all that is no belief and no weight."""
+        """As in ``records.Past``: of the next step all that is no belief, and no outlier."""
         none: Any = None  # ``retreat`` reads no others
         kept = self.surprise, self.widening, self.rarity, self.measured
-        return GPBPast(none, none, none, *kept, None, self.log_same_offset)
+        return GPBPast(none, self.log_weights, none, *kept, None, self.log_same_offset)
