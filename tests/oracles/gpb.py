@@ -290,7 +290,8 @@ def given(P: Array, stated: Array, noise: float, burst: float, dims: int, dt: fl
         told = noise / dt ** (2 * order)
         told *= 12 / (count * (count**2 - 1)) * (60 / max(count**2 - 4, 1e-12) if order == 2 else 1.0)
         for i in range(order * dims, min((order + 1) * dims, len(P))):
-            total += math.log(max(P[i, i] / max(stated[i], told), 1.0)) / 2
+            left = P[i, i] - P[i, :i] @ np.linalg.pinv(P[:i, :i], hermitian=True) @ P[:i, i]
+            total += math.log(max(left / max(stated[i], told), 1.0)) / 2
     return total
 
 

@@ -305,15 +305,15 @@ class GPB(Filter[GPBState]):
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        widths = self.regimes.widths(wide, nis, self.motion)
-        jumped = self.regimes.jumped(propagated, agile, compared, nis, widths, frame, self.motion)
+        jumps = self.regimes.jump_roots(agile, nis, self.motion)
+        jumped = self.regimes.jumped(propagated, agile, compared, nis, jumps, frame, self.motion)
         cost, least = self.outliers.cost(
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
         first = self.outliers.first_rarer(frame.measured, relaxation)
         rarity = self.regimes.rarity(cost, cost - least, first, jumped)
         surprise = Surprise(nis, rarity, cost)
-        mean, root = self.regimes.predictions(propagated, agile, nis, widths, self.motion)
+        mean, root = self.regimes.predictions(propagated, nis, jumps)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening

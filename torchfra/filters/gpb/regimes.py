@@ -377,7 +377,7 @@ class Regimes(Part):
         return torch.cat([others, none, *(share * total for share in shares)], axis)
 
     def jumped(
-        self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, widths: Tensor, frame: Frame,
+        self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, roots: Tensor, frame: Frame,
         motion: Motion,
     ) -> Jumped:  # fmt: skip
         """What a jump costs by itself, in the step in which it comes and after it.
@@ -387,7 +387,7 @@ class Regimes(Part):
             agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, with a lower root.
             compared: the measurement compared with it.
             nis: as in ``widths``.
-            widths: from ``widths``.
+            roots: from ``jump_roots``.
             frame: of the step.
             motion: as in ``widths``.
         """
@@ -397,8 +397,8 @@ class Regimes(Part):
         expected = safe_divide(seen * safe_divide(before, place), count).log1p().clamp(max=EXPECTED)
         if not self.jump_count:
             return Jumped(expected, *[torch.zeros_like(seen)] * 3)
-        last = self.landed.start + self.jump_count - 1
-        variances = (widths.narrow(MOTION, last, 1) * agile.scale_tril).square().sum(-1)
+        # The diagonal of a root: what a component varies by where those before it are known, as after a measurement.
+        variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
         longest = self.longest_burst(compared.residual)
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
         for order, components in enumerate(_derivatives(motion), 1):
@@ -480,9 +480,14 @@ class Regimes(Part):
         noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
         return Gaussian(propagated.mean[:, :1], hstack(propagated.spread[:, :1], noise))
 
-    def predictions(
-        self, propagated: Propagated, agile: Gaussian, nis: Tensor, widths: Tensor, motion: Motion
-    ) -> Gaussian:
+    def jump_roots(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
+        """Roots ``(1, J, 2, ..., n, n)`` of predictions by jumps, from that by the agile level with a lower root."""
+        if not self.jump_count:
+            return agile.scale_tril[:, :0]
+        _, widths, _ = self.widths(agile, nis, motion).split(self.counts, MOTION)
+        return widths * tria(hstack(agile.scale_tril, self._offsets(agile, nis, motion)))
+
+    def predictions(self, propagated: Propagated, nis: Tensor, jumps: Tensor) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
 
         Manoeuvres and jumps scale with the innovation: if they were wider than the innovation, a measurement with
@@ -491,19 +496,16 @@ class Regimes(Part):
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
-            agile: from ``agile_prediction``, with a lower root.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
-            widths: from ``widths``.
-            motion: as in ``widths``.
+            jumps: from ``jump_roots``.
         """
         # Columns may be of any scale; beside a triangle the noise leaves them so.
         root = self.per_regime(tria(propagated.spread))
         root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
         if self.jump_count:
             before, _, settled = root.split(self.counts, MOTION)
-            jumps = tria(hstack(agile.scale_tril, self._offsets(agile, nis, motion)))
             root = torch.cat([before, jumps, settled], MOTION)
-        return Gaussian(self.per_regime(propagated.mean), widths * root)  # with scaled rows a lower root stays one
+        return Gaussian(self.per_regime(propagated.mean), root)
 
     def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made."""
