@@ -485,7 +485,8 @@ class Regimes(Part):
         if not self.jump_count:
             return agile.scale_tril[:, :0]
         _, widths, _ = self.widths(agile, nis, motion).split(self.counts, MOTION)
-        return widths * tria(hstack(agile.scale_tril, self._offsets(agile, nis, motion)))
+        roots: Tensor = widths * tria(hstack(agile.scale_tril, self._offsets(agile, nis, motion)))
+        return roots
 
     def predictions(self, propagated: Propagated, nis: Tensor, jumps: Tensor) -> Gaussian:
         """The prediction ``(1, R, 2, ..., n)`` of every regime.
