@@ -434,7 +434,8 @@ def test_regimes_have_names_in_the_order_of_their_probabilities():
     info = f(torch.zeros(3, 3).double(), Gaussian.from_std([0.0] * f.motion.size, 5.0)).info
     assert len(names) == info.probabilities.shape[-1]
     assert names[0].startswith("constant velocity, noise x ")
-    assert names[f.regimes.level_count :] == (f.bank.names[1], "climb", "manoeuvre", "jump", "settled", "settled")
+    settled = "settled, noise x 1", "settled, noise x 2e+04"
+    assert names[f.regimes.level_count :] == (f.bank.names[1], "climb", "manoeuvre", "jump", *settled)
 
 
 # ---------------------------------------------------------------- when there are climbs

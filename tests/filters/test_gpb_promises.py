@@ -113,6 +113,14 @@ def test_gradients_are_finite_at_extreme_outliers_and_missing_data(name):
     assert all(p.grad.isfinite().all() for p in f.parameters())
 
 
+def test_gradients_are_finite_where_a_jump_is_forgotten_at_once():
+    z = measured("position").repeat(2, 1, 1)
+    z[:, 6:] += 1e3 * SENSORS["position"].std()
+    z.requires_grad_()
+    single("position", self_transition=(*VALUES["self_transition"][:-1], 0.0))(z, PRIOR).log_likelihood.sum().backward()
+    assert z.grad.isfinite().all()
+
+
 def test_a_state_may_be_a_single_number():
     scenario = scenarios.growth()
     tracks = scenario.simulate(3)
@@ -312,6 +320,7 @@ def numbered(argument):
     ({"restart": (0.5, 0.3, 0.2)}, r"restart: expected \(..., 4\), received \(3,\)"),
     ({"restart": (0.5, 0.3, 0.2, 0.1)}, "restart: expected"),
     ({"restart": (0.5, 0.3, 0.3, -0.1)}, "restart: expected"),
+    ({"restart": (0.0, 0.0, 0.4, 0.6)}, r"restart: expected a probability above 0 at one of indices \[0, 1\]"),
     ({"prior_outlier": 2.0}, r"prior_outlier: expected a value in \[0, 1\]"),
     ({"prior_inflation": 0.5}, "prior_inflation: expected a value of 1 or more"),
     ({"lag": 2}, "lag: expected 0 or 1 steps, received 2"),

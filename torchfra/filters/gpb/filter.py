@@ -164,14 +164,10 @@ class GPB(Filter[GPBState]):
         """What each regime is, in the order of ``info.probabilities``; of a batch of values by its first levels."""
         regimes, (first, *others) = self.regimes, self.bank.names
         levels = regimes.noise_levels().flatten()[: regimes.level_count].tolist()
-        counts = {
-            "climb": regimes.climb_count,
-            "manoeuvre": regimes.manoeuvre_count,
-            "jump": regimes.jump_count,
-            "settled": regimes.settled,
-        }
+        counts = {"climb": regimes.climb_count, "manoeuvre": regimes.manoeuvre_count, "jump": regimes.jump_count}
         named = (f"{first}, noise x {level:.3g}" for level in levels)
-        return (*named, *others, *(name for name, count in counts.items() for _ in range(count)))
+        settled = [f"settled, noise x {level:.3g}" for level in (1.0, *levels[-1:])][: regimes.settled]
+        return (*named, *others, *(name for name, count in counts.items() for _ in range(count)), *settled)
 
     @property
     def bank(self) -> Bank:
@@ -273,6 +269,7 @@ class GPB(Filter[GPBState]):
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
         stayed, ended, restarted = self.regimes.by_belief(tree.stack(switching[:3], 0), MOTION + 1)
         total = stayed + restarted
+        total = torch.where(total < torch.finfo(total.dtype).tiny, 0.0, total)  # derivatives of a quotient overflow
         origin = safe_divide(ended, ended.sum(MOTION, keepdim=True))
         own = torch.where(total > 0, safe_divide(stayed, total), 1.0)  # without any weight a belief stays as it is
         mixing = Mixing(own, safe_divide(restarted, total), origin)

@@ -218,6 +218,13 @@ class Regimes(Part):
         """The index of the only regime of each other belief, but that of jumps."""
         self.entries = tuple(regime.entry for regime in self.each)
         """The index of each regime's values."""
+        self.begins = sorted(set(self.entries[: self.landed.start]))
+        """The entries of the restart distribution of which a regime may begin, unlike of jumps; of a single motion the
+        kind "any other motion" has no regime."""
+        if bool((begin[..., self.begins] == 0).all(-1).any()):
+            raise ValueError(
+                f"restart: expected a probability above 0 at one of indices {self.begins}, received {begin.tolist()}"
+            )
         self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
@@ -310,9 +317,8 @@ class Regimes(Part):
         """
         rank = like.dim() - 1
         durations, restart = self.durations(like), self.restart(like)  # type: ignore[misc]
-        begins = set(self.entries[: self.landed.start])  # of a single motion the kind "any other motion" has no regime
-        if len(begins) < restart.shape[-1]:
-            present = as_tensor([float(k in begins) for k in range(restart.shape[-1])], restart)
+        if len(self.begins) < restart.shape[-1]:
+            present = as_tensor([float(k in self.begins) for k in range(restart.shape[-1])], restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         lasts = torch.exp(-dt.unsqueeze(-1) / durations)
         of_kinds = transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)
