@@ -245,6 +245,17 @@ def test_after_the_reset_of_a_receiver_the_velocity_is_known_as_before(index):
     assert jumped < 1.3 * plain
 
 
+@pytest.mark.parametrize("index", [0.1, 0.3])
+def test_smoothed_a_jump_is_where_it_came(index):
+    f, prior, truth, z, away = drifting(index)
+    z[:, JUMP:] += away
+    truth[:, JUMP:, :2] += away
+    error = (f.smooth(z, prior).mean - truth)[:, JUMP - 5 : JUMP + 5, :2].norm(dim=-1)
+    far = error[2 * RUNS :]  # nearer by, it may have come with the measurement before
+    assert far.square().mean().sqrt() < 2.0
+    assert far.max() < 0.1 * SIZES[2]
+
+
 def beside_odometry(length, size):
     """Distances ``(runs, T)`` of robots, that measure their way, from where fixes are that are off by one offset."""
     g, runs, steps, std = torch.Generator().manual_seed(0), 8, 60, 3.0

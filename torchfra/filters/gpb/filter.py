@@ -247,7 +247,8 @@ class GPB(Filter[GPBState]):
         by_belief = Surprise(*(x[0, 0].movedim(0, -1) for x in surprise))
         seen = measured.to(widening).expand_as(widening)
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
-        past = GPBPast(*kept, by_belief, widening, rarity, seen, relaxation, ratio)
+        hypotheses = (updated.log_weight - posterior.log_likelihood).movedim((0, 1, 2), (-3, -2, -1))
+        past = GPBPast(*kept, by_belief, widening, rarity, seen, hypotheses, relaxation, ratio)
         expected = self.compare(self.expected(predicted), frame)
         root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood + frame.measurement_noise.log_norm

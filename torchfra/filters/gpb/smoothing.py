@@ -58,7 +58,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     surprise = Surprise(*(x.movedim(-1, 0)[None, None, :, None] for x in step.next.surprise))
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    prior, prior_of_source = (_prior(f, x, step.next, surprise, frame.dt) for x in (step.past, step.source))
+    prior = _prior(f, step.past, step.next, surprise, frame.dt)
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
@@ -69,12 +69,8 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
     (mean, root), _ = parts.belief(triangular=False)
     predicted = Gaussian(mean, rows * root)
-    # Regimes count in a belief as they did after the step: a jump and what follows one predict different places.
-    by_now = log_sum(prior_of_source, MOTION_BEFORE).unsqueeze(MOTION_BEFORE)
-    known = step.next.log_weights.movedim((-2, -1), (0, 1))[:, :, None, None]
-    all_before = log_sum(by_now, BEFORE).unsqueeze(BEFORE)
-    by_now = without_failed(torch.where(all_before == -torch.inf, -torch.inf, by_now - all_before)) + known
-    to_step = Hypotheses(predicted, by_now)
+    # Merged as after the step: what led to a jump and what did not predict different places.
+    to_step = Hypotheses(predicted, step.next.posterior.movedim((-3, -2, -1), (0, 1, 2)).unsqueeze(MOTION_BEFORE))
     measurement = future(regimes.merged(to_step, f.motion.angles, triangular=False).belief, later.belief, difference)
     measurement = tree.map_tensors(regimes.per_merged, measurement)  # (2, R, 1, 1, ...)
 

@@ -100,13 +100,15 @@ class GPBPast(NamedTuple):
     """``(..., 2, 2)`` logs of factors on the probabilities of outliers now and before: see ``GPB.outlying_rarity``."""
     measured: Tensor
     """``(...)`` 1 where the step has a measurement, else 0."""
+    posterior: Tensor
+    """``(..., 2, R, 2)`` logs of the probabilities of hypotheses: an outlier now, the regime, an outlier before."""
     relaxation: Tensor | None = None
     """See ``GPBState``."""
     log_same_offset: Tensor | None = None
     """``(..., R)`` log likelihood ratio of outliers after an outlier, with and without ``same_offset``."""
 
     def of_next(self) -> GPBPast:
-        """As in ``records.Past``: of the next step all that is no belief, and no outlier."""
+        """As in ``records.Past``: of the next step all that is no belief and not what is merged from it."""
         none: Any = None  # ``retreat`` reads no others
-        kept = self.surprise, self.widening, self.rarity, self.measured
-        return GPBPast(none, self.log_weights, none, *kept, None, self.log_same_offset)
+        kept = self.surprise, self.widening, self.rarity, self.measured, self.posterior
+        return GPBPast(none, none, none, *kept, None, self.log_same_offset)
