@@ -245,7 +245,7 @@ def test_what_is_no_track_is_refused(data, said):
 
 
 @pytest.mark.parametrize(("data", "said"), [
-    ({"when": [0.0, 1.0], "x": [1, 2], "y": [1, 2]}, "such as time='when', x='x', y='y'; columns: when"),
+    ({"when": [0.0, 1.0], "x": [1, 2], "y": [1, 2]}, "such as time='TIME', x='x', y='y'; columns: when"),
     ({"t": ["03/04/2024 10:00"] * 2, "x": [1, 2], "y": [1, 2]}, "say time_format='%d/%m/%Y %H:%M' or time_format='%m/"),
     ({"t": [0, 1], "lat": [100.1234, 100.1235], "lon": [10, 11]}, "swapped, .*the options lat and lon name"),
 ])  # fmt: skip

@@ -317,7 +317,8 @@ def _reflect(a: Tensor, way: _Way | _Update, *, by_qr: bool = False) -> Tensor:
     else:
         columns = finer.mT if way is _Way.BESIDE else pad(finer, (n, 0)).mT
     if by_qr:
-        return -torch.linalg.qr(columns, mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
+        mode = "reduced" if torch.is_grad_enabled() and a.requires_grad else "r"  # Q is for gradients through it
+        return -torch.linalg.qr(columns, mode=mode).R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
     lower: Tensor = torch.geqrf(columns)[0][..., :n, :].mT * _minus_lower(n, columns.dtype, a.device)
     return lower.to(a.dtype)
 

@@ -221,10 +221,6 @@ class Regimes(Part):
         self.begins = sorted(set(self.entries[: self.landed.start]))
         """The entries of the restart distribution of which a regime may begin, unlike of jumps; of a single motion the
         kind "any other motion" has no regime."""
-        if bool((begin[..., self.begins] == 0).all(-1).any()):
-            raise ValueError(
-                f"restart: expected a probability above 0 at one of indices {self.begins}, received {begin.tolist()}"
-            )
         self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
         self.manoeuvre_factors = None
         if self.manoeuvre_count:
@@ -240,6 +236,10 @@ class Regimes(Part):
         else:
             self.self_transition = Hyper(stay, constraints.unit_interval, event_dim=1, name=sojourn)
         self.restart = Hyper(begin, constraints.simplex, event_dim=1, name="restart")
+        if bool((begin[..., self.begins] == 0).all(-1).any()):
+            raise ValueError(
+                f"restart: expected a probability above 0 at one of indices {self.begins}, received {begin.tolist()}"
+            )
 
     # ------------------------------------------------------------ the Markov chain
 
