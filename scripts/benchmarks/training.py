@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from benchmarks.roof import FILTERS
 from benchmarks.timing import Row, learners, timed
 from torchfra.catalogue import make_filter, make_scenario
@@ -80,7 +82,8 @@ def plain_qr() -> Iterator[None]:
     class Plain:
         @staticmethod
         def apply(a, way):
-            return triangular._reflect(a, way, by_qr=True)
+            lower = torch.linalg.qr(triangular._columns(a, way)).R.mT
+            return lower * lower.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
 
     before, triangular._Tria = triangular._Tria, Plain
     try:

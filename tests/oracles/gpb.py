@@ -257,8 +257,9 @@ def jumped(
             offset[position, position] = (size - 1) * P[position, position]  # independent of all else
             for order in (1, 2):  # velocity and acceleration: three times as large as before, at least
                 rates = range(order * position.stop, min((order + 1) * position.stop, len(mean)))
-                for i in (i for i in rates if P[i, i] > 0):
-                    widen[i] = min(math.sqrt(size), max(1.0, 3 * np.linalg.norm(mean[rates]) / math.sqrt(P[i, i])))
+                if len(rates) and np.diag(P)[rates].any():
+                    faster = 3 * np.linalg.norm(mean[rates]) / math.sqrt(np.diag(P)[rates].mean())
+                    widen[rates] = min(math.sqrt(size), max(1.0, faster))
             factors[q, r] = widen, (level * Q + offset) * np.outer(widen, widen)
             after[q, r] = mean, (P + offset) * np.outer(widen, widen)
             if rarer > 0:
@@ -289,9 +290,11 @@ def given(P: Array, stated: Array, noise: float, burst: float, dims: int, dt: fl
     for order in (1, 2):  # by the variance of a coefficient of an orthogonal polynomial
         told = noise / dt ** (2 * order)
         told *= 12 / (count * (count**2 - 1)) * (60 / max(count**2 - 4, 1e-12) if order == 2 else 1.0)
-        for i in range(order * dims, min((order + 1) * dims, len(P))):
-            left = P[i, i] - P[i, :i] @ np.linalg.pinv(P[:i, :i], hermitian=True) @ P[:i, i]
-            total += math.log(max(left / max(stated[i], told), 1.0)) / 2
+        i = slice(order * dims, min((order + 1) * dims, len(P)))
+        if i.start < i.stop:  # its determinant where all before it are known
+            before = slice(0, i.start)
+            left = P[i, i] - P[i, before] @ np.linalg.pinv(P[before, before], hermitian=True) @ P[before, i]
+            total += max(0.0, np.linalg.slogdet(left / max(stated[i].mean(), told))[1]) / 2
     return total
 
 

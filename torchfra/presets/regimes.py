@@ -129,7 +129,8 @@ def gpb(
             motions share theirs evenly.  Of several jumps it says how likely each is beside the others.
         burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
             longer is taken to have jumped.  None is 4, and ``MEASURED_BURST`` for a motion that measures itself, beside
-            which a sensor that is wrong for long is likelier than a target that was moved.
+            which a sensor that is wrong for long is likelier than a target that was moved.  With 7 the jump's entry of
+            ``durations`` should be some 8 measurements: else one jump in twenty is followed with the ninth.
         far_burst: the same of outliers of 200 standard deviations or more, while ``burst`` is of up to 50.  None is
             4 if ``burst`` is None, else as ``burst``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for

@@ -407,11 +407,12 @@ class Regimes(Part):
         variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
         longest = self.longest_burst(compared.residual)
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
-        for order, components in enumerate(_derivatives(motion), 1):
-            enough = told * safe_divide(_told(order, longest + 1), frame.dt ** (2 * order))
-            known = torch.where((seen > 0).unsqueeze(-1), torch.maximum(stated, enough.unsqueeze(-1)), variances)
-            less = 0.5 * safe_divide(variances, known).clamp_min(1.0).log()
-            lost = lost + sum(less[..., i] for i in components)
+        for order, part in enumerate(_derivatives(motion), 1):
+            if part:  # of all its components together, whatever the axes
+                enough = told * safe_divide(_told(order, longest + 1), frame.dt ** (2 * order))
+                known = torch.maximum(taken(stated, part, -1).mean(-1), enough)
+                less = 0.5 * safe_log(safe_divide(taken(variances, part, -1), known.unsqueeze(-1))).sum(-1)
+                lost = lost + torch.where(seen > 0, less.clamp_min(0.0), 0.0)
         free = count.clamp(1.0, motion.dims)
         wider = self._jumps(nis)[:, -1:] * seen / free
         return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost, longest)
@@ -562,11 +563,13 @@ class Regimes(Part):
         """
         if not self.jump_count:
             return torch.ones_like(nis)[..., None, None]
-        mean, std = agile.mean, safe_sqrt(agile.scale_tril.square().sum(-1))
+        mean, variances = agile.mean, agile.scale_tril.square().sum(-1)
         jump, rows = self._jumps(nis).sqrt(), dict[int, Tensor]()
         for part in filter(None, _derivatives(motion)):
-            size = FASTER * safe_sqrt(taken(mean, part, -1).square().sum(-1))
-            rows |= {i: torch.minimum(jump, safe_divide(size, std[..., i]).clamp_min(1.0)) for i in part}
+            size, std = (
+                safe_sqrt(x) for x in (taken(mean, part, -1).square().sum(-1), taken(variances, part, -1).mean(-1))
+            )
+            rows |= dict.fromkeys(part, torch.minimum(jump, safe_divide(FASTER * size, std).clamp_min(1.0)))
         each = (rows.get(i, torch.ones_like(jump)) for i in range(motion.size))
         jumps = torch.stack(torch.broadcast_tensors(*each), -1)
         before, after = (jumps.new_ones(1, n, *jumps.shape[2:]) for n in (self.landed.start, self.settled))
