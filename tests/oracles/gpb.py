@@ -26,7 +26,7 @@ MODES = (0, 1)
 READS = 2  # sensors read the position alone
 BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e10, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
-BURST_FROM, BURST_TO = 50.0, 200.0  # standard deviations between which a burst goes from one length to another
+BURST_FROM, BURST_TO = 50.0, 400.0  # standard deviations between which a burst goes from one length to another
 AGILE_AFTER = 0.1  # of targets that have jumped
 
 

@@ -300,8 +300,9 @@ def test_units_that_are_a_power_of_two_change_nothing(number, seed, metres, seco
     length, time = 2.0**metres, 2.0**seconds
     scenario = replace(cell, dt=1.0, spacing="even").scenario(steps=30)
     other = replace(cell, dt=time, spacing="even", std=length * cell.std).scenario(steps=30)
-    means = []
+    (*lasts, settled), means = MANOEUVRES["some"]["durations"], []
     for s, factor in ((scenario, 1.0), (other, time)):
-        tracks, lasts = s.simulate(2, seed), [factor * seconds for seconds in MANOEUVRES["some"]["durations"]]
-        means.append(presets.gpb(s.motion, s.sensor, durations=lasts)(tracks.z, tracks.prior, dt=s.dt).mean)
+        tracks = s.simulate(2, seed)
+        f = presets.gpb(s.motion, s.sensor, durations=[*(factor * last for last in lasts), settled])
+        means.append(f(tracks.z, tracks.prior, dt=s.dt).mean)
     torch.testing.assert_close(length * means[0][..., :2], means[1][..., :2], rtol=1e-9, atol=1e-9 * length * cell.std)

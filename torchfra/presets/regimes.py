@@ -67,7 +67,8 @@ BURST = 4.0
 MEASURED_BURST = 60.0
 """Outliers in a row that no motion that measures itself follows, up to 50 standard deviations off.  With 4 the error
 on one recorded day of a robot on a campus is 9.3 m for 4.0, with 30 it is 10.4 m for 5.0 on another; with 60 and 150 it
-is as without jumps."""
+is as without jumps.  From 400 on it is ``BURST``: with 200, positions that are 240 to 280 standard deviations off for 24
+steps after a gap are followed."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
@@ -131,7 +132,7 @@ def gpb(
             longer is taken to have jumped.  None is 4, and ``MEASURED_BURST`` for a motion that measures itself, beside
             which a sensor that is wrong for long is likelier than a target that was moved.  With 7 the jump's entry of
             ``durations`` should be some 8 measurements: else one jump in twenty is followed with the ninth.
-        far_burst: the same of outliers of 200 standard deviations or more, while ``burst`` is of up to 50.  None is
+        far_burst: the same of outliers of 400 standard deviations or more, while ``burst`` is of up to 50.  None is
             4 if ``burst`` is None, else as ``burst``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
             three or more motions also one for each other motion.  That of a jump is in measurements, for which its

@@ -29,7 +29,7 @@ LARGEST_FACTOR = 1e10
 SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
-NEAR, FAR = 50.0, 200.0
+NEAR, FAR = 50.0, 400.0
 """Standard deviations of the noise up to which ``burst`` says how long outliers stay where they are, and from which on
 ``far_burst`` does; between them a number between them, by the log."""
 AGILE_AFTER = 0.1
@@ -252,7 +252,7 @@ class Regimes(Part):
 
     def _has_jumped(self, like: Tensor) -> Tensor:
         """Whether a regime is a jump or of a settled target, ``(R, ...)`` bool, for ``like (R, ...)``."""
-        landed = torch.tensor([r in self.landed for r in range(len(self.each))], device=like.device)
+        landed = torch.tensor([r in self.landed for r in range(len(self.each))], dtype=torch.bool, device=like.device)
         return landed.reshape(-1, *(1,) * (like.dim() - 1))
 
     def initial_distribution(self, like: Tensor) -> Tensor:
