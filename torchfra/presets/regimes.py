@@ -67,8 +67,8 @@ BURST = 4.0
 MEASURED_BURST = 60.0
 """Outliers in a row that no motion that measures itself follows, up to 50 standard deviations off.  With 4 the error
 on one recorded day of a robot on a campus is 9.3 m for 4.0, with 30 it is 10.4 m for 5.0 on another; with 60 and 150 it
-is as without jumps.  From 400 on it is ``BURST``: with 200, positions that are 240 to 280 standard deviations off for 24
-steps after a gap are followed."""
+is as without jumps.  From 400 on it is ``BURST``: with 200, positions that are 240 to 280 standard deviations off for
+24 steps after a gap are followed."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
