@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+from datetime import datetime
+from datetime import time as clock
 
 import numpy as np
 import pytest
@@ -179,3 +181,81 @@ def test_rows_join_results_to_the_file_whatever_was_repaired(write):
         assert rows[row][1] == LATITUDE[fix]
     assert track.time[0] == START
     assert (len(LONGITUDE), len(ALTITUDE)) == (6, 6)
+
+
+# ---------------------------------------------------------------- what stands in other columns, and in brackets
+
+
+def eight(header, row):
+    return header + "\n" + "".join(",".join(map(str, row(i))) + "\n" for i in range(8))
+
+
+@pytest.mark.parametrize("header", [
+    "time,Lat Deg,Lat Min,Lon Deg,Lon Min", "time,Latitude (deg),Latitude (min),Longitude (deg),Longitude (min)",
+    "time,lat,lat_minutes,lon,lon_minutes", "time,latDD,latMM,lonDD,lonMM",
+])  # fmt: skip
+def test_degrees_whose_minutes_are_in_another_column_are_refused(write, header):
+    path = write(eight(header, lambda i: (i, 47, 18 + i, 8, 30 + i)))
+    _, lat, _, lon, _ = header.split(",")
+    for words in ({}, {"lat": lat, "lon": lon}):
+        if words or "DD" not in header:
+            with pytest.raises(ValueError, match=r"received whole ones beside .*: write one column of degrees"):
+                read(path, **words)
+
+
+def test_degrees_beside_their_bounds_are_read(write):
+    (track,) = read(write(eight("time,lat,lat_min,lon", lambda i: (i, 47.3 + i / 1e4, 47, 8))))
+    assert len(track.time) == 8
+
+
+def test_hours_and_minutes_may_be_minutes_and_seconds(write):
+    path = write(eight("time,x,y", lambda i: (f"00:0{i}", i, 0)))
+    with pytest.raises(ValueError, match=r"time_format='%H:%M' or time_format='%M:%S'$"):
+        read(path)
+    for form, second in (("%H:%M", 60), ("%M:%S", 1)):
+        assert np.diff(read(path, time_format=form)[0].time) == pytest.approx(second)
+
+
+@pytest.mark.parametrize(("header", "cell", "option"), [
+    ("time,x,y,x_unit", "cm", {"units": "cm"}), ("time,x,y,Time unit", "ms", {"time_format": "ms"}),
+    ("time,lat,lon,alt,Alt Units", "ft", {"units": "ft"}),
+])  # fmt: skip
+def test_a_unit_in_a_column_of_its_own_is_asked_for(write, header, cell, option):
+    path = write(eight(header, lambda i: (1000 * i, *range(i, i + header.count(",") - 1), cell)))
+    ((name, value),) = option.items()
+    with pytest.raises(ValueError, match=f"received {cell} in the column .*: say {name}='{value}'"):
+        read(path)
+    assert len(read(path, **option)[0].time) == 8
+
+
+@pytest.mark.parametrize("header", ["Time [1/100 s],x,y", "Time (10ms),x,y", "time (ticks),x,y", "t (elapsed ms),x,y"])
+def test_unknown_units_of_times_are_asked_for(write, header):
+    path = write(eight(header, lambda i: (100 * i, i, 0)))
+    with pytest.raises(ValueError, match="expected seconds or another unit of times, received"):
+        read(path)
+    assert np.diff(read(path, time="1", time_format="100fps")[0].time) == pytest.approx(1)
+    assert len(read(write(eight("Time (UTC),x,y", lambda i: (100 * i, i, 0))))[0].time) == 8
+
+
+def test_parts_of_degrees_in_brackets_are_refused(write):
+    for unit in ("mdeg", "\u00b5deg", "arcsec"):
+        with pytest.raises(ValueError, match="expected metres or degrees, received"):
+            read(write(eight(f"t,lat ({unit}),lon ({unit})", lambda i: (i, i, i))))
+
+
+def test_sides_of_both_in_one_column_are_refused(write):
+    path = write(eight("t,lat,lon,hemisphere", lambda i: (i, 47 + i / 1e4, 8, "NW")))
+    with pytest.raises(ValueError, match="column lon: expected degrees that grow to the north and east"):
+        read(path)
+    assert len(read(write(path.read_text().replace("NW", "NE")))[0].time) == 8
+
+
+def test_a_date_and_a_clock_in_cells_of_a_workbook_are_joined(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Date", "Time", "Latitude", "Longitude"])
+    for i in range(8):
+        book.active.append([datetime(2024, 5, 6), clock(10, 0, i), 47 + i / 1e4, 8])
+    book.save(tmp_path / "a.xlsx")
+    (track,) = read(tmp_path / "a.xlsx")
+    assert track.source.written(track.time[:2]) == ["2024-05-06 10:00:00", "2024-05-06 10:00:01"]

@@ -109,9 +109,8 @@ def workbook_text(path: Path, max_bytes: int) -> bytes:
     for sheet in book.worksheets:
         rows, writer = 0, csv.writer(text)
         for rows, row in enumerate(sheet.iter_rows(values_only=True), 1):
-            writer.writerow(
-                ["" if cell is None else cell.isoformat(" ") if isinstance(cell, datetime) else cell for cell in row]
-            )
+            moments = (cell.isoformat(" ") if isinstance(cell, datetime) else cell for cell in row)
+            writer.writerow("" if cell is None else str(cell).removesuffix(" 00:00:00") for cell in moments)
             if text.tell() > max_bytes or rows * BYTES_OF_A_ROW > max_bytes:
                 raise too_large(max_bytes)
         if rows > 1:

@@ -47,6 +47,8 @@ _FEW, _FINER = 0.1, 2
 column of times has to have, to be taken although another has the date."""
 _PARTS_OF_SECONDS = {"msec": "ms", "msecs": "ms", "usec": "us", "usecs": "us", "nsec": "ns", "nsecs": "ns",
                      "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns"}  # fmt: skip
+_NO_UNITS = {"utc", "gmt", "zulu", "local", "unix", "epoch", "elapsed", "relative", "since", "start", "gps", "time"}
+"""What may stand in brackets behind times and is no unit."""
 _LOCAL = {"local", "lmt", "lcl"}
 """Words of names of times that are not UTC."""
 _FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords"}
@@ -238,6 +240,9 @@ def _chosen(columns: tuple[str, ...], forms: list[str], texts: list[str], name: 
     if len(forms) > 1:
         choices = [part for form in forms for part in (" or ", {"time_format": form})]
         raise AskError(f"column {name}: {texts[0]!r} may have the day, the month or the year first: say ", *choices[1:])
+    if forms[0] == "%H:%M":
+        raise AskError(f"column {name}: {texts[0]!r} may be hours and minutes, or minutes and seconds: say ",
+                       {"time_format": "%H:%M"}, " or ", {"time_format": STOPWATCH})  # fmt: skip
     zone = forms[0].rpartition(" ")[2]
     if zone.isalpha() and zone.isupper() and zone not in ("Z", "UTC", "GMT"):
         raise AskError(f"column {name}: zone {zone} of {texts[0]!r} has several meanings or changes with the season: "
@@ -320,14 +325,18 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
     likely = ("excel",) if 3e4 < middle < 6e4 else ("days",) if plain(name) == "day" else ("seconds", "ms", "us")
     asks = ({"time": name, "time_format": form} for form in likely)
     choices = [part for ask in asks for part in (" or ", ask)][1:]
-    if plain(name) in _DATED and not sure and len(values) > 1:
-        raise AskError(f"column {name}: expected times since 1970, received {values.min():.15g} to "
-                       f"{values.max():.15g}: "
-                       "name another column, or say their unit: ", *choices)  # fmt: skip
     if packed := _packed(values):
         hours = (" or ", {"time": name, "time_format": "%H%M"}) if "S" in packed and values.max() < 2400 else ()
         raise AskError(f"column {name}: expected times, received {values[0]:.15g}, which looks like hours, minutes and "
                        "seconds in one number: say ", {"time": name, "time_format": packed}, *hours)  # fmt: skip
+    if plain(name) in _DATED and not sure and len(values) > 1:
+        raise AskError(f"column {name}: expected times since 1970, received {values.min():.15g} to "
+                       f"{values.max():.15g}: "
+                       "name another column, or say their unit: ", *choices)  # fmt: skip
+    said = re.search(r"[\[(]([^\[\]()]*)[\])]\s*$", name)
+    if said and not {*name_words(said[1])} <= _NO_UNITS and not sure:
+        raise AskError(f"column {name}: expected seconds or another unit of times, received ({said[1]}): say ",
+                       *choices, ", or such as ", {"time_format": "100fps"}, " where 100 are a second")  # fmt: skip
     if middle > _LATEST:
         raise AskError(f"column {name}: expected seconds since a start or since 1970, received {values[0]:.15g}, "
                        "which is "

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from torchfra.readers.names import (
     MARKS,
     METRES,
     OTHER_UNIT,
+    TIMES,
     found,
     name_words,
     plain,
@@ -37,6 +38,8 @@ _SIDE = re.compile(
     "|(?P<longitude>(?:ew|eastwest)(?:ind|indicator|hemisphere)?|lon(?:g|gitude)?(?:ew|dir|direction|hem|hemisphere|ref))"
 )
 """Names of columns that say on which side of the equator or of Greenwich a fix is."""
+_FINER = "(?:min(?:ute)?s?|m[mn]?|sec(?:ond)?s?|ss?)"
+"""Behind the name of degrees, that of a column with their minutes or seconds."""
 _PRIVATE = ("call", "update", "second", "valid", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 0.0, "yes": 1.0, "no": 0.0}
@@ -122,6 +125,11 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     word = head.word or (format.word if format else "") or "target"
     columns |= _labels(head, roles, word)
     length = _length(columns, options, format, head)
+    if not options.time_format:
+        _check_units(head, [clock.column], clock.form, "time_format", TIMES)
+    if not options.units:
+        lengths = [column for role, column in columns.items() if role in ("x", "y", *_HEIGHTS)]
+        _check_units(head, lengths, next((one for one, of in METRES.items() if of == length), "FL"), "units", LENGTHS)
     noise = noise_of(head, roles, 1.0 if "latitude" in columns else length, word == "ship",
                      stated=options.sigma_column is not None)  # fmt: skip
     wanted: dict[str, Kind | None] = {clock.column: clock.kind}
@@ -193,6 +201,11 @@ def _one_pair(
         ValueError: another is: which is meant nobody says.
     """
     for role in pair:
+        whole = re.sub("(?:deg(?:ree)?s?|dd?)$", "", "".join(name_words(columns[role])))
+        finer = [one for one in head.names if re.fullmatch(whole + _FINER, "".join(name_words(one)))]
+        if role in _SIDES and finer and not (values_of(head.cells(columns[role])) % 1).any():
+            raise ValueError(f"column {columns[role]}: expected degrees with their parts, received whole ones beside "
+                             f"{listed(finer)}: write one column of degrees + minutes / 60")  # fmt: skip
         words = plain(columns[role]), len(name_words(columns[role]))
         alike = [one for one in found(head.names, role) if (plain(one), len(name_words(one))) == words]
         if role not in roles and len(alike) > 1:
@@ -260,6 +273,16 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
     return FLIGHT_LEVEL if one == "FL" else METRES[one]
 
 
+def _check_units(head: Head, columns: Iterable[str], read: str, option: str, words: Mapping[str, str]) -> None:
+    """Refuses units in a column of their own that are others than those in which columns are read."""
+    for column, name in product(columns, head.names):
+        if re.fullmatch(f"{plain(column)}units?|units?{plain(column)}", "".join(name_words(name))):
+            for cell in texts_of(head.cells(name)):
+                if words.get(cell.lower()) != read:
+                    raise AskError(f"column {column}: expected {read}, received {cell} in the column {name}: say ",
+                                   {option: words.get(cell.lower(), read)})  # fmt: skip
+
+
 def _kind(role: str, column: str, length: float, format: Format | None, options: ReadOptions) -> Kind | None:
     """What the numbers of a column are; None for text."""
     if role in ("id", "call"):
@@ -294,6 +317,8 @@ def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
         for before, name in pairwise(["", *head.names]) if column and not (len(values) and min(values) < 0) else ():
             cells = texts_of(head.cells(name)) if name not in columns.values() else []
             letters = {_WORDS.get(cell.upper(), cell.upper()) for cell in cells}
+            if letters and all(re.fullmatch("[NS][EW]", cell) for cell in letters):  # a letter for each of both
+                letters, before = {cell[role == "longitude"] for cell in letters}, column
             if name == column and minus.lower() in name_words(name) and plus.lower() not in name_words(name):
                 letters, before = {minus}, column
             named = _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))

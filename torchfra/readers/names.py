@@ -26,7 +26,9 @@ TIMES = {
 }  # fmt: skip
 DEGREES = {"deg", "degree", "degrees", "dd", "semicircles", "e7"}
 OTHER_UNIT = re.compile(
-    r"m?rad(?:ian)?s?|gon|in(?:ch(?:es)?)?|[nu]m|[\u00b5\u03bc]m|microns?|micromet(?:er|re)s?|px|pixels?", re.IGNORECASE
+    r"m?rad(?:ian)?s?|gon|(?:[mu\u00b5]|milli|micro)deg(?:ree)?s?|arc ?(?:min|sec)\w*|in(?:ch(?:es)?)?|[nu]m|"
+    r"[\u00b5\u03bc]m|microns?|micromet(?:er|re)s?|px|pixels?",
+    re.IGNORECASE,
 )
 """A unit of positions that has no conversion here."""
 NAMES = {
