@@ -346,13 +346,13 @@ def out_of_range(module: nn.Module) -> Tensor | None:
     return bad if traced or bool(bad.any()) else None
 
 
-def spoilt(f: Any, state: Any) -> Any:
+def spoilt(f: Any, state: Any, sensor: nn.Module | None = None) -> Any:
     """The state, whose means are NaN for each track with a hyperparameter that is NaN or out of its range.
 
     A choice takes NaN for no, and goes on: a gate of NaN would let every measurement pass, or none.  So a filter's
-    state is spoilt where it enters a step.
+    state is spoilt where it enters a step, of another ``sensor`` than the filter's own too.
     """
-    bad = out_of_range(f)
+    bad = out_of_range(f if sensor is None else nn.ModuleList([f, sensor]))
     return state if bad is None else _with_nan(state, bad, state.belief.mean.dim() - 1)
 
 

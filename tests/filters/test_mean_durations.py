@@ -181,9 +181,9 @@ def test_what_no_measurement_foretells_is_an_outlier_as_often_as_in_the_long_run
     state = f.init(Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)))
     if sensor is not None:
         state, _ = f.step(state, tensor(0.0, 0.0))
-    view = f.with_sensor(sensor)
-    alone = view.remembering(state)
-    log_mode, block = view.outliers.predict(alone.outlier, alone.relaxation, torch.tensor(True))
+    measures = SENSOR if sensor is None else sensor
+    alone = f.forget(state, measures)
+    log_mode, block = f.outliers_of(measures).predict(alone.outlier, alone.relaxation, torch.tensor(True))
     torch.testing.assert_close(log_mode.exp()[:, 0, 0], tensor(0.75, 0.25))
     assert (block == 1).all()
     off, _ = f.step(state, tensor(300.0, 300.0), dt=0.0, sensor=sensor)

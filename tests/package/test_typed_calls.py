@@ -25,7 +25,6 @@ scans: JPDAState = jpda.init(scenario.prior)
 """
 WRONG = {
     "x: int = gpb(tracks.z, tracks.prior).mean": '"Tensor", variable has type "int"',
-    "x: int = gpb.with_sensor(scenario.sensor)(tracks.z, tracks.prior).mean": '"Tensor", variable has type "int"',
     "x: int = gpb.init(scenario.prior)": '"GPBState", variable has type "int"',
     "x: int = state.lagged": '"Gaussian", variable has type "int"',
     "x: int = scans": '"JPDAState", variable has type "int"',

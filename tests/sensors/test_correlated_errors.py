@@ -163,7 +163,7 @@ BAD = [
     (lambda: torchfra.filters.SRCKF(MOTION, Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected one without"),
     (lambda: presets.alphabeta(MOTION, Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected"),
     (lambda: presets.srckf(MOTION, Biased(Correlated(Position(1.0), 3.0, 60.0), 2)), r"sensor: expected one without"),
-    (lambda: presets.srckf(MOTION, Correlated(Position(1.0), 3.0, 60.0)).with_sensor(
+    (lambda: presets.srckf(MOTION, Correlated(Position(1.0), 3.0, 60.0)).other_sensor(
         Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected one without time-correlated errors"),
 ]  # fmt: skip
 

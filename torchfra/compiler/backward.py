@@ -12,7 +12,7 @@ from torchfra import tree
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.numbers import as_tensor
-from torchfra.steps.loop import frame_motion
+from torchfra.steps.loop import innermost
 from torchfra.steps.records import decided, undecided
 from torchfra.types import Gaussian
 
@@ -80,7 +80,7 @@ def windows(
             last = end.narrow(rank, first + lag, size).unsqueeze(rank + 1)
             return torch.cat([unfolded(x, rank).narrow(rank + 1, 0, lag), last], rank + 1)
 
-        _, dt, u, _, _ = measurements
+        dt, u = measurements.dt, measurements.u
         if isinstance(dt, Tensor) and dt.dim():
             dt = unfolded(dt, dt.dim() - 1) if measurements.varying_dt else dt.unsqueeze(-1)
         u = None if u is None else unfolded(u, u.dim() - 2)
@@ -140,10 +140,10 @@ def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, following, source = _lower(tree.unflatten(like, leaves))
-    dt, u, motion = data["dt"], data.get("u"), frame_motion(f)
+    dt, u, motion = data["dt"], data.get("u"), innermost(f).motion
     models = motion.transition_by(dt, u) if motion.linear else None, motion.shift(dt, u)
     noise = motion.process_noise_by(dt, u), motion.adaptation(dt)
-    frame = Frame(None, None, None, dt, u, *models, *noise)  # type: ignore[arg-type]  # nothing is measured
+    frame = Frame(None, None, None, dt, u, *models, *noise, f.sensor)  # type: ignore[arg-type]  # nothing is measured
     stepped = f.retreat(BackwardStep(past, following, frame, past if source is None else source), after)
     begun_or_stepped: tuple[Any, Any] = tree.where(data["last"] > 0, f.last(past), stepped)
     return begun_or_stepped

@@ -33,6 +33,8 @@ from torchfra.types import Estimate, Gaussian
 
 _VERSIONS = 4
 """How many are remembered: a filter may go back and forth, between soft decisions and hard ones say."""
+_SENSORS = 32
+"""Of how many other sensors kernels are remembered: with a new one for every step, every step makes new ones."""
 _FORMS = 64
 """How many forms of a single step are remembered."""
 
@@ -47,21 +49,25 @@ class Compiled(Engine):
 
     def __init__(self) -> None:
         self._versions, self.calls = list[Version](), one_operation.Calls()
+        self._of_others = dict[int, tuple[nn.Module, list[Version]]]()
 
     def __reduce__(self) -> tuple[type[Compiled], tuple[()]]:
         return Compiled, ()  # kernels are no part of a copy
 
-    def another(self) -> Compiled:
-        """An engine of the same kind for another filter: kernels are of one."""
-        return Compiled()
-
-    def _now(self, f: nn.Module) -> Version:
-        """The kernels that hold for the filter as it is; the version used last comes first."""
-        if self._versions and self._versions[0].holds():
-            return self._versions[0]
+    def _now(self, f: nn.Module, sensor: nn.Module | None = None) -> Version:
+        """The kernels that hold for the filter as it is, and another ``sensor``; the version used last comes first."""
+        if sensor is None:
+            module, versions = f, self._versions
+        else:
+            known = self._of_others.pop(id(sensor), None)
+            if len(self._of_others) == _SENSORS:  # the one that was used least recently goes
+                self._of_others.pop(next(iter(self._of_others)))
+            module, versions = self._of_others[id(sensor)] = known or (traced.WithSensor(f, sensor), [])
+        if versions and versions[0].holds():
+            return versions[0]
         with building():
-            now = next((x for x in self._versions if x.holds()), None) or Version(f)
-            self._versions = [now, *(x for x in self._versions if x is not now)][:_VERSIONS]
+            now = next((x for x in versions if x.holds()), None) or Version(module)
+            versions[:] = [now, *(x for x in versions if x is not now)][:_VERSIONS]
         return now
 
     @staticmethod
@@ -117,7 +123,7 @@ class Compiled(Engine):
             return  # which runs in pieces
         inputs = [z, *prior, *(x for x in measurements[1:] if isinstance(x, Tensor)), *now.read()]
         shapes = z.dtype, z.shape, *(x.shape for x in prior)
-        if f.viewed is f and not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):
+        if not f.scans and now.tracks.due((form, shapes), z.shape[:-1].numel(), has_gradient(inputs)):
             now, task, data = self._task(f, state, measurements, past)
             now.get_tracks_ready(form, task, prior, state, data, past, plain)
 
@@ -127,11 +133,11 @@ class Compiled(Engine):
             return super().scan(f, state, measurements, rank, options)
         past = options.past
         now, task, data = self._task(f, state, measurements, past)
-        first = task.kernels.is_new and task.device.type == "cpu" and not f.scans
+        first = task.kernels.is_new and task.device.type == "cpu" and not f.scans and measurements.sensor is None
         if first and not has_gradient([*flatten((state, data)), *now.read()]):
             if past:
                 task.kernels.meanwhile = Making(target=self._make_backward, args=(f, task, measurements))
-            elif f.viewed is f and is_short(measurements.z.shape[:-1].numel()):
+            elif is_short(measurements.z.shape[:-1].numel()):
                 task.kernels.meanwhile = Making(target=self._make_boundary, args=(task,))
         steps, rank = measurements.z.shape[-2 - f.scans], len(task.batch)
         state, kept = now.run(task, steps, state, data, options.checkpoint, options.truncate)
@@ -140,7 +146,7 @@ class Compiled(Engine):
 
     def _task(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Task, Data]:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
-        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:5]), self._now(f, measurements.sensor)
         advance = traced.Advance(traced.keep_past if past else traced.keep, _complete(f, measurements))
         with building():
             return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
@@ -199,7 +205,7 @@ class Compiled(Engine):
         """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
         if not self.takes(measurements.z):
             return super().once(f, function, state, measurements)
-        data, now = (measurements.z, seconds_of(measurements), *measurements[2:]), self._now(f)
+        data, now = (measurements.z, seconds_of(measurements), *measurements[2:5]), self._now(f, measurements.sensor)
         with building():
             task = now.task(traced.Advance(function, _complete(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
@@ -211,10 +217,10 @@ class Compiled(Engine):
         """
         if not self.takes(measurements.z):
             return super().step(f, state, measurements, apart)
-        z, dt, u, std, noise = measurements
+        z, dt, u, std, noise, sensor = measurements
         if not isinstance(dt, (Tensor, *NUMBERS)):
             check_step(f, state, measurements)
-        now, belief = self._now(f), getattr(state, "belief", None)
+        now, belief = self._now(f, sensor), getattr(state, "belief", None)
         like = belief.mean if isinstance(belief, Gaussian) else z  # the state says the precision
         data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, like.dtype, f.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
@@ -276,10 +282,6 @@ class InBackground(Engine):
     def __reduce__(self) -> tuple[type[InBackground], tuple[()]]:
         return InBackground, ()  # kernels are no part of a copy
 
-    def another(self) -> InBackground:
-        """An engine of the same kind for another filter: kernels are of one."""
-        return InBackground()
-
     def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
         """As ``Compiled`` does."""
         return self._compiled.call(method, f, *arguments, **options)
@@ -290,7 +292,8 @@ class InBackground(Engine):
         Raises:
             CompileError, NotImplementedError: kernels for an earlier call like this one could not be made.
         """
-        tensors = [*f.parameters(), *flatten(arguments)]
+        others = [x.sensor for x in arguments if isinstance(x, Measurements) and x.sensor is not None]
+        tensors = [x for part in (f, *others) for x in part.parameters()] + flatten(arguments)
         if has_gradient(tensors) or not all(Compiled.takes(x) for x in tensors if x.is_floating_point()):
             return getattr(self._compiled, name)(f, *arguments)
         form = name, torch.is_grad_enabled(), torch.is_inference_mode_enabled(), _kinds(arguments)

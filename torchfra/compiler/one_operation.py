@@ -82,7 +82,7 @@ class Call(nn.Module):
             ValueError: a shape that does not fit.
         """
         z, mean, root, dt, *rest = tensors
-        measurements = Measurements(z, dt, **dict(zip(self.names, rest, strict=True)))
+        measurements = Measurements(z, dt, **dict(zip(self.names, rest, strict=True)), sensor=None)
         with elementary():
             batch: torch.Size = self.filter._batch(measurements, Gaussian(mean, root))
         return batch

@@ -217,7 +217,7 @@ class AllReadyTracks:
             ValueError: the time steps or the noise have a bad value.
         """
         known = self.known.get(form, ())
-        z, dt, *rest = measurements
+        z, dt, *rest = measurements[:5]
         if not known or not isinstance(dt, (Tensor, *NUMBERS)):
             return None
         seconds = seconds_of(measurements)
@@ -243,6 +243,6 @@ def seconds_of(measurements: Measurements) -> Tensor:
 
 def form_of(measurements: Measurements, *how: bool) -> Hashable:
     """What of a call is no form of a tensor."""
-    _, dt, u, std, noise = measurements
+    _, dt, u, std, noise, _ = measurements
     given = u is None, std is None, noise is None, isinstance(dt, Tensor), measurements.varying_dt
     return given, how, torch.is_grad_enabled()

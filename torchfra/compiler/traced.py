@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra import tree
 from torchfra.compiler.entries import Entries
@@ -19,17 +19,31 @@ from torchfra.steps.records import kept
 from torchfra.types import Gaussian
 
 
-def begin(f: Any, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
+class WithSensor(nn.Module):
+    """A filter, and another sensor than its own that measures."""
+
+    def __init__(self, f: nn.Module, sensor: nn.Module) -> None:
+        super().__init__()
+        self.filter, self.sensor, self.scans = f, sensor, False
+
+
+def _parts(module: Any) -> tuple[Any, Any]:
+    """A filter, and another sensor that measures; None for its own."""
+    return (module.filter, module.sensor) if isinstance(module, WithSensor) else (module, None)
+
+
+def begin(module: Any, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
     """The state before the first measurement, of scans that of so many ``targets``.
 
     A state ``like`` it may have more than the filter's own: numbers of each target beside that, which are unknown.
     """
+    f, sensor = _parts(module)
     n, dtype = f.motion.size, torch.float64
     root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
-    state = f.viewed.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
-    if f.viewed is not f:
-        # Steps of a view never change this memory, so that tracing would take it for constant zeros: it is unknown.
-        return f.remembering(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+    state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
+    if sensor is not None:
+        # Steps of another sensor never change this memory, so that tracing would take it for constant zeros.
+        return f.remember(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
     if like is None or type(like) is type(state):
         return state
     return type(like)(state, *(x if x is None else Entries.inputs(book, tuple(targets), dtype) for x in like[1:]))
@@ -42,11 +56,12 @@ class Advance:
     function: Callable[[Any, Any, Frame], tuple[Any, Any]]
     complete: bool = False
 
-    def __call__(self, f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+    def __call__(self, module: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
         """The next state, and what else the function gives; of one track, or scene."""
-        measurements = Measurements(**data).as_track(scans=f.scans)
+        f, sensor = _parts(module)
+        measurements = Measurements(**data, sensor=sensor).as_track(scans=f.scans)
         (frame,), _ = f._frames(CompleteScans(*measurements) if self.complete else measurements, int(f.scans))
-        return self.function(f, spoilt(f, state), frame)
+        return self.function(f, spoilt(f, state, sensor), frame)
 
 
 def keep(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:

@@ -7,12 +7,12 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from typing_extensions import Self, TypeVar
 
 from torchfra.adaptive.fading import Fading
 from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
-from torchfra.filters.several_sensors import SensorsInTurn, SensorViews
+from torchfra.filters.several_sensors import SensorsInTurn
 from torchfra.filters.whole_tracks import WholeTracks
 from torchfra.gaussian.arguments import (
     belief_of,
@@ -45,7 +45,7 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_lengths, check_models, check_state, check_step, needed_inputs
 from torchfra.steps.engine import INTERPRETED, Engine
-from torchfra.steps.loop import Options, frame_motion, one_step
+from torchfra.steps.loop import Options, innermost, one_step
 from torchfra.steps.records import Past, Record, Smoothed
 from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
 
@@ -128,7 +128,7 @@ class Filter(Part, Generic[S]):
         super().__init__()
         if torch.empty(0).is_meta:
             raise ValueError("device: expected one with memory to build a filter on, received torch's default of meta")
-        self.engine, self._views = INTERPRETED, SensorViews()
+        self.engine = INTERPRETED
         if motion is None or sensor is None:
             return
         check_models(motion, sensor)
@@ -171,21 +171,12 @@ class Filter(Part, Generic[S]):
         """
         return belief, info
 
-    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The parts, by name, that differ around another sensor.
+    def forget(self, state: Any, sensor: Sensor) -> Any:
+        """A state without the memory of earlier measurements, for one of another ``sensor``."""
+        return state
 
-        Raises:
-            ValueError: the filter works with its own sensor only.
-        """
-        if self.one_sensor is not None:
-            raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
-        return {"sensor": sensor, "sensor_rule": self.motion_rule.marginal(sensor.reads)}  # type: ignore[dict-item]
-
-    def remembering(self, state: Any, before: Any = None) -> Any:
-        """A state without the memory of earlier measurements, which were those of another sensor.
-
-        After a measurement of another sensor it is one with the memory of the state ``before`` it.
-        """
+    def remember(self, state: Any, before: Any) -> Any:
+        """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
         return state
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
@@ -237,7 +228,9 @@ class Filter(Part, Generic[S]):
 
     def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
         """Compares the measurement with a predicted belief."""
-        return compare(self.sensor, self.sensor_rule, belief, frame)
+        sensor = frame.sensor
+        rule = self.sensor_rule if sensor is self.sensor else self.motion_rule.marginal(sensor.reads)
+        return compare(sensor, rule, belief, frame)
 
     def smooth_belief(self, belief: Gaussian, propagated: Propagated, after: Gaussian) -> Smoothed:
         """The smoothed ``belief``, from the smoothed belief ``after`` the step that has ``propagated`` it."""
@@ -268,7 +261,7 @@ class Filter(Part, Generic[S]):
         n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
         batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * _least_rank(self))
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
-        begun: S = self.viewed.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
+        begun: S = self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
         return begun
 
     @in_full_precision
@@ -292,7 +285,9 @@ class Filter(Part, Generic[S]):
             u: ``(..., k)`` inputs that the models need, such as the positions of stations.
             std: shaped like ``z``: standard deviation of this measurement's noise, instead of the sensor's.
             noise: shaped like ``z`` with one more ``m``: root of the noise covariance, instead of the sensor's.
-            sensor: the sensor that has measured, if it is not the filter's own: see ``with_sensor``.
+            sensor: the sensor that has measured, if it is not the filter's own; it reads at most the components that
+                the state has.  The filter's memory of innovations and outliers is of its own sensor, so a measurement
+                of another one neither uses nor changes it.
 
         Returns:
             The next state, whose ``belief`` is the estimate, and the innovation, with the alarm of a filter that
@@ -303,10 +298,10 @@ class Filter(Part, Generic[S]):
         Raises:
             ValueError: a shape or a value that does not fit.
         """
-        f, measurements = self if sensor is None else self.with_sensor(sensor), measurements_of(z, dt, u, std, noise)
+        measurements = measurements_of(z, dt, u, std, noise, self.other_sensor(sensor))
         if measurements.u is not None:
-            measurements = needed_inputs(f, measurements, lambda: check_step(f, state, measurements))
-        stepped: tuple[S, Innovation] = f.engine.step(f, state, measurements)
+            measurements = needed_inputs(self, measurements, lambda: check_step(self, state, measurements))
+        stepped: tuple[S, Innovation] = self.engine.step(self, state, measurements)
         return stepped
 
     @by_its_engine
@@ -441,40 +436,31 @@ class Filter(Part, Generic[S]):
         """
         if self.scans:
             raise NotImplementedError(f"{type(self).__name__} has no predict: in a scan many measurements are expected")
-        f = self.with_sensor(sensor)
-        check_state(f, state)
+        other = self.other_sensor(sensor)
+        check_state(self, state)
         mean = state.belief.mean
-        nothing = mean.new_full((*mean.shape[:-1], f.sensor.size), torch.nan)
-        track = check_step(f, state, measurements_of(nothing, dt, u))
-        (frame,), _ = f._frames(track, mean.dim() - 1)
-        return forecast(f, state, frame)
+        nothing = mean.new_full((*mean.shape[:-1], (other or self.sensor).size), torch.nan)
+        track = check_step(self, state, measurements_of(nothing, dt, u, sensor=other))
+        (frame,), _ = self._frames(track, mean.dim() - 1)
+        return forecast(self, state, frame)
 
     @property
-    def viewed(self) -> Any:
-        """The filter that this one is a view of; the filter itself, unless ``with_sensor`` has made it."""
-        return self.__dict__.get("_viewed", self)
+    def own_sensors(self) -> tuple[Sensor, ...]:
+        """The filter's own sensor, and what that is a copy of."""
+        return (self.sensor,)
 
-    def with_sensor(self, sensor: Sensor | None) -> Self:
-        """A view of this filter around another sensor; motion, hyperparameters and states are those of this filter.
-
-        A view is made once for each sensor, and compiled if this filter is; each call of this method takes over what
-        has changed in this filter.  The filter's memory of innovations and outliers is of its own sensor, so a
-        measurement of another sensor neither uses nor changes it.
-
-        Args:
-            sensor: reads at most the components that the state has; None for the filter's own.
+    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
+        """A sensor that is not the filter's own, checked; None for its own, and for None.
 
         Raises:
-            ValueError: an argument that is no sensor, or a filter that takes its own sensor only, with the reason.
+            ValueError: no sensor, or a filter that takes its own sensor only, with the reason.
         """
-        if sensor is None:
-            return self
-        f: Any = self.viewed
-        if sensor is f.sensor:
-            own: Self = f
-            return own
-        view: Self = f._views(f, sensor)
-        return view
+        if sensor is None or any(sensor is own for own in self.own_sensors):
+            return None
+        check_models(self.motion, sensor)
+        if self.one_sensor is not None:
+            raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
+        return sensor
 
     def compile(self, *args: Any, wait: bool = True, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """Makes all later calls run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
@@ -515,21 +501,21 @@ class Filter(Part, Generic[S]):
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
-        batch = check(
-            measurements, prior, self.motion, self.sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt
-        )
+        sensor = measurements.sensor or self.sensor
+        batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt)
         batch = torch.Size((1,) * (_least_rank(self) - self.scans - len(batch))) + batch
         batch = batch if self.scans else broadcast_with_values(self, batch)
-        warn_of_lost_digits(measurements, self.sensor, len(batch) + self.scans, scans=self.scans)
-        warn_of_degrees(measurements.z, self.sensor)
+        warn_of_lost_digits(measurements, sensor, len(batch) + self.scans, scans=self.scans)
+        warn_of_degrees(measurements.z, sensor)
         if name == "prior":
             mixture = isinstance(self.motion, Bank) and not self.scans
-            warn_of_width(prior, measurements, self.sensor, mixture=mixture)
+            warn_of_width(prior, measurements, sensor, mixture=mixture)
         return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame for each step, and the log norms of the measurement noise, time first."""
-        return make_frames(measurements, frame_motion(self), self.sensor, rank)
+        f = innermost(self)
+        return make_frames(measurements, f.motion, measurements.sensor or f.sensor, rank)
 
 
 def _least_rank(f: Filter) -> int:

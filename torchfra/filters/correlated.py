@@ -9,11 +9,10 @@ from itertools import count
 from typing import Any, NamedTuple, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
-from torchfra.filters.several_sensors import SensorViews
 from torchfra.gaussian.inputs import BackwardStep, Frame, Time
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.augmented import Augmented
@@ -71,7 +70,7 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
 
     def __init__(self, inner: Filter, sensor: Sensor) -> None:
         super().__init__()
-        self.inner, self._views = inner, SensorViews(sensor)
+        self.inner, self._original = inner, (sensor,)  # in a tuple it is no part
 
     # ------------------------------------------------------------ the models
 
@@ -86,8 +85,16 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
     @property
     def sensor(self) -> Sensor:  # type: ignore[override]
         """The sensor without its errors."""
-        sensor = self.inner.sensor
-        return sensor.unbiased if self.viewed is self else sensor  # type: ignore[return-value]  # it is Biased
+        return self.inner.sensor.unbiased  # type: ignore[return-value]  # it is Biased
+
+    @property
+    def own_sensors(self) -> tuple[Sensor, ...]:
+        """The sensor with its errors, and without them."""
+        return (self.sensor, *self._original)
+
+    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
+        """A sensor that is neither the filter's own nor that of ``inner``, which both check it: see ``Filter``."""
+        return self.inner.other_sensor(super().other_sensor(sensor))
 
     @property
     def errors(self) -> list[GaussMarkov]:
@@ -100,11 +107,6 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
     def zero_dt(self) -> bool:  # type: ignore[override]
         """Whether ``dt`` may be 0 in ``inner``."""
         return self.inner.zero_dt
-
-    @property
-    def one_sensor(self) -> str | None:  # type: ignore[override]
-        """Why ``inner`` takes no other sensor."""
-        return self.inner.one_sensor
 
     def of_target(self, trees: Any) -> Any:
         """Trees whose beliefs have the target's components alone: the leading block of a lower root is their root."""
@@ -125,6 +127,10 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         root = block_diagonal([belief.scale_tril, torch.diag_embed(std)])
         return WithCorrelatedErrorsState(belief, self.inner.begin(Gaussian(mean, root)))
 
+    def remember(self, state: WithCorrelatedErrorsState, before: WithCorrelatedErrorsState) -> Any:
+        """A state with the memory of the state ``before`` in ``inner``."""
+        return state._replace(inner=self.inner.remember(state.inner, before.inner))
+
     def advance(self, state: WithCorrelatedErrorsState, frame: Frame) -> tuple[WithCorrelatedErrorsState, Record]:
         """One step of the inner filter."""
         inner, record = one_step(self.inner, state.inner, frame)
@@ -140,7 +146,7 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         self, state: WithCorrelatedErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None
     ) -> Forecast:
         """The prediction after ``dt`` seconds: of the target, and of a measurement with its errors."""
-        forecast = self.with_sensor(sensor).inner.predict(state.inner, dt, u=u)
+        forecast = self.inner.predict(state.inner, dt, u=u, sensor=self.other_sensor(sensor))
         return forecast._replace(belief=self.of_target(forecast.belief))
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
@@ -149,12 +155,6 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
             source.inner if isinstance(source, WithCorrelatedErrorsState) else source
         )
         return self.of_target(beliefs), log_weights
-
-    # ------------------------------------------------------------ other sensors
-
-    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The inner filter around another sensor, whose errors are white."""
-        return {"inner": self.inner.with_sensor(sensor)}
 
     # ------------------------------------------------------------ smoothing
 

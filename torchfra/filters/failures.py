@@ -134,8 +134,7 @@ def without_failed_gradients(
             return other
         return torch.where(failed_with(x.dim() - failed.dim()), x.detach(), other)
 
-    z, dt, u, std, noise = measurements
-    data = Measurements(replaced(z, 2), replaced(dt, 1), replaced(u, 2), replaced(std, 2), replaced(noise, 3))
+    data: Measurements = tree.map_ranked(lambda event, x: replaced(x, event + 1), measurements)
     result = again(data, Gaussian(replaced(prior.mean, 1), replaced(prior.scale_tril, 2)))
     either: Estimate = tree.map_tensors(chosen, estimate, result)
     return either

@@ -96,11 +96,11 @@ class FixedLag(Part):
             The next state, with the filtered estimate in ``belief`` and the estimate ``lag`` steps back in ``lagged``;
             and the innovation.
         """
-        f: Filter = self.filter.with_sensor(sensor)
-        self.filter.check_smooths(several=f is not self.filter)
-        inner, record, step = step_kept(f, state.inner, measurements_of(z, dt, u, std, noise))
+        f, other = self.filter, self.filter.other_sensor(sensor)
+        f.check_smooths(several=other is not None)
+        inner, record, step = step_kept(f, state.inner, measurements_of(z, dt, u, std, noise, other))
         window = (*state.window, step)[-self.lag - 1 :]
-        smoothed, rank = smooth_window(self.filter, inner, window), inner.belief.mean.dim() - 1
+        smoothed, rank = smooth_window(f, inner, window), inner.belief.mean.dim() - 1
         first: Smoothed = tree.map_tensors(lambda x: x.select(rank, 0), smoothed)
         return FixedLagState(inner, window, first), innovation(record, step.frame.measurement_noise, scans=f.scans)
 
@@ -108,7 +108,7 @@ class FixedLag(Part):
 def step_kept(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     (frame,), _ = f._frames(check_step(f, state, measurements), state.belief.mean.dim() - 1)
-    state, record = one_step(f, spoilt(f, state), frame)
+    state, record = one_step(f, spoilt(f, state, measurements.sensor), frame)
     return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
 
 

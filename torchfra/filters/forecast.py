@@ -33,8 +33,8 @@ def forecast(f: Any, state: Any, frame: Frame) -> Forecast:
     """
     beliefs, log_weights = f.predict_hypotheses(state, frame)
     belief = canonical(f.motion, _moments(beliefs, log_weights, f.motion.angles))
-    z = f.sensor.at_points(belief.mean, frame.u)
-    noise = f.sensor.measurement_noise(z)
+    z = frame.sensor.at_points(belief.mean, frame.u)
+    noise = frame.sensor.measurement_noise(z)
     frame = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=noise)
     # The innovation of a measurement at the mean: the mean of z - h(x) over the hypotheses, and its root.
     if len(log_weights) > 1:  # a measurement that is as expected shows no jump

@@ -211,12 +211,14 @@ class FRA(Soft, Filter[FRAState]):
         residual = belief.mean.new_zeros(*normal.shape, self.sensor.size)
         return FRAState(belief, belief, belief, belief, belief, normal, memory, residual, repeated)
 
-    def remembering(self, state: FRAState, before: FRAState | None = None) -> FRAState:
-        """A state with an empty memory of innovations, or that of the state ``before``."""
-        if before is not None:
-            return state._replace(memory=before.memory, residual=torch.zeros_like(before.residual))
-        mean, size = state.belief.mean, self.sensor.size
+    def forget(self, state: FRAState, sensor: Sensor) -> FRAState:
+        """A state with an empty memory of innovations."""
+        mean, size = state.belief.mean, sensor.size
         return state._replace(memory=self.fading.begin(mean, size), residual=mean.new_zeros(*mean.shape[:-1], size))
+
+    def remember(self, state: FRAState, before: FRAState) -> FRAState:
+        """A state with the memory of innovations of the state ``before``, and without a row of outliers."""
+        return state._replace(memory=before.memory, residual=torch.zeros_like(before.residual))
 
     def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """The only hypothesis of the state after a step, and the log of its weight."""
@@ -236,7 +238,8 @@ class FRA(Soft, Filter[FRAState]):
         robust, adaptive, factor = self.where_abnormal(abnormal, self.fork, forked, normal)  # eq. (37)
         if self.memory == "weighted":
             memory = self.fading.remember(state.memory, weights * whitened.residual, frame.measured)
-        repeated = torch.where(self.is_far(excess) | (nis == 0), repeated, 0.0)  # any other measurement ends a row
+        goes_on = self.is_far(excess, frame.sensor.size) | (nis == 0)  # any other measurement ends a row
+        repeated = torch.where(goes_on, repeated, 0.0)
         belief = self.undecided(self.provisional, excess, (robust, adaptive, plain))
         state = FRAState(belief, robust, adaptive, plain, lagged, excess, memory, whitened.residual, repeated)
         weights = torch.where(abnormal.unsqueeze(-1), weights, 1.0)
@@ -291,15 +294,15 @@ class FRA(Soft, Filter[FRAState]):
         first, nis = whiten(root, measured * before.residual), normalised.square().sum(-1)
         change, size = normalised - first, first.square().sum(-1)
         grows = (change * first).sum(-1) > _GROWTH * size
-        far = self.is_far(before.excess) & (nis > 0) & (size > 0)  # no size: that step was of another sensor
+        far = self.is_far(before.excess, measured.shape[-1]) & (nis > 0)
+        far = far & (size > 0)  # no size: that step was of another sensor
         repeats = far & ~grows
         another = far & (change.square().sum(-1) > size)  # row begins with this measurement
         repeated = torch.where(another, 0.0, before.repeated + repeats.to(nis))
         return repeats & (repeated < self.patience), repeated
 
-    def is_far(self, excess: Tensor) -> Tensor:
-        """``(...)`` bool, whether a step was far off, and abnormal."""
-        size = self.sensor.size
+    def is_far(self, excess: Tensor, size: int) -> Tensor:
+        """``(...)`` bool, whether a step with a measurement of this ``size`` was far off, and abnormal."""
         part = 2 / (9 * size)
         least = size * (1 - part + _FAR * math.sqrt(part)) ** 3  # chi squared, Wilson and Hilferty (1931)
         far: Tensor = excess > (least - self.gate(excess)).clamp_min(0.0)
@@ -371,7 +374,8 @@ class FRA(Soft, Filter[FRAState]):
             return tree.where(mask, function(*arguments), default)
         if not mask.any():
             return default
-        if self.of_one_batch():
+        sensor = arguments[-1].sensor  # of the frame
+        if self.of_one_batch() or (sensor is not self.sensor and batch_rank(sensor)):
             return tree.where(mask, function(*arguments), default)
         return tree.where_needed(mask, function, arguments, default)
 

@@ -9,7 +9,7 @@ from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
@@ -24,7 +24,6 @@ from torchfra.filters.interaction import (
 from torchfra.filters.likely_models import LikelyModels, of_active
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
-from torchfra.filters.several_sensors import SensorViews
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.hyper import Hyper, Value, hypers
@@ -114,7 +113,7 @@ class IMM(Filter[IMMState]):
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
             expected = "SRCKF or FRA around a Bank, or a filter whose advance takes a mix"
             raise ValueError(f"inner: expected {expected}, received {received}")
-        self.inner, self._views = copy.deepcopy(inner), SensorViews(inner.sensor)
+        self.inner, self._original = copy.deepcopy(inner), (inner.sensor,)  # in a tuple it is no part
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():
@@ -148,13 +147,18 @@ class IMM(Filter[IMMState]):
         """The sensor."""
         return self.inner.sensor
 
-    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The parts, by name, that differ around another sensor."""
-        return {"inner": self.inner.with_sensor(sensor)}
+    @property
+    def own_sensors(self) -> tuple[Sensor, ...]:
+        """The sensor, and the one that it is a copy of."""
+        return (self.inner.sensor, *self._original)
 
-    def remembering(self, state: Any, before: Any = None) -> Any:
-        """A state whose models have the memory of those of the state ``before``; without that as it is."""
-        return state if before is None else state._replace(inner=self.inner.remembering(state.inner, before.inner))
+    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
+        """A sensor that is neither the filter's own nor that of ``inner``, which both check it: see ``Filter``."""
+        return self.inner.other_sensor(super().other_sensor(sensor))
+
+    def remember(self, state: Any, before: Any) -> Any:
+        """A state whose models have the memory of those of the state ``before``."""
+        return state._replace(inner=self.inner.remember(state.inner, before.inner))
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""

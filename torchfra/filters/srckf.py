@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.adaptive.noise import NoiseMemory, SageHusa
@@ -108,30 +108,23 @@ class SRCKF(Filter[State]):
         if noise is not None and len(noise.block_of) != sensor.size:
             count = len(noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
+        if noise is not None:
+            self.one_sensor = "the estimate of the measurement noise is of the elements of one sensor"
 
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief, with empty memories."""
         noise = None if self.noise is None else self.noise.begin(belief.mean)
-        return self.remembering(State(belief, None, noise))
+        return self.forget(State(belief, None, noise), self.sensor)
 
-    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The parts, by name, that differ around another sensor.
+    def forget(self, state: State, sensor: Sensor) -> State:
+        """A state with an empty memory of innovations."""
+        if self.fading is None:
+            return state
+        return state._replace(fading=self.fading.begin(state.belief.mean, sensor.size))
 
-        Raises:
-            ValueError: the filter estimates the measurement noise.
-        """
-        if self.noise is not None:
-            raise ValueError(
-                "sensor: expected None beside an estimate of the measurement noise, which is of the elements of the "
-                f"filter's own sensor, received {sensor.describe()}"
-            )
-        return super().parts_for(sensor)
-
-    def remembering(self, state: State, before: State | None = None) -> State:
-        """A state with an empty memory of innovations, or that of the state ``before``."""
-        if before is not None or self.fading is None:
-            return state._replace(fading=None if before is None else before.fading)
-        return state._replace(fading=self.fading.begin(state.belief.mean, self.sensor.size))
+    def remember(self, state: State, before: State) -> State:
+        """A state with the memory of innovations of the state ``before``."""
+        return state._replace(fading=before.fading)
 
     def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
         """The belief one step later, by the root that a robust update needs."""
@@ -165,7 +158,7 @@ class SRCKF(Filter[State]):
     def predict_and_compare(self, belief: Gaussian, frame: Frame) -> tuple[Prediction, Whitened]:
         """The prediction of a step, and the measurement compared with it."""
         if not self.redraw:
-            return predict_and_compare(self.motion, self.sensor, self.motion_rule, belief, frame)
+            return predict_and_compare(self.motion, frame.sensor, self.motion_rule, belief, frame)
         prediction = self.predicted(belief, frame)  # (8)-(13)
         return prediction, self.compare(prediction.belief, frame)  # (14)-(21)
 

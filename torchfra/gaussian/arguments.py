@@ -70,7 +70,9 @@ def check(
     return common
 
 
-def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise: Any = None) -> Measurements:
+def measurements_of(
+    z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise: Any = None, sensor: Sensor | None = None
+) -> Measurements:
     """A user's arguments as tensors: see ``as_numbers``.
 
     Raises:
@@ -83,6 +85,7 @@ def measurements_of(z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise
         u if u is None else as_numbers(u, "u"),
         std if std is None else as_numbers(std, "std"),
         noise if noise is None else as_numbers(noise, "noise"),
+        sensor,
     )
 
 
@@ -141,7 +144,7 @@ def check_kinds(measurements: Measurements) -> None:
     Raises:
         ValueError: names the first that is not; or both ``std`` and ``noise`` are given.
     """
-    z, dt, u, std, noise = measurements
+    z, dt, u, std, noise, _ = measurements
     _check_tensor("z", z, PRECISIONS)
     for name, x in (("u", u), ("std", std), ("noise", noise)):
         if x is not None:
@@ -177,7 +180,7 @@ def check_values(measurements: Measurements, zero_dt: bool = True) -> None:
     Raises:
         ValueError: names the argument and the first value that does not fit.
     """
-    z, dt, _, std, noise = measurements
+    z, dt, _, std, noise, _ = measurements
     if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
         return
     check_seconds(dt, z.dtype, zero_dt)
@@ -220,7 +223,7 @@ def warn_of_lost_digits(measurements: Measurements, sensor: Sensor, rank: int, *
 
     ``rank`` is the number of batch dimensions, those of the hyperparameters and that of scans included.
     """
-    z, dt, _, std, noise = measurements
+    z, dt, _, std, noise, _ = measurements
     if is_traced(*(x for x in measurements if isinstance(x, Tensor))):
         return
     if isinstance(dt, Tensor) and dt.dtype is torch.float32 and dt.numel() > 1 and not bool(dt.any()):
@@ -280,7 +283,7 @@ def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor, *
     With ``mixture`` the filter matches the moments of several beliefs at each step.  Those after two measurements are
     narrow where two tell the state.
     """
-    root, (z, _, _, std, noise) = prior.scale_tril.detach(), measurements
+    root, (z, _, _, std, noise, _) = prior.scale_tril.detach(), measurements
     mixed = mixture and root.dtype is torch.float32 and root.shape[-1] > 2 * sensor.size
     widest = _WIDEST_MIXED if mixed else _WIDEST
     if not sensor.linear or is_traced(root, z) or not bool((root.abs() > 1e-6 * widest).any()):
@@ -322,7 +325,7 @@ def _batches(
     measurements: Measurements, prior: Gaussian, n: int, m: int, scans: bool, name: str
 ) -> dict[str, torch.Size]:
     """Checks the event of each argument, and returns its batch."""
-    z, _, u, std, noise = measurements
+    z, _, u, std, noise, _ = measurements
     rank = 2 + scans
     if z.dim() >= rank and z.shape[-rank] == 0:
         received = f"none, {tuple(z.shape)}: without a measurement the estimate is the prior"

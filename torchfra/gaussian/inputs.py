@@ -32,6 +32,8 @@ class Measurements(NamedTuple):
     """Standard deviations of the measurement noise, shaped like ``z``; None for the sensor's."""
     noise: Tensor | None = None
     """Roots of the noise covariance, shaped like ``z`` with one more ``m``; None for the sensor's."""
+    sensor: Sensor | None = None
+    """What has measured, if it is another sensor than the filter's own."""
 
     @property
     def varying_dt(self) -> bool:
@@ -56,7 +58,7 @@ class Measurements(NamedTuple):
             if x is not None and x.dim() < event:
                 raise ValueError(f"{name}: expected {event} or more dimensions, received {tuple(x.shape)}")
             timed[name] = None if x is None else x.unsqueeze(-1 - event)
-        return Measurements(dt=dt, **timed)  # type: ignore[arg-type]  # z is one
+        return Measurements(dt=dt, sensor=self.sensor, **timed)  # type: ignore[arg-type]  # z is one
 
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
@@ -89,6 +91,8 @@ class Frame(NamedTuple):
     """``S_Q (..., n, r)``."""
     adaptation: Adaptation | None
     """How shift and process noise depend on the estimated acceleration; None where they do not."""
+    sensor: Sensor
+    """What has measured."""
 
 
 class BackwardStep(NamedTuple):
@@ -121,7 +125,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
     own = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # one dt for all
-    z, dt, u, std, noise = tree.map_ranked(time_first, own)
+    z, dt, u, std, noise, _ = tree.map_ranked(time_first, own)
     z = z.contiguous()
     dt = dt if varying else as_tensor(measurements.common_dt, z)
     missing = z.isnan()
@@ -155,7 +159,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         each(process_noise, timed(process_noise, 2)),
     )
     frames = [
-        Frame(z, measured, unit, dt, u, transition, shift, process_noise, adaptation)
+        Frame(z, measured, unit, dt, u, transition, shift, process_noise, adaptation, sensor)
         for (z, measured, unit, u), (dt, adaptation), transition, shift, process_noise in zip(*columns, strict=True)
     ]
     return frames, measurement_noise.log_norm

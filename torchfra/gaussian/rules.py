@@ -87,6 +87,7 @@ class SigmaPoints(nn.Module):
         super().__init__()
         points, weights = points[:, weights != 0], weights[weights != 0]
         self._rule, self._amplifies = (points, weights, extra, signed), float(weights.abs().sum())
+        self._marginals = dict[int, SigmaPoints]()
         self.register_buffer("minus", None)
         self.signed = bool((weights < 0).any())
         if self.signed and not signed:
@@ -126,6 +127,11 @@ class SigmaPoints(nn.Module):
 
     def marginal(self, d: int) -> SigmaPoints:
         """The points projected on the first ``d`` components; points that coincide become one."""
+        if d not in self._marginals:
+            self._marginals[d] = self._projected(d)
+        return self._marginals[d]
+
+    def _projected(self, d: int) -> SigmaPoints:
         points, weights, extra, signed = self._rule
         distinct, where = torch.unique(points[:d], dim=1, return_inverse=True)
         merged = torch.zeros(distinct.shape[1], dtype=weights.dtype).index_add(0, where, weights)

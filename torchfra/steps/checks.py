@@ -99,7 +99,7 @@ def check_state(f: Any, state: Any) -> None:
     if not isinstance(getattr(state, "belief", None), Gaussian):
         raise ValueError(f"state: expected what init or step has returned, received {type(state).__name__}")
     check_belief(state.belief, "state.belief", size=f.motion.size, from_filter=True)
-    if not _fits(f.viewed.begin(state.belief), state):
+    if not _fits(f.begin(state.belief), state):
         expected = f"one that init or step of this {type(f).__name__} has returned"
         raise ValueError(f"state: expected {expected}, received a {type(state).__name__} of another filter")
 
@@ -145,7 +145,8 @@ def needed_inputs(f: Any, measurements: Measurements, check: Callable[[], Any]) 
     check()
     with torch.no_grad():
         filled, x = torch.where(u.isnan(), 1.0, u), u.new_zeros(*u.shape[:-1], f.motion.size)
-        needed = (f.sensor(x, u).isnan() & ~f.sensor(x, filled).isnan() & ~z.isnan()).any(-1, keepdim=True)
+        sensor = measurements.sensor or f.sensor
+        needed = (sensor(x, u).isnan() & ~sensor(x, filled).isnan() & ~z.isnan()).any(-1, keepdim=True)
         dt = torch.ones_like(u[..., 0])
         for motion in getattr(f.motion, "models", [f.motion]):
             moved = [

@@ -44,12 +44,13 @@ class Engine:
     @staticmethod
     def _once(f: Any, function: Function, state: Any, track: Measurements) -> tuple[Any, Any]:
         (frame,), _ = f._frames(track, state.belief.mean.dim() - 1)
-        return function(f, spoilt(f, state), frame)
+        return function(f, spoilt(f, state, track.sensor), frame)
 
     def scan(self, f: Any, state: Any, measurements: Measurements, rank: int, options: Options) -> tuple[Any, Kept]:
         """The state after all steps of checked tracks, and what is kept of each, time behind ``rank`` dimensions."""
         frames, log_norm = f._frames(measurements, rank)
-        state, records = scan(partial(one_step, f), spoilt(f, state), frames, options.checkpoint, options.truncate)
+        state = spoilt(f, state, measurements.sensor)
+        state, records = scan(partial(one_step, f), state, frames, options.checkpoint, options.truncate)
         past = options.past
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         return state, kept(tree.stack(needed, rank), log_norm.movedim(0, -1))
@@ -80,10 +81,6 @@ class Engine:
         steps = frames()
         *earlier, last = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(steps))
         return backward(f, [*earlier, decided(last)], steps, rank, lag, options)
-
-    def another(self) -> Engine:
-        """An engine of the same kind for another filter; this one itself, as it holds nothing of a filter."""
-        return self
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         return "INTERPRETED"  # the copy of a filter has this very engine

@@ -11,7 +11,6 @@ import torch
 from torchfra import tree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.hyper import same_values
-from torchfra.motion.base import Motion
 from torchfra.steps.records import Kept, Record, Smoothed, innovation, undecided
 from torchfra.types import Estimate, Gaussian, Innovation
 
@@ -44,21 +43,20 @@ def finish(f: Any, state: Any, kept: Kept) -> Estimate:
     return Estimate(mean, root, kept.nis, kept.log_likelihood, info)
 
 
-def frame_motion(f: Any) -> Motion:
-    """The motion whose transition and process noise are in the frames: that of the innermost filter."""
+def innermost(f: Any) -> Any:
+    """The innermost filter: the transition and process noise of its motion are in the frames, and its sensor."""
     while hasattr(f, "inner"):
         f = f.inner
-    motion: Motion = f.motion
-    return motion
+    return f
 
 
 def one_step(f: Any, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Record]:
-    """``advance`` of a filter; around another sensor it neither uses nor changes the memory of its own."""
-    if "_viewed" not in f.__dict__:
+    """``advance`` of a filter; by another sensor it neither uses nor changes the memory of its own."""
+    if frame.sensor is innermost(f).sensor:
         stepped: tuple[Any, Record] = f.advance(state, frame, *mix)
         return stepped
-    after, record = f.advance(f.remembering(state), frame, *mix)
-    return f.remembering(after, state), record
+    after, record = f.advance(f.forget(state, frame.sensor), frame, *mix)
+    return f.remember(after, state), record
 
 
 def observe(f: Any, state: Any, frame: Frame) -> tuple[Any, Innovation]:

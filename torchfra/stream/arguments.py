@@ -37,7 +37,7 @@ def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str
     if not isinstance(sensors, Mapping) or not sensors or not all(isinstance(name, str) for name in sensors):
         raise ValueError(f"sensors: expected one or more by name, received {sensors!r}")
     for sensor in sensors.values():
-        filter.with_sensor(sensor)
+        filter.other_sensor(sensor)
     return dict(sensors)
 
 

@@ -43,6 +43,8 @@ class Intake:
         named = check_sensors(filter, sensors)
         self.batch = torch.Size()
         self.names, self.sensors = list(named), list(named.values())
+        self.others = [filter.other_sensor(sensor) for sensor in self.sensors]
+        """Of each whether it is another than the filter's own: the sensor, or None."""
         self.filter, self.dtype, self.device = filter, dtype, device
         self.origin = None if origin is None else Origin(filter.motion, origin, dtype)
 
@@ -63,10 +65,6 @@ class Intake:
         if name not in self.names:
             raise ValueError(f"sensor: expected one of {self.names}, received {name!r}")
         return self.names.index(name)
-
-    def sensor(self, entry: Entry) -> Sensor:
-        """The sensor that has measured."""
-        return self.sensors[entry.sensor]
 
     def entry(self, time: float, z: Any, name: str | None, u: Any, std: Any, noise: Any) -> Entry:
         """A measurement as the filter takes it; a standard deviation that is a number is that of each element.

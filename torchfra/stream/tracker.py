@@ -87,7 +87,7 @@ class Tracker:
         filter: any filter of single targets, compiled or not.
         prior: the belief at ``time``; its batch is that of several streams, measured at the same times.
         time: seconds, by any clock.
-        sensors: by name, where there are others than the filter's own: see ``Filter.with_sensor``.
+        sensors: by name, where there are others than the filter's own: see ``Filter.step``.
         lag: seconds that a measurement may come late; infinity to keep all.
         steps: largest number of measurements that are kept, beside those of the newest instant; None for any number.
         old: ``"refuse"`` a measurement that comes later than that, by an error, or ``"count"`` it and leave it out.
@@ -298,17 +298,16 @@ class Tracker:
         Raises:
             NotImplementedError: see ``Filter.smooth``; of ``gpb`` with another sensor than its own too.
         """
-        around = [self.filter.with_sensor(sensor) for sensor in self._intake.sensors]
-        self.filter.check_smooths(several=any(f is not self.filter for f in around))
+        f, others = self.filter, self._intake.others
+        f.check_smooths(several=any(sensor is not None for sensor in others))
         time, state, moments = self._window.time, self._window.state.state, []
         for entry in self._window.entries:
-            f = around[entry.sensor]
-            state, _, moment = step_kept(f, state, entry.after(time))
+            state, _, moment = step_kept(f, state, entry.after(time, others[entry.sensor]))
             moments.append(moment)
             time = entry.time
         if not moments:
             return []
-        beliefs, rank = smooth_window(self.filter, state, moments).belief, state.belief.mean.dim() - 1
+        beliefs, rank = smooth_window(f, state, moments).belief, state.belief.mean.dim() - 1
         each = [Gaussian(*pair) for pair in zip(*(x.unbind(rank) for x in beliefs), strict=True)]
         times = [self._clock.outside(entry.time) for entry in self._window.entries]
         return [At(time, self._intake.outward(belief)) for time, belief in zip(times, each, strict=True)]
@@ -368,10 +367,11 @@ class Tracker:
         place = window.place(entry)
         (time, known), done, innovations = window.before(place), [], []
         for each in (entry, *window.entries[place:]):
-            f, measurements = self.filter.with_sensor(self._intake.sensor(each)), each.after(time)
+            f, other = self.filter, self._intake.others[each.sensor]
+            measurements = each.after(time, other)
             state, (innovation, belief) = f.engine.step(f, known.state, measurements, True)
             alarm = innovation.alarm
-            if f is self.filter and len(known.alarms) == 1:  # the filter's own memory is that of its only sensor
+            if other is None and len(known.alarms) == 1:  # the filter's own memory is that of its only sensor
                 alarms: Alarms = (alarm,)
             else:
                 alarms = _alarms_after(known.alarms, each.sensor, alarm, measurements.z, each.time - time)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchfra.gaussian.inputs import Measurements
+from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
 _key, _time = attrgetter("key"), attrgetter("time")
@@ -50,9 +51,9 @@ class Entry(NamedTuple):
         parts = zip(self[2:6], other[2:6], strict=True)
         return self[:2] == other[:2] and all(_equal(a, b) for a, b in parts)
 
-    def after(self, time: float) -> Measurements:
-        """The inputs of a step from ``time`` to this measurement."""
-        return Measurements(self.z, self.time - time, self.u, self.std, self.noise)
+    def after(self, time: float, sensor: Sensor | None) -> Measurements:
+        """The inputs of a step from ``time`` to this measurement, by another ``sensor`` than the filter's or None."""
+        return Measurements(self.z, self.time - time, self.u, self.std, self.noise, sensor)
 
 
 class Window:

@@ -114,7 +114,7 @@ def check_scan(
     if state.track.hits.shape[-1] != window:
         expected = f"hits of the last {window} scans, as the confirmation looks at"
         raise ValueError(f"state: expected {expected}, received those of {state.track.hits.shape[-1]}")
-    z, dt, u, std, noise = measurements
+    z, dt, u, std, noise, _ = measurements
     scenes, like = len(state.next_identity), state.belief.mean
     _check_scans(filter, z, "(J, m) or (R, J, m)", (2, 3))
     _check_noise(filter, measurements)
@@ -133,7 +133,7 @@ def check_scan(
 
 def _check_noise(filter: JPDA, measurements: Measurements) -> None:
     """Whether what is known of the noise of each measurement fits it."""
-    z, _, _, std, noise = measurements
+    z, _, _, std, noise, _ = measurements
     check_kinds(measurements._replace(dt=1.0))
     for name, x, shape in (("std", std, z.shape), ("noise", noise, (*z.shape, z.shape[-1]))):
         if x is not None and x.shape != shape:

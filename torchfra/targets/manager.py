@@ -263,7 +263,7 @@ class Targets(Part):
             ValueError: a shape or a value that does not fit.
             ImportError: scipy is not installed.
         """
-        z, dt, u, _, _ = measurements_of(z, dt, u)
+        z, dt, u = measurements_of(z, dt, u)[:3]
         scans = check_scans(self.filter, z, dt, u)
         check_place(self.views.get(None), scans[0].u, self.filter.motion.dims)
         state, states = self.init(len(scans[0].z), dtype=z.dtype, device=z.device), []
@@ -504,14 +504,17 @@ def _of_sensors(filter: JPDA, sensors: Mapping[str, JPDA] | None) -> dict[str, J
             raise ValueError(f"sensors: expected {expected}, received {type(other.motion).__name__} of {name!r}")
         if isinstance(filter.inner, SRCKF) and filter.inner.fading is not None:
             raise ValueError("sensors: expected none beside fading factors, which remember measurements of one sensor")
-        made[name] = _around(filter, copy.deepcopy(other))
+        filter.inner.other_sensor(other.sensor)
+        made[name] = copy.deepcopy(other)
+        made[name].scanner = made[name].sensor
+        _around(filter, made[name])
         made[name].engine = INTERPRETED
     return made
 
 
 def _around(filter: JPDA, other: JPDA) -> JPDA:
     """The ``other`` filter, around the inner one of ``filter`` as that is now."""
-    other.inner = filter.inner.with_sensor(other.sensor)
+    other.inner = filter.inner
     return other
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
@@ -38,7 +39,6 @@ from torchfra.filters.gpb.slopes import (
     line_at_place,
 )
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
-from torchfra.filters.several_sensors import sharing
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.gaussian.mixture import matched
@@ -191,7 +191,7 @@ class GPB(Filter[GPBState]):
         )
         outlier = mean.new_zeros(*mean.shape[:-1], len(self.outliers.blocks))
         relaxation = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
-        last = None if self.outliers.same_offset is None else self._unmeasured(mean)
+        last = None if self.outliers.same_offset is None else _unmeasured(mean, self.sensor)
         doubt = torch.ones_like(mean[..., 0])
         noise = None if self.noise is None else self.noise.begin(outlier)
         kept = to_state(every, (OUTLIER, MOTION))
@@ -208,7 +208,7 @@ class GPB(Filter[GPBState]):
         predicted, surprise, widening = self.predict_regimes(
             mixed, switching.log_weight, frame, state.doubt, relaxation
         )  # (3)
-        log_mode, blocks_outlying = self.outliers.predict(state.outlier, relaxation, measured)
+        log_mode, blocks_outlying = self.outliers_of(frame.sensor).predict(state.outlier, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
         modes = log_mode + rarity, blocks_outlying
         change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
@@ -249,7 +249,7 @@ class GPB(Filter[GPBState]):
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
         hypotheses = (updated.log_weight - posterior.log_likelihood).movedim((0, 1, 2), (-3, -2, -1))
         past = GPBPast(*kept, by_belief, widening, rarity, seen, hypotheses, relaxation, ratio)
-        expected = self.compare(self.expected(predicted), frame)
+        expected = self.compare(self.expected(predicted, frame), frame)
         root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood + frame.measurement_noise.log_norm
         if noise is not None:  # a record is in units of the stated noise
@@ -261,7 +261,7 @@ class GPB(Filter[GPBState]):
         """What is known of the noise before a step, and the frame with noise of that scale."""
         if self.noise is None or state.noise is None:
             return None, frame
-        blocks = self.outliers.blocks
+        blocks = self.outliers_of(frame.sensor).blocks
         noise = self.noise.predict(state.noise, measured_blocks(frame.measured, blocks))
         variances = factors(noise, blocks, frame.measured)
         return noise, frame._replace(measurement_noise=frame.measurement_noise.scaled(variances))
@@ -299,13 +299,13 @@ class GPB(Filter[GPBState]):
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
         wide = self.regimes.agile_prediction(propagated)
         agile = wide._replace(scale_tril=tria(wide.scale_tril))
-        compared = self.compare(self.read(agile), frame)
+        compared = self.compare(read(agile, frame), frame)
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
         nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
         jumps = self.regimes.jump_roots(agile, nis, self.motion)
         jumped = self.regimes.jumped(propagated, agile, compared, nis, jumps, frame, self.motion)
-        cost, least = self.outliers.cost(
+        cost, least = self.outliers_of(frame.sensor).cost(
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
         first = self.outliers.first_rarer(frame.measured, relaxation)
@@ -333,7 +333,7 @@ class GPB(Filter[GPBState]):
         some = doubtful.any()  # only at the first measurement; kernels too compare no belief later
         if not is_traced(some) and not some:
             return torch.ones_like(predicted.mean[..., 0])
-        residual, spread, _, _ = self.compare(self.read(predicted), frame)
+        residual, spread, _, _ = self.compare(read(predicted, frame), frame)
         excess, size = residual.square().sum(-1) - frame.measured.sum(-1), spread.square().sum((-2, -1))
         # Bounded before it is divided: beyond the range of numbers the gradient of a quotient is NaN.
         factor = PRIOR_MARGIN * safe_divide(torch.minimum(excess, LARGEST_FACTOR * size), size)
@@ -364,7 +364,8 @@ class GPB(Filter[GPBState]):
         begun = torch.zeros_like(off)
         some = later.any()
         if is_traced(some) or some:
-            unknown, _ = innovation(self.compare(self.read(Gaussian(*(x[0, 0, 0] for x in predicted.belief))), frame))
+            first = Gaussian(*(x[0, 0, 0] for x in predicted.belief))
+            unknown, _ = innovation(self.compare(read(first, frame), frame))
             given = torch.minimum(unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), taken)
             begun = torch.where(later, given, 0.0)
         return torch.stack([torch.stack([begun, torch.zeros_like(begun)]), -rarity], 1).unsqueeze(1)
@@ -392,8 +393,9 @@ class GPB(Filter[GPBState]):
         """Hypotheses after the measurement: see ``Outliers.update``."""
         widest = len(self.regimes.each) - 1 - self.regimes.settled  # a jump if there is one
         compare = self.comparison(Gaussian(*(x[:, widest : widest + 1] for x in predicted.belief)), frame)
-        return self.outliers.update(
-            predicted, compare, self.sensor.reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
+        outliers, reads = self.outliers_of(frame.sensor), frame.sensor.reads
+        return outliers.update(
+            predicted, compare, reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
         )
 
     def comparison(self, widest: Gaussian, frame: Frame) -> Callable[[Gaussian, Sequence[int]], Whitened]:
@@ -406,12 +408,12 @@ class GPB(Filter[GPBState]):
 
         def line() -> Line:
             if not known:
-                known.append(line_at_place(lambda x: super(GPB, self).compare(x, frame), self.read(widest)))
+                known.append(line_at_place(lambda x: super(GPB, self).compare(x, frame), read(widest, frame)))
             return known[0]
 
         def compare(belief: Gaussian, block: Sequence[int]) -> Whitened:
             points = self.compare(belief, frame, block)
-            if self.sensor.linear:
+            if frame.sensor.linear:
                 return points
             return by_points_or_line(points, lambda: elements_of(along(line(), belief), block))
 
@@ -425,9 +427,9 @@ class GPB(Filter[GPBState]):
         In that case the change of the measurement is that of the target, whatever the offset.  The change is compared
         with its prediction by each regime, ``(1, R, 2, ..., m)``.  None without ``same_offset``.
         """
-        if state.last is None or not self.sensor.linear:
+        if state.last is None or not frame.sensor.linear:
             return None
-        regimes, d, n = self.regimes, self.sensor.reads, self.motion.size
+        regimes, d, n = self.regimes, frame.sensor.reads, self.motion.size
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
         predicted = regimes.predicted_parts(propagated, nis, self.motion)
         mean, root = (regimes.per_regime(x) for x in mixed)
@@ -435,16 +437,16 @@ class GPB(Filter[GPBState]):
         rest, slope = predicted.spread[..., :-n], predicted.spread[..., -n:]
         change = hstack(rest, slope - root, predicted.process_noise)[..., :d, :]
         expected = Gaussian(self.motion.difference(predicted.mean, mean)[..., :d], tria(change))
-        probability = self.outliers.same_offset_probability(
+        probability = self.outliers_of(frame.sensor).same_offset_probability(
             state.outlier, relaxation, state.last.measured, frame.measured
         )
-        z = self.sensor.difference(frame.z, state.last.z)
+        z = frame.sensor.difference(frame.z, state.last.z)
         return probability, self.compare(expected, frame._replace(z=z))
 
-    def expected(self, predicted: Hypotheses) -> Gaussian:
+    def expected(self, predicted: Hypotheses, frame: Frame) -> Gaussian:
         """The Gaussian ``(..., d)`` with the moments of all predictions, of the components that the sensor reads."""
         roots, _ = predicted.share_roots(OUTLIER, MOTION, BEFORE)
-        return moments(self.read(predicted.belief), roots, self.motion.angles)
+        return moments(read(predicted.belief, frame), roots, self.motion.angles)
 
     def finish(self, state: GPBState, belief: Gaussian, info: Step) -> tuple[Gaussian, GPBInfo]:
         """The estimates of all steps; the one-step smoothed estimate of a step is that of the next step's info."""
@@ -462,9 +464,9 @@ class GPB(Filter[GPBState]):
 
     def alarm(self, before: GPBState, now: GPBState, frame: Frame) -> Alarm:
         """Which blocks are faulty after a step, since when, and by how much."""
-        was, faulty = self.faulty(before), self.faulty(now)
-        estimated = self.sensor.at_points(now.belief.mean[None, ..., : self.sensor.reads], frame.u)[0]
-        offset = torch.where(frame.measured > 0, self.sensor.difference(frame.z, estimated), 0.0)
+        was, faulty, sensor = self.faulty(before), self.faulty(now), frame.sensor
+        estimated = sensor.at_points(now.belief.mean[None, ..., : sensor.reads], frame.u)[0]
+        offset = torch.where(frame.measured > 0, sensor.difference(frame.z, estimated), 0.0)
         return Alarm(faulty, faulty_seconds(before.duration, was, faulty, frame.dt), offset)
 
     # ------------------------------------------------------------ what is expected later
@@ -488,18 +490,13 @@ class GPB(Filter[GPBState]):
     def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the stated measurement noise."""
         _, learned = self.noise_of(state, frame)
-        residual, root = super().predict_innovation(state, self.read(beliefs), learned)
+        residual, root = super().predict_innovation(state, read(beliefs, frame), learned)
         if learned is frame:
             return Gaussian(residual, root)
         std = learned.measurement_noise.std / frame.measurement_noise.std
         return Gaussian(std * residual, std.unsqueeze(-1) * root)
 
     # ------------------------------------------------------------ the sensor
-
-    def read(self, belief: Gaussian) -> Gaussian:
-        """The belief of the leading components ``(..., d)`` of states that the sensor reads."""
-        d = self.sensor.reads
-        return Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])
 
     def compare(self, belief: Gaussian, frame: Frame, elements: Sequence[int] | None = None) -> Whitened:
         """Compares the measurement, or some elements of it, with a predicted belief.
@@ -509,43 +506,47 @@ class GPB(Filter[GPBState]):
         If the points of a wide belief lie on all sides of an anchor, their ranges do not depend on the state to first
         order: a range would not update the belief, which would keep growing.
         """
-        elements = range(self.sensor.size) if elements is None else elements
+        sensor = frame.sensor
+        elements = range(sensor.size) if elements is None else elements
         compare = super().compare
-        if self.sensor.linear:
+        if sensor.linear:
             return elements_of(compare(belief, frame), elements)
         return by_points_or_slope(lambda x: elements_of(compare(x, frame), elements), belief)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments, and that noise is independent between blocks; their batch."""
         batch = super()._batch(measurements, prior, name)
-        self.outliers.check_noise("noise", measurements.noise)
+        self.outliers_of(measurements.sensor or self.sensor).check_noise("noise", measurements.noise)
         return batch
 
-    def parts_for(self, sensor: Sensor) -> dict[str, nn.Module]:
-        """The parts, by name, that differ around another sensor."""
-        outliers = sharing(self.outliers, blocks=tuple(map(tuple, sensor.blocks)))
-        outliers.check(sensor)
-        return super().parts_for(sensor) | {"outliers": outliers}
+    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
+        """A sensor that is not the filter's own, whose noise is independent between blocks: see ``Filter``."""
+        other = super().other_sensor(sensor)
+        if other is not None:
+            self.outliers_of(other).check(other)
+        return other
 
-    def remembering(self, state: GPBState, before: GPBState | None = None) -> GPBState:
-        """A state without outliers in its last measurement, so that none continues in the next.
+    def outliers_of(self, sensor: Sensor) -> Outliers:
+        """The outliers of a sensor: of another than the filter's own with its blocks."""
+        if sensor is self.sensor:
+            return self.outliers
+        outliers = copy.copy(self.outliers)
+        outliers.blocks = tuple(map(tuple, sensor.blocks))
+        return outliers
 
-        After a measurement of another sensor it is one whose outliers are independent of this filter's own.
-        """
-        if before is None:
-            outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(self.outliers.blocks)))
-            unmeasured = None if state.last is None else self._unmeasured(state.belief.mean)
-            noise = None if self.noise is None else self.noise.begin(outlier)
-            before = state._replace(outlier=outlier, last=unmeasured, noise=noise)
+    def forget(self, state: GPBState, sensor: Sensor) -> GPBState:
+        """A state without outliers in its last measurement, so that none continues in the next."""
+        outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(sensor.blocks)))
+        last = None if state.last is None else _unmeasured(state.belief.mean, sensor)
+        noise = None if self.noise is None else self.noise.begin(outlier)
+        return self.remember(state, state._replace(outlier=outlier, last=last, noise=noise))
+
+    def remember(self, state: GPBState, before: GPBState) -> GPBState:
+        """A state whose outliers are independent of the measurement, with the noise that was known ``before`` it."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: LastMeasurement | None = tree.map_tensors(torch.zeros_like, before.last)
         return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last, noise=before.noise)
-
-    def _unmeasured(self, like: Tensor) -> LastMeasurement:
-        """The measurement of a step without any, for states ``like (..., n)``."""
-        none = like.new_zeros(*like.shape[:-1], self.sensor.size)
-        return LastMeasurement(none, none)
 
     # ------------------------------------------------------------ smoothing
 
@@ -578,3 +579,15 @@ class GPB(Filter[GPBState]):
             return several
         before = smoothing.retreat(self, step, after)
         return before, smoothing.smoothed(self, before)
+
+
+def read(belief: Gaussian, frame: Frame) -> Gaussian:
+    """The belief of the leading components ``(..., d)`` of states that the sensor of a step reads."""
+    d = frame.sensor.reads
+    return Gaussian(belief.mean[..., :d], belief.scale_tril[..., :d, :d])
+
+
+def _unmeasured(like: Tensor, sensor: Sensor) -> LastMeasurement:
+    """The measurement of a step without any, for states ``like (..., n)``."""
+    none = like.new_zeros(*like.shape[:-1], sensor.size)
+    return LastMeasurement(none, none)

@@ -104,6 +104,8 @@ class JPDA(Soft, Filter[JPDAState]):
     keeps_past = True
     one_sensor = "gate and clutter are of the elements of one sensor"
     inner: Any
+    scanner: Sensor | None
+    """The sensor, if it is another than that of the inner filter, as one of ``targets.Targets`` may be."""
 
     def __init__(
         self,
@@ -132,6 +134,7 @@ class JPDA(Soft, Filter[JPDAState]):
         if lost and not getattr(inner, "redraw", True):
             raise ValueError(f"lost: expected 0 around a filter with redraw=False, received {lost!r}")
         self.inner, self.gate, self.clutter = copy.deepcopy((inner, gate, clutter))
+        self.scanner = None
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
             raise ValueError(f"detection: expected a probability above 0, received {detection}")
@@ -149,13 +152,13 @@ class JPDA(Soft, Filter[JPDAState]):
 
     @property
     def sensor(self) -> Any:  # type: ignore[override]
-        """The sensor of the inner filter."""
-        return self.inner.sensor
+        """What scans: the sensor of the inner filter, unless there is a ``scanner``."""
+        return self.scanner or self.inner.sensor
 
     def begin(self, belief: Gaussian) -> JPDAState:
         """The state of beliefs: no target has been missed."""
         nothing, rank = torch.zeros_like(belief.mean[..., 0]), belief.mean.dim() - 1
-        inner = self.inner.viewed.begin(tree.insert_batch_dimension(belief))
+        inner = self.inner.begin(tree.insert_batch_dimension(belief))
         return JPDAState(tree.map_tensors(lambda x: x.squeeze(rank), inner), nothing, nothing)
 
     def advance(
@@ -348,7 +351,7 @@ class JPDA(Soft, Filter[JPDAState]):
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame of measurements ``(..., 1, J)`` for each step, and the log norms of the noise, time first."""
-        z, dt, u, std, noise = measurements
+        z, dt, u, std, noise, _ = measurements
         z = z.transpose(-3, -2).unsqueeze(-4)
         std = std if std is None else std.transpose(-3, -2).unsqueeze(-4)
         noise = noise if noise is None else noise.transpose(-4, -3).unsqueeze(-5)
@@ -362,7 +365,7 @@ class JPDA(Soft, Filter[JPDAState]):
 
     def complete(self, measurements: Measurements) -> bool:
         """Whether each measurement is complete or missing and all have the same noise, so that they share one gain."""
-        z, _, _, std, noise = measurements
+        z, _, _, std, noise, _ = measurements
         if isinstance(measurements, CompleteScans):
             return True
         own = type(self.sensor).measurement_noise is not Sensor.measurement_noise
