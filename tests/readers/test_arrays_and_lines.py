@@ -66,9 +66,11 @@ def test_a_header_of_savetxt_is_one_with_units_too(tmp_path, header):
 RECORDS = [{"time": t, "id": name, "x": x, "y": y} for t, x, y, _ in TRACK.tolist() for name in "ab"]
 
 
-def test_a_sentence_of_as_many_words_as_columns_states_no_units(write):
-    (track,) = read(write(["# walk in mm", "time x y", *(f"{i} {3 * i} {i}" for i in range(ROWS))], "a.txt"))
-    assert track.position[1].tolist() == [3, 1]
+def test_a_sentence_of_as_many_words_as_columns_asks_for_its_unit(write):
+    path = write(["# walk in mm", "time x y", *(f"{i} {3 * i} {i}" for i in range(ROWS))], "a.txt")
+    with pytest.raises(ValueError, match="states lengths in mm: state it by units='mm'"):
+        read(path)
+    assert read(path, units="m")[0].position[1].tolist() == [3, 1]
 
 
 @pytest.mark.parametrize("name", ["a.json", "a.jsonl", "a.ndjson", "a.log", "a.csv"])

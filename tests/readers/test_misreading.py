@@ -237,6 +237,62 @@ def test_unknown_units_of_times_are_asked_for(write, header):
     assert len(read(write(eight("Time (UTC),x,y", lambda i: (100 * i, i, 0))))[0].time) == 8
 
 
+@pytest.mark.parametrize("line", ["# altitude in feet", "Height [ft]", "# all distances are given in feet"])
+def test_units_in_sentences_before_the_header_are_asked_for(write, line):
+    path = write(eight(line + "\ntime,lat,lon,alt", lambda i: (i, 47 + i / 1e4, 8, 100 * i)))
+    with pytest.raises(
+        ValueError, match=r"a line before the header states lengths in (feet|ft): state it by units='ft'"
+    ):
+        read(path)
+    (track,) = read(write(path.read_text().replace(",alt", ",alt (ft)")))
+    assert track.position[1, 2] == pytest.approx(30.48, abs=1e-3)
+    assert len(read(write(path.read_text().replace(",alt", ",rate")))[0].time) == 8
+
+
+@pytest.mark.parametrize(
+    "around", [lambda rows: {"unit": "cm", "points": rows}, lambda rows: [r | {"unit": "cm"} for r in rows]]
+)
+def test_units_beside_records_are_asked_for(write, around):
+    path = write(json.dumps(around([{"t": i, "x": i, "y": 0} for i in range(8)])), "a.json")
+    with pytest.raises(ValueError, match="received cm in the column unit: say units='cm'"):
+        read(path)
+    assert read(path, units="cm")[0].position[1, 0] == pytest.approx(0.01)
+
+
+def test_seconds_beside_their_minutes_are_joined_by_options(write):
+    path = write(eight("t_min,t_sec,x,y", lambda i: (i // 4, 15 * (i % 4), i, 0)))
+    with pytest.raises(ValueError, match=r"join them by time='t_min,t_sec', time_format='%M %S'"):
+        read(path)
+    assert np.diff(read(path, time="t_min,t_sec", time_format="%M %S")[0].time) == pytest.approx(15)
+    (track,) = read(write(eight("t_min,t_sec,x,y", lambda i: (i / 4, 15 * i, i, 0))))
+    assert np.diff(track.time) == pytest.approx(15)
+
+
+@pytest.mark.parametrize(("name", "most"), [("time (us)", 2**32), ("millis", 2**32), ("tow (s)", 604_800)])
+def test_counters_go_on_where_they_begin_anew(write, name, most):
+    step = most // 1000
+    (track,) = read(write(eight(f"{name},x,y", lambda i: ((most - 4 * step + i * step) % most, i, 0))))
+    assert np.ptp(np.diff(track.time)) == pytest.approx(0, abs=1e-6)
+    assert track.position[:, 0].tolist() == [*range(8)]
+
+
+def test_an_accuracy_in_other_units_than_lengths_is_left_out(write):
+    for unit, expected in (("%", None), ("deg", None), ("m", 8)):
+        (track,) = read(write(eight(f"t,lat,lon,accuracy ({unit})", lambda i: (i, 47 + i / 1e4, 8, 2))))
+        assert (None if track.sigma is None else len(track.sigma)) == expected
+
+
+def test_sentences_of_two_receivers_in_one_file_are_refused(write):
+    pytest.importorskip("pynmea2")
+    lines = [checksum(f"GPGGA,1000{i:02}.00,4730.{place}00,N,00830.0000,E,1,10,0.9,400.0,M,48.0,M,,")
+             for i in range(20) for place in ("00", "50")]  # fmt: skip
+    with pytest.raises(
+        ValueError, match="expected one position for each moment, received 20 others in sentences of one kind"
+    ):
+        read(write("\n".join(lines), "a.nmea"))
+    assert len(read(write("\n".join(lines[::2]), "a.nmea"))[0].time) == 20
+
+
 def test_parts_of_degrees_in_brackets_are_refused(write):
     for unit in ("mdeg", "\u00b5deg", "arcsec"):
         with pytest.raises(ValueError, match="expected metres or degrees, received"):

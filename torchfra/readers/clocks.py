@@ -6,12 +6,13 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 
 from torchfra.readers.columns import Array, Head, Kind, joined, short, texts_of, values_of
 from torchfra.readers.formats import Format
-from torchfra.readers.names import TIMES, found, name_words, plain, unit
+from torchfra.readers.names import TIMES, found, in_brackets, name_words, plain, unit
 from torchfra.readers.options import AskError, ReadOptions
 from torchfra.readers.times import (
     CLOCK,
@@ -123,9 +124,10 @@ class Clock:
         if self.dated or not per_second(self.form) or not ((steps < 0).any() and (steps > 0).any()):
             return time
         usual, ahead = np.median(np.abs(steps[steps != 0])), np.zeros(len(time))
-        for whole in (_DAY, 7 * _DAY):
+        for whole in (_DAY, 7 * _DAY, 2**32 / per_second(self.form)):  # the last is that of a counter of 32 bits
             if time.max() <= whole:
-                begun = (steps < -whole / 2) & (np.abs(-steps - whole + usual) <= max(_AWAY, 3 * usual))
+                away = max(min(_AWAY, whole / 24), 3 * usual)
+                begun = (steps < -whole / 2) & (np.abs(-steps - whole + usual) <= away)
                 ahead[begun] = whole
         return np.asarray(time + np.cumsum(ahead))
 
@@ -160,6 +162,13 @@ def clock_of(
             "time_format": " ".join(map(_PARTS.__getitem__, parts)),
         }
         raise AskError("times are in several columns: join them by ", whole)
+    for name, other in permutations(candidates, 2):
+        words = name_words(name)[:-1], _unit(name), name_words(other)[:-1], _unit(other)
+        of_hour, of_minute = (values_of(head.cells(one)) for one in (other, name))
+        if words == (words[2], "seconds", words[0], "minutes") and of_minute.max(initial=0.0) < 60 and (
+                len({*of_hour}) > 1 and not (of_hour % 1).any()):  # fmt: skip
+            raise AskError(f"column {name}: expected seconds since a start, received those of the minutes in {other}: "
+                           "join them by ", {"time": f"{other},{name}", "time_format": "%M %S"})  # fmt: skip
     for name in candidates:
         try:
             clocks.append(_clock((name,), head, form))
@@ -333,9 +342,8 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
         raise AskError(f"column {name}: expected times since 1970, received {values.min():.15g} to "
                        f"{values.max():.15g}: "
                        "name another column, or say their unit: ", *choices)  # fmt: skip
-    said = re.search(r"[\[(]([^\[\]()]*)[\])]\s*$", name)
-    if said and not {*name_words(said[1])} <= _NO_UNITS and not sure:
-        raise AskError(f"column {name}: expected seconds or another unit of times, received ({said[1]}): say ",
+    if (said := in_brackets(name)) and not {*name_words(said)} <= _NO_UNITS and not sure:
+        raise AskError(f"column {name}: expected seconds or another unit of times, received ({said}): say ",
                        *choices, ", or such as ", {"time_format": "100fps"}, " where 100 are a second")  # fmt: skip
     if middle > _LATEST:
         raise AskError(f"column {name}: expected seconds since a start or since 1970, received {values[0]:.15g}, "

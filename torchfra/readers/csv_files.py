@@ -16,6 +16,7 @@ from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
 from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in
+from torchfra.readers.names import unit as unit_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
 from torchfra.readers.sheets import Sheet, repeated
 
@@ -30,6 +31,8 @@ _LENGTH = re.compile(
     re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
+_OF_LENGTHS = re.compile(r"\bin\b|\[|unit|distance|length|position|coordinate", re.IGNORECASE)
+"""What says that a unit in such a line is that of positions."""
 _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
@@ -133,8 +136,15 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
             at, sign = i, one
             break
     above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
-    units = [line for line in above if "unit" in line.lower() and _LENGTH.search(line)]
-    if units and not options.units and not bare and (unit := _LENGTH.search(units[0])):
+    units = [line for line in above if _OF_LENGTHS.search(line) and _LENGTH.search(line)]
+    lengths = [name for role in ("x", "y", "z", "altitude") for name in found(names, role)]
+    if (
+        units
+        and not all(map(unit_of, lengths))
+        and not options.units
+        and not bare
+        and (unit := _LENGTH.search(units[0]))
+    ):
         word = unit[0].lower()
         known = {"units": LENGTHS.get(word, "nmi" if word == "nm" else "mm")}
         other = OTHER_UNIT.fullmatch(word) and word != "nm"

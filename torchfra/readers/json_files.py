@@ -8,7 +8,7 @@ from typing import Any
 
 from torchfra.readers.columns import short
 from torchfra.readers.formats import JSON, Json
-from torchfra.readers.names import found, places_in
+from torchfra.readers.names import found, places_in, plain
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated, whole_text
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
@@ -51,8 +51,8 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
     if isinstance(parsed, dict):
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
-        plain = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
-        if len(lists) > 1 and plain and len({len(column) for column in lists.values()}) == 1:
+        flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
+        if len(lists) > 1 and flat and len({len(column) for column in lists.values()}) == 1:
             return Sheet([*lists], [(len(next(iter(lists.values()))), lists.__getitem__)])
         columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
         if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
@@ -103,7 +103,8 @@ def _records(parsed: Any) -> tuple[list[dict[str, Any]], str]:
 
 def _lists(parsed: dict[str, Any], path: str, named: dict[str, Any]) -> Iterator[tuple[str, list[Any], dict[str, Any]]]:
     """The lists of objects in an object, with their names and the target that the objects around them name."""
-    named = named | {key: parsed[key] for key in found(parsed, "id")[:1] if isinstance(parsed[key], str | int)}
+    about = [*found(parsed, "id")[:1], *(key for key in parsed if plain(key) in ("unit", "units"))]
+    named = named | {key: parsed[key] for key in about if isinstance(parsed[key], str | int)}
     for key, inner in parsed.items():
         if isinstance(inner, dict) and path.count(".") < _DEEPEST:
             yield from _lists(inner, f"{path}{key}.", named)
@@ -120,11 +121,11 @@ def _flat_records(several: Any) -> list[dict[str, Any]]:
             raise ValueError(f"expected a list of records or a table of columns, received {kind} instead of an object")
         records.append(record := dict[str, Any]())
         _add(record, "", value)
-    plain = {name for record in records for name, cell in record.items() if cell is not None}
+    full = {name for record in records for name, cell in record.items() if cell is not None}
     for row, record in enumerate(records, 1):
         for name in record:
             column = name.rpartition(".")[0]
-            if column in plain:  # an object in one record, and not in another
+            if column in full:  # an object in one record, and not in another
                 raise ValueError(f"expected a number in data row {row}, column {column}, received an object or a list")
     nested = {name for record in records for name, cell in record.items() if _holds_records(cell)}
     if nested and not places_in({name for record in records for name in record}):

@@ -276,9 +276,10 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
 def _check_units(head: Head, columns: Iterable[str], read: str, option: str, words: Mapping[str, str]) -> None:
     """Refuses units in a column of their own that are others than those in which columns are read."""
     for column, name in product(columns, head.names):
-        if re.fullmatch(f"{plain(column)}units?|units?{plain(column)}", "".join(name_words(name))):
+        of_all = plain(name) in ("unit", "units") and option == "units"
+        if of_all or re.fullmatch(f"{plain(column)}units?|units?{plain(column)}", "".join(name_words(name))):
             for cell in texts_of(head.cells(name)):
-                if words.get(cell.lower()) != read:
+                if words.get(cell.lower(), read if of_all else "") != read:
                     raise AskError(f"column {column}: expected {read}, received {cell} in the column {name}: say ",
                                    {option: words.get(cell.lower(), read)})  # fmt: skip
 

@@ -13,8 +13,9 @@ METRES = {
 """Units of length, by what ``units`` calls them."""
 FLIGHT_LEVEL = 100 * METRES["ft"]
 LENGTHS = {unit: unit for unit in METRES} | {
-    "metre": "m", "metres": "m", "meter": "m", "meters": "m", "foot": "ft", "feet": "ft", "kilometres": "km",
-    "kilometers": "km", "millimetres": "mm", "millimeters": "mm", "miles": "mi", "yards": "yd",
+    "foot": "ft", "feet": "ft", "mile": "mi", "miles": "mi", "yard": "yd", "yards": "yd",
+    **{f"{front}{word}": f"{sign}m" for front, sign in (("", ""), ("kilo", "k"), ("centi", "c"), ("milli", "m"))
+       for word in ("metre", "metres", "meter", "meters")},
 }  # fmt: skip
 """Words for them."""
 TIMES = {
@@ -83,6 +84,12 @@ def name_words(name: str) -> list[str]:
     return re.findall(r"[^\W_]+", re.sub(r"(?<=time|tamp|boot)(?=(?:ms|us|ns)\b)", " ", parted))
 
 
+def in_brackets(name: str) -> str:
+    """What stands in brackets at the end of a name, in small letters."""
+    found = re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", name)
+    return found[1].lower() if found else ""
+
+
 @lru_cache(2**16)
 def _parted(name: str) -> tuple[str, str]:
     """A name without what adds nothing to it, and its unit: a word of ``LENGTHS`` or ``TIMES``, or another; or ""."""
@@ -93,10 +100,10 @@ def _parted(name: str) -> tuple[str, str]:
         fits = LENGTHS if role in _LONG else TIMES if role == "time" else DEGREES if "itude" in role else {}
         if words[-1] in fits or (role == "z" and words[-1] in LENGTHS):
             return rest, words[-1]
-    bracketed = re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", name)
+    bracketed = in_brackets(name)
     if bracketed and len(words) > 1:
-        unit = bracketed[1].lower().removesuffix(" msl")
-        short = _bare(name_words(name[: bracketed.start()]))
+        unit = bracketed.removesuffix(" msl")
+        short = _bare(name_words(re.sub(r"[\[(][^\[\]()]*[\])]\s*$", "", name)))
         if short in _KNOWN or unit in {*LENGTHS, *TIMES, *DEGREES}:
             return short, unit
     return _bare(words), unit if OTHER_UNIT.fullmatch(unit) else ""

@@ -22,6 +22,8 @@ _AIS = "AIS must be decoded before, such as by pyais (pip install pyais), to CSV
 _START = re.compile(rb"(?m)^[^\n$!]{0,80}(?:\$[GBP][A-Z]{2,4},|!(?:AI|AB|BS|SA)VD[MO],)")
 """A sentence of a receiver, or one of AIS; a label, a time or a tag block may be in front."""
 _SENTENCE = re.compile(r"\$..(?:RMC|GGA),[^*\"]*(?:\*[0-9A-Fa-f]{2})?")
+_SEVERAL = 0.1
+"""Share of moments with several positions from which on a file is refused."""
 _LINES = 20
 """Of a file that are looked at."""
 
@@ -48,6 +50,10 @@ def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
             fixes.add(_parsed(found[0]))
         except (ValueError, TypeError, AttributeError):
             lines["damaged"] += 1
+    if fixes.several > _SEVERAL * len(fixes.values["second"]):
+        raise ValueError(f"expected one position for each moment, received {fixes.several:,} others in sentences "
+                         "of one kind, as of several receivers, or of times in whole seconds: write one receiver to "
+                         "a file, or its positions as CSV")  # fmt: skip
     columns = fixes.columns()
     if not len(columns["time"]):
         ais = f"; {_AIS}" if lines["AIS"] else ""
@@ -75,6 +81,10 @@ class _Fixes:
     def __init__(self) -> None:
         self.values = {name: array("d") for name in _NAMES}
         self.day = math.nan
+        self.kinds = dict[str, tuple[float, float]]()
+        """Places of the last moment by the kind of sentence."""
+        self.several = 0
+        """Sentences whose moment has another place by one of their kind."""
 
     def add(self, sentence: Any) -> None:
         """Adds what a sentence says to the fix of its moment.
@@ -98,6 +108,8 @@ class _Fixes:
         if before - second > _DAY / 2 and sentence.sentence_type == "GGA":
             self.day += 1  # its RMC is still to come
         new = (self.day, second, *place, altitude, hdop)
+        self.kinds = self.kinds if before == second else {}
+        self.several += self.kinds.setdefault(sentence.sentence_type, place) != place
         if values["second"] and before == second:
             for column, value in zip(values.values(), new, strict=True):
                 column[-1] = value if math.isnan(column[-1]) else column[-1]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from torchfra.readers.columns import HEAD, Array, Head, Kind, word_of
-from torchfra.readers.names import LENGTHS, METRES, found, name_words, plain
+from torchfra.readers.names import DEGREES, LENGTHS, METRES, found, in_brackets, name_words, plain
 from torchfra.readers.names import unit as unit_of
 
 RANGE_ERROR = 5.0
@@ -86,7 +86,7 @@ def noise_of(
     def metres(column: str, otherwise: float) -> float:
         return METRES.get(LENGTHS.get(unit_of(column), ""), otherwise)
 
-    names = head.names
+    names = [name for name in head.names if in_brackets(name) not in {"%", "percent", *DEGREES}]
     if stated:
         (column,) = asked["sigma"]
         return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))
