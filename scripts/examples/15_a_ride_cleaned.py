@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import torchfra
-from torchfra import plotting
+from torchfra.cleaning import figures
+from torchfra.plotting import save
 
 
 def ride(seconds: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -40,7 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"{before:.1f} m off before, {after:.1f} m after; {(found & wrong).sum()} of {wrong.sum()} outliers found, "
           f"{(found & ~wrong).sum()} others rejected; sigma {cleaned.found.sigma:.1f} m")  # fmt: skip
     if options.plot is not None:
-        plotting.save(plotting.cleaned(cleaned), options.plot)
+        save(figures.cleaned(cleaned), options.plot)
 
 
 if __name__ == "__main__":

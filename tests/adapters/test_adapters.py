@@ -279,7 +279,9 @@ def test_estimates_and_cleaned_tracks_become_tables(frames):
     with pytest.raises(ValueError, match=r"estimate: expected one track \(T, n\)"):
         frames.estimates(estimate, scenario.motion)
     cleaned = torchfra.clean((np.arange(60.0), tracks.truth[0, :60, :2].numpy() + np.sin(np.arange(60.0))[:, None]))
-    table = frames.table([cleaned, cleaned])
+    from torchfra.cleaning.frames import table as table_of
+
+    table = table_of([cleaned, cleaned])
     assert len(table) == 120
     assert {"seconds", "x", "y", "outlier", "flag"} <= set(table.columns)
 
@@ -317,15 +319,19 @@ def check_flight(cleaned, raw):
 
 
 @pytest.mark.slow
-def test_a_flight_comes_back_cleaned(frames, flight):
-    found = frames.clean_flight(Flight(flight))
+def test_a_flight_comes_back_cleaned(flight):
+    from torchfra.cleaning.frames import clean_flight
+
+    found = clean_flight(Flight(flight))
     assert isinstance(found, Flight)
     check_flight(found.data, flight)
 
 
-def test_a_flight_of_traffic_comes_back_cleaned(frames, flight):
+def test_a_flight_of_traffic_comes_back_cleaned(flight):
     core = pytest.importorskip("traffic.core", exc_type=ImportError)
-    found = frames.clean_flight(core.Flight(flight))
+    from torchfra.cleaning.frames import clean_flight
+
+    found = clean_flight(core.Flight(flight))
     assert isinstance(found, core.Flight)
     assert found.callsign == "DLH1"
     check_flight(found.data, flight)

@@ -93,7 +93,9 @@ def test_a_compiled_srckf_and_its_gradient_are_made_without_what_torch_takes_hal
 
 
 def test_pictures_of_a_track_need_no_filters_and_no_evaluation():
-    code = "import sys, torchfra.plotting; print(*(name for name in sys.modules if name.startswith('torchfra.')))"
+    code = (
+        "import sys, torchfra.cleaning.figures; print(*(name for name in sys.modules if name.startswith('torchfra.')))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     rooms = {name.split(".")[1] for name in done.stdout.split()}
     assert rooms >= {"plotting", "cleaning"}

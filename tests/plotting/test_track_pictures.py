@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
 from torchfra import plotting
-from torchfra.cleaning import Segment
+from torchfra.cleaning import Segment, figures
 from torchfra.cleaning.outputs.view import MOST_STD, Band, placed, view
 from torchfra.pictures import APART, BLUE, GREY, ORANGE, RED, REGIMES
 from torchfra.plotting.style import line_styles
@@ -34,7 +34,7 @@ def marks(axes, marker):
 
 def test_a_rejected_fix_is_drawn_where_it_was_recorded():
     of = straight(40)
-    axes = panels(plotting.cleaned(of))["map"]
+    axes = panels(figures.cleaned(of))["map"]
     np.testing.assert_allclose(marks(axes, "x"), of.raw[[7], :2] / 1000)
     assert {"cleaned", "recorded", "rejected", "manoeuvre"} <= set(texts(axes))
     assert axes.get_title(loc="left") == ""
@@ -42,7 +42,7 @@ def test_a_rejected_fix_is_drawn_where_it_was_recorded():
 
 def test_the_map_shows_the_track_and_lists_at_its_edge_what_is_far_off():
     of = straight(40, rejected=(7, 9), off=3.5e6)
-    axes = panels(plotting.cleaned(of))["map"]
+    axes = panels(figures.cleaned(of))["map"]
     limits = np.array([axes.get_xlim(), axes.get_ylim()])
     assert (np.diff(limits) < 20).all()  # km; the track is 8 km long
     assert axes.get_title(loc="left").startswith("outside: 2 rejected, up to 4,950 km off")
@@ -54,14 +54,14 @@ def test_the_map_shows_the_track_and_lists_at_its_edge_what_is_far_off():
 
 def test_what_is_listed_at_the_edge_is_below_the_title():
     of = replace(straight(40, rejected=(7, 9), off=3.5e6), segments=())  # whose names would make room
-    figure = plotting.cleaned(of)
+    figure = figures.cleaned(of)
     figure.draw_without_rendering()
     listed = next(text for text in figure.findobj(Text) if text.get_text().startswith("outside"))
     assert not listed.get_window_extent().overlaps(figure._suptitle.get_window_extent())
 
 
 def test_a_map_has_the_same_scale_along_both_axes():
-    figure = plotting.cleaned(straight(40))
+    figure = figures.cleaned(straight(40))
     axes = panels(figure)["map"]
     box = axes.get_window_extent()
     assert np.ptp(axes.get_xlim()) / box.width == pytest.approx(np.ptp(axes.get_ylim()) / box.height)
@@ -78,14 +78,14 @@ def test_the_band_is_two_standard_deviations_across_to_each_side():
 
 
 def test_panels_over_time_are_speed_altitude_innovations_and_regimes():
-    assert panels(plotting.cleaned(straight(40))).keys() == {"map", "speed", "altitude", "innovation", "regimes"}
+    assert panels(figures.cleaned(straight(40))).keys() == {"map", "speed", "altitude", "innovation", "regimes"}
     flat = replace(straight(40, d=2), regimes=(), regime=np.empty((40, 0)))
-    assert panels(plotting.cleaned(flat)).keys() == {"map", "speed", "innovation"}
+    assert panels(figures.cleaned(flat)).keys() == {"map", "speed", "innovation"}
 
 
 def test_manoeuvres_are_shaded_and_named_once():
     of = replace(straight(40), segments=(Segment(10, 30, "left turn", 2.5), Segment(40, 60, "climbing", 5.0)))
-    shown = panels(plotting.cleaned(of))
+    shown = panels(figures.cleaned(of))
     for name in ("speed", "altitude", "innovation"):
         spans = [
             (p.get_x(), p.get_x() + p.get_width())
@@ -97,7 +97,7 @@ def test_manoeuvres_are_shaded_and_named_once():
 
 
 def test_an_innovation_beyond_the_axis_is_at_its_edge_and_counted():
-    axes = panels(plotting.cleaned(straight(40)))["innovation"]
+    axes = panels(figures.cleaned(straight(40)))["innovation"]
     (triangles,) = axes.collections
     np.testing.assert_allclose(triangles.get_offsets(), [[14.0, MOST_STD]])
     assert axes.get_title(loc="right") == "1 outside, up to 115"  # sqrt(4e4 / 3)
@@ -118,17 +118,17 @@ def test_regimes_that_do_not_matter_are_one_area():
     {"flag": np.full(40, "outlier")}, {"outlier": np.full(40, np.nan)},
 ])  # fmt: skip
 def test_nothing_that_a_filter_does_breaks_a_picture(change, tmp_path):
-    figure = plotting.cleaned(replace(straight(40), **change))
+    figure = figures.cleaned(replace(straight(40), **change))
     assert plotting.save(figure, tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_a_short_track_makes_a_picture(steps, tmp_path):
-    assert plotting.save(plotting.cleaned(straight(steps)), tmp_path / "a.png").exists()
+    assert plotting.save(figures.cleaned(straight(steps)), tmp_path / "a.png").exists()
 
 
 def test_words_on_the_map_do_not_cover_each_other():
-    axes = panels(plotting.cleaned(straight(40)))["map"]
+    axes = panels(figures.cleaned(straight(40)))["map"]
     axes.figure.draw_without_rendering()
     boxes = [Text.get_window_extent(text) for text in axes.texts]
     assert len(boxes) == 4
@@ -140,11 +140,11 @@ def test_words_on_the_map_do_not_cover_each_other():
 
 def test_an_overview_has_a_row_for_each_target_and_few_have_names_on_the_map():
     few = [straight(30, name=f"target {i}", off=1000.0 * i) for i in range(1, 4)]
-    shown = panels(plotting.overview(few))
+    shown = panels(figures.overview(few))
     assert {f"target {i}" for i in range(1, 4)} == set(texts(shown["map"]))
     assert len(shown["rows"].get_yticklabels()) == 3
     many = [straight(30, name=f"target {i}", rejected=tuple(range(i % 5))) for i in range(60)]
-    figure = plotting.overview(many)
+    figure = figures.overview(many)
     shown = panels(figure)
     assert texts(shown["map"]) == []
     assert len(shown["rows"].get_yticklabels()) == 40
@@ -229,5 +229,5 @@ def test_probabilities_are_drawn_where_another_motion_than_the_usual_one_is_like
     of = straight(40)
     calm = np.zeros_like(of.regime)
     calm[:, 0] = 1.0
-    assert "regimes" in panels(plotting.cleaned(of))
-    assert "regimes" not in panels(plotting.cleaned(replace(of, regime=calm)))
+    assert "regimes" in panels(figures.cleaned(of))
+    assert "regimes" not in panels(figures.cleaned(replace(of, regime=calm)))

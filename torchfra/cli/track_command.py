@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> None:
     check_files(extra | {f"out, {path.name}": path for path in files.paths()}, [options.file])
     if files.pictures or files.overview is not None:
         # With matplotlib it takes half a second, in which others work.
-        threading.Thread(target=import_module, args=("torchfra.plotting",)).start()
+        threading.Thread(target=import_module, args=("torchfra.cleaning.figures",)).start()
     tell, _ = reporters(options.compile, options.quiet)
     read = list(dict.fromkeys(printable(note) for recording in recordings for note in recording.source.notes))
     for line in read if options.verbose else ["; ".join(read)]:
@@ -177,15 +177,16 @@ def _draw(
 ) -> None:
     """Writes the pictures and the page."""
     if files.pictures or files.overview is not None:
-        from torchfra import plotting  # matplotlib takes long to import
+        from torchfra.cleaning import figures  # matplotlib takes long to import
+        from torchfra.plotting import save
 
         for recording, path in progress_bar(files.pictures.items(), "picture", not options.quiet):
             if (cleaned := results.get(recording)) is not None:
                 with failures.of(printable(recording.name)):
-                    plotting.save(plotting.cleaned(cleaned), path)
+                    save(figures.cleaned(cleaned), path)
         if files.overview is not None:
             with failures.of("overview"):
-                plotting.save(plotting.overview(list(results.values())), files.overview)
+                save(figures.overview(list(results.values())), files.overview)
     if options.html is not None:
         with failures.of("html"):
             page.write(list(results.values()), options.html, share=options.share_script is not False)

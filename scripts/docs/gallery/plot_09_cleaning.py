@@ -6,7 +6,7 @@
 import numpy as np
 
 import torchfra
-from torchfra import plotting
+from torchfra.cleaning import figures
 
 rng = np.random.default_rng(0)
 time = np.arange(0.0, 300.0, 2.0)
@@ -17,4 +17,4 @@ fixes[[40, 90, 120]] += [[2000.0, 500], [-300, 250], [900, -900]]
 
 cleaned = torchfra.clean((time, fixes))
 print(f"sigma {cleaned.found.sigma:.1f} m; error {np.hypot(*(cleaned.position - path).T).mean():.1f} m")
-figure = plotting.cleaned(cleaned)
+figure = figures.cleaned(cleaned)

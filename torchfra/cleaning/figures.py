@@ -1,4 +1,7 @@
-"""Cleaned tracks: where they were, how they moved, and what was thought of their fixes."""
+"""Figures of cleaned tracks: where they were, how they moved, and what was thought of their fixes.
+
+``torchfra.plotting.save`` writes them.
+"""
 
 from __future__ import annotations
 
