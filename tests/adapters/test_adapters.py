@@ -295,8 +295,7 @@ class Flight:
 
 @pytest.fixture
 def flight():
-    import pandas as pd
-
+    pd = pytest.importorskip("pandas")
     steps = np.arange(120)
     rng = np.random.default_rng(3)
     return pd.DataFrame({

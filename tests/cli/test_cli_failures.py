@@ -21,7 +21,7 @@ from regrets.figures import ratios
 
 from torchfra import plotting
 from torchfra.cleaning import clean_tracks
-from torchfra.cleaning import figures as pictures
+from torchfra.cleaning import figures as of_tracks
 from torchfra.cli import main as cli
 from torchfra.cli import track_command
 from torchfra.cli.command import exit_status, message
@@ -144,14 +144,14 @@ def test_one_target_that_cannot_be_filtered_does_not_stop_the_others(tmp_path, c
 
 @pytest.mark.usefixtures("rough_figures")
 def test_one_target_that_cannot_be_drawn_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
-    draw = pictures.cleaned
+    draw = of_tracks.cleaned
 
     def fail(cleaned):
         if cleaned.recording.name == "bad":
             raise IndexError("no such line")
         return draw(cleaned)
 
-    monkeypatch.setattr(pictures, "cleaned", fail)
+    monkeypatch.setattr(of_tracks, "cleaned", fail)
     assert track_them(tmp_path, rows("bad") + rows("good", 0.1)) == 1
     said, errors = capsys.readouterr()
     assert errors == "torchfra: error: bad: IndexError: no such line\n"
