@@ -8,7 +8,7 @@ from torch import Tensor
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import batchwise
-from torchfra.numbers import as_numbers, as_tensor
+from torchfra.numbers import as_numbers
 
 DOUBLINGS = 20
 """Number of times that a step is halved.  A step counts as two million of the shortest mean sojourn times at most."""
@@ -49,7 +49,7 @@ def transition_over(generator: Tensor, dt: Tensor) -> Tensor:
     """
     fastest = (-generator.diagonal(dim1=-2, dim2=-1)).amax(-1)
     # A longer step is cut: its series would not converge after the halvings.
-    ends = torch.minimum(fastest * dt, as_tensor(2.0 ** (DOUBLINGS + 1), fastest))
+    ends = (fastest * dt).clamp_max(2.0 ** (DOUBLINGS + 1))
     small = generator * (safe_divide(ends, fastest) / 2**DOUBLINGS)[..., None, None]
     square = small @ small
     change = small + square / 2 + square @ (small / 6 + square / 24)  # exp(small) - I to fourth order

@@ -45,9 +45,11 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     If not ``triangular``, its root is ``(..., n, p)`` and saves a triangularisation: enough for a linear motion, whose
     prediction has a triangularisation of its own.
     """
+    root = roots.unsqueeze(-1)
+    mean = torch.where(root != 0, beliefs.mean, 0.0)  # true for NaN, which must show in the result
+    mean = _near_likeliest(mean, roots, angles) if angles else mean
     if triangular and len(roots) > _TOGETHER and has_caller():
-        return _in_turn(beliefs, roots, angles)
-    root, mean = roots.unsqueeze(-1), _means(beliefs, roots, angles)
+        return _in_turn(Gaussian(mean, beliefs.scale_tril), roots)
     if len(root) == 2:  # one column for both means, as their shares sum to one
         (one, other), (first, second) = root.unbind(), mean.unbind()
         between = second - first
@@ -62,19 +64,13 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
     return Gaussian(middle, tria(spread, graded=False) if triangular else spread)
 
 
-def _means(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Tensor:
-    """The means ``(K, ..., n)`` of beliefs, 0 of those of no weight, with angles near those of the likeliest."""
-    mean = torch.where(roots.unsqueeze(-1) != 0, beliefs.mean, 0.0)  # true for NaN, which must show in the result
-    return _near_likeliest(mean, roots, angles) if angles else mean
-
-
 _TOGETHER = 4
 """Beliefs that a step of many merges at once: the function is short, and called for all parts."""
 
 
-def _in_turn(beliefs: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:
-    """``matched`` of many beliefs, some after others."""
-    mean = _means(beliefs, roots, angles)
+def _in_turn(beliefs: Gaussian, roots: Tensor) -> Gaussian:
+    """``matched`` of many beliefs without angles, none of no weight that is NaN, some after others."""
+    mean = beliefs.mean
     middle = (roots.unsqueeze(-1).square() * mean).sum(0)
     root = middle.new_zeros(*middle.shape, middle.shape[-1])
     values = (roots, 0), (mean, 1), (beliefs.scale_tril, 2)

@@ -41,7 +41,12 @@ def repaired_root(whitened: Whitened) -> tuple[Tensor, Tensor]:
 
 def innovation(whitened: Whitened) -> tuple[Tensor, Tensor]:
     """Root ``(..., m, m)`` of the residual's covariance and the residual ``(..., m)`` divided by it: (17), (35)."""
-    root = tria(_blocks(whitened))
+    if whitened.subtracted is None:  # [I, rest, H S] (..., m, p)
+        unit = _unit(whitened).expand(*whitened.spread.shape[:-1], -1)
+        blocks = torch.cat([unit, whitened.spread], -1)
+    else:
+        blocks = hstack(repaired_root(whitened)[0], whitened.slope)
+    root = tria(blocks)
     return root, whiten(root, whitened.residual)
 
 
@@ -89,10 +94,3 @@ def down_weighted_density(root: Tensor, normalised: Tensor, weights: Tensor) -> 
 def _unit(whitened: Whitened) -> Tensor:
     m = whitened.residual.shape[-1]
     return torch.eye(m, dtype=whitened.spread.dtype, device=whitened.spread.device)
-
-
-def _blocks(whitened: Whitened) -> Tensor:
-    """``[I, rest, H S] (..., m, p)``, a root of the residual's covariance."""
-    if whitened.subtracted is None:
-        return hstack(_unit(whitened), whitened.spread)
-    return hstack(repaired_root(whitened)[0], whitened.slope)

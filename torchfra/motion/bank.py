@@ -135,7 +135,8 @@ class Bank(Motion):
 
     def canonical(self, mean: Tensor) -> Tensor:
         """States ``(..., n)`` with their angles in the range that the first model uses."""
-        return self._motions[0].canonical(mean)
+        first: Motion = self.models[0]  # type: ignore[assignment]  # a ModuleList does not know what it holds
+        return first.canonical(mean)
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
         """The adaptation of each model, ``(..., K, ...)``, with zero response for a model without one."""

@@ -244,7 +244,7 @@ class GPB(Filter[GPBState]):
         variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
         info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
         ratio = None if log_ratio is None else log_ratio[0, :, 1].movedim(0, -1)
-        by_belief = Surprise(*(x[0, 0].movedim(0, -1) for x in surprise))
+        by_belief = Surprise(*[x[0, 0].movedim(0, -1) for x in surprise])
         seen = measured.to(widening).expand_as(widening)
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
         hypotheses = (updated.log_weight - posterior.log_likelihood).movedim((0, 1, 2), (-3, -2, -1))
@@ -268,7 +268,8 @@ class GPB(Filter[GPBState]):
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
-        stayed, ended, restarted = self.regimes.by_belief(tree.stack(switching[:3], 0), MOTION + 1)
+        switches = torch.stack(torch.broadcast_tensors(*switching[:3]))
+        stayed, ended, restarted = self.regimes.by_belief(switches, MOTION + 1)
         total = stayed + restarted
         total = torch.where(total < torch.finfo(total.dtype).tiny, 0.0, total)  # derivatives of a quotient overflow
         origin = safe_divide(ended, ended.sum(MOTION, keepdim=True))
@@ -277,8 +278,9 @@ class GPB(Filter[GPBState]):
         if self.regimes.beliefs == 1:
             return before, mixing
         common = merge(before, safe_sqrt(origin), [MOTION], self.motion.angles)
-        two = tree.stack([before, common], 0)
-        return matched(two, safe_sqrt(torch.stack([mixing.own, mixing.common])), self.motion.angles), mixing
+        mean, root = [torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(before, common, strict=True)]
+        roots = safe_sqrt(torch.stack([mixing.own, mixing.common]))
+        return matched(Gaussian(mean, root), roots, self.motion.angles), mixing
 
     def predict_regimes(
         self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor, relaxation: Tensor | None
@@ -392,7 +394,8 @@ class GPB(Filter[GPBState]):
     ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
         """Hypotheses after the measurement: see ``Outliers.update``."""
         widest = len(self.regimes.each) - 1 - self.regimes.settled  # a jump if there is one
-        compare = self.comparison(Gaussian(*(x[:, widest : widest + 1] for x in predicted.belief)), frame)
+        mean, root = [x[:, widest : widest + 1] for x in predicted.belief]
+        compare = self.comparison(Gaussian(mean, root), frame)
         outliers, reads = self.outliers_of(frame.sensor), frame.sensor.reads
         return outliers.update(
             predicted, compare, reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
@@ -506,12 +509,12 @@ class GPB(Filter[GPBState]):
         If the points of a wide belief lie on all sides of an anchor, their ranges do not depend on the state to first
         order: a range would not update the belief, which would keep growing.
         """
-        sensor = frame.sensor
-        elements = range(sensor.size) if elements is None else elements
         compare = super().compare
-        if sensor.linear:
-            return elements_of(compare(belief, frame), elements)
-        return by_points_or_slope(lambda x: elements_of(compare(x, frame), elements), belief)
+        if frame.sensor.linear:
+            whitened = compare(belief, frame)
+            return whitened if elements is None else elements_of(whitened, elements)
+        every = range(frame.sensor.size) if elements is None else elements
+        return by_points_or_slope(lambda x: elements_of(compare(x, frame), every), belief)
 
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments, and that noise is independent between blocks; their batch."""

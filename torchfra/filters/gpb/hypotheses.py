@@ -8,11 +8,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra import tree
 from torchfra.filters.interaction import for_each_model
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import largest, matched, share_roots
-from torchfra.gaussian.model import Propagated, canonical, propagate
+from torchfra.gaussian.model import Propagated, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_log
@@ -88,7 +87,12 @@ class Hypotheses(NamedTuple):
 
     def of(self, regimes: Sequence[int]) -> Hypotheses:
         """The hypotheses of some regimes."""
-        mean, root, log_weight = [taken(x, regimes, MOTION) for x in (*self.belief, self.log_weight)]
+        (mean, root), log_weight, first, count = self.belief, self.log_weight, regimes[0], len(regimes)
+        if tuple(regimes) == tuple(range(first, first + count)):
+            last = first + count
+            return Hypotheses(Gaussian(mean[:, first:last], root[:, first:last]), log_weight[:, first:last])
+        which = torch.tensor(regimes, dtype=torch.int64, device=mean.device)
+        mean, root, log_weight = [x.index_select(MOTION, which) for x in (mean, root, log_weight)]
         return Hypotheses(Gaussian(mean, root), log_weight)
 
 
@@ -117,8 +121,9 @@ def merge(
     root = belief.scale_tril.expand(*batch, *belief.scale_tril.shape[-2:]).movedim(axes, first).flatten(0, first[-1])
     roots = roots.expand(batch).movedim(axes, first).flatten(0, first[-1])
     mean, root = matched(Gaussian(mean, root), roots, angles, triangular=triangular)
-    again = tuple([None if axis in axes else slice(None) for axis in range(max(axes) + 1)])
-    return Gaussian(mean[again], root[again])
+    for axis in sorted(axes):
+        mean, root = mean.unsqueeze(axis), root.unsqueeze(axis)
+    return Gaussian(mean, root)
 
 
 def moments(belief: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:
@@ -129,7 +134,8 @@ def moments(belief: Gaussian, roots: Tensor, angles: Sequence[int]) -> Gaussian:
 
 def estimate(belief: Gaussian, roots: Tensor, motion: Motion) -> Gaussian:
     """``moments``, with angles in the range that the motion uses."""
-    return canonical(motion, moments(belief, roots, motion.angles))
+    mean, root = moments(belief, roots, motion.angles)
+    return Gaussian(motion.canonical(mean), root)
 
 
 def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) -> Propagated:
@@ -144,9 +150,9 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
         frame: of the step.
     """
     frame = for_each_model(frame) if frame.transition is None else frame  # a linear bank has all that it needs
-    more = belief.mean.shape[MOTION] - len(bank)
-    propagated = propagate(bank, rule, for_bank(belief, len(bank)), frame)
-    rank = belief.mean.dim() - 1
+    count, rank = len(bank), belief.mean.dim() - 1
+    more = belief.mean.shape[MOTION] - count
+    mean, spread, noise, _ = propagate(bank, rule, for_bank(belief, count), frame)  # no weight is negative
 
     def back(event: int, x: Tensor) -> Tensor:
         x = x.reshape((1,) * (rank + event - x.dim()) + x.shape).movedim(-1 - event, MOTION)
@@ -156,8 +162,7 @@ def propagate_motions(bank: Bank, rule: Rule, belief: Gaussian, frame: Frame) ->
         layers = x.expand(more + 1, *x.shape[1:])
         return torch.cat([layers[:1], layers[1:, :1].transpose(0, MOTION)], MOTION)
 
-    result: Propagated = tree.map_ranked(back, propagated)
-    return result
+    return Propagated(back(1, mean), back(2, spread), back(2, noise), None)
 
 
 def for_bank(belief: Gaussian, count: int) -> Gaussian:
