@@ -276,6 +276,27 @@ def test_counters_go_on_where_they_begin_anew(write, name, most):
     assert track.position[:, 0].tolist() == [*range(8)]
 
 
+def test_numbers_beside_digits_of_a_date_may_be_a_clock(write):
+    path = write(eight("date,time,x,y", lambda i: ("06052024", f"100{i}", i, 0)))
+    with pytest.raises(ValueError, match=r"time='date,time', time_format='%d%m%Y %H%M', or time_format='seconds'$"):
+        read(path)
+    for words, step in (({"time": "date,time", "time_format": "%d%m%Y %H%M"}, 60), ({"time_format": "seconds"}, 1)):
+        assert np.diff(read(path, **words)[0].time) == pytest.approx(step)
+
+
+def test_seconds_and_their_parts_in_objects_of_json_are_joined(write):
+    rows = [{"time": {"seconds": i // 4, "nanos": i % 4 * 250_000_000}, "x": i, "y": 0} for i in range(8)]
+    assert np.diff(read(write(json.dumps(rows), "a.json"))[0].time) == pytest.approx(0.25)
+
+
+def test_units_beside_values_in_objects_of_json_are_asked_for(write):
+    rows = [{"t": i, "x": {"value": i, "unit": "cm"}, "y": {"value": 0, "unit": "cm"}} for i in range(8)]
+    path, words = write(json.dumps(rows), "a.json"), {"x": "x.value", "y": "y.value"}
+    with pytest.raises(ValueError, match=r"column x.value: expected m, received cm .*: say units='cm'"):
+        read(path, **words)
+    assert read(path, **words, units="cm")[0].position[1, 0] == pytest.approx(0.01)
+
+
 def test_an_accuracy_in_other_units_than_lengths_is_left_out(write):
     for unit, expected in (("%", None), ("deg", None), ("m", 8)):
         (track,) = read(write(eight(f"t,lat,lon,accuracy ({unit})", lambda i: (i, 47 + i / 1e4, 8, 2))))

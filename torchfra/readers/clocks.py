@@ -47,7 +47,7 @@ _FEW, _FINER = 0.1, 2
 """Share of the times of a clock that may not have been set yet; how many times as many moments a
 column of times has to have, to be taken although another has the date."""
 _PARTS_OF_SECONDS = {"msec": "ms", "msecs": "ms", "usec": "us", "usecs": "us", "nsec": "ns", "nsecs": "ns",
-                     "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns"}  # fmt: skip
+                     "nanosec": "ns", "nanosecs": "ns", "nanoseconds": "ns", "nanos": "ns", "micros": "us"}  # fmt: skip
 _NO_UNITS = {"utc", "gmt", "zulu", "local", "unix", "epoch", "elapsed", "relative", "since", "start", "gps", "time"}
 """What may stand in brackets behind times and is no unit."""
 _LOCAL = {"local", "lmt", "lcl"}
@@ -180,6 +180,12 @@ def clock_of(
                                           bool(_LOCAL & {*name_words(clock.columns[-1])})))  # fmt: skip
     if refusals and not best.dated and candidates[0] in refusals:
         raise refusals[candidates[0]]
+    days = [one for one in found(head.names, "date") if {len(text) for text in texts_of(head.cells(one))} <= {6, 8}
+            and len(values_of(head.cells(one)))]  # fmt: skip
+    if days and best.form == "seconds" and not best.dated and not form and plain(best.column) == "time":
+        both = {"time": f"{days[0]},{best.column}", "time_format": "%d%m%Y %H%M"}
+        raise AskError(f"column {best.column}: expected times, received numbers beside {days[0]}, whose digits are a "
+                       "date, that may be a clock: say ", both, ", or ", {"time_format": "seconds"})  # fmt: skip
     moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
     finest = max(clocks, key=lambda clock: moments[clock])
     if moments[finest] > _FINER * moments[best]:

@@ -277,7 +277,8 @@ def _check_units(head: Head, columns: Iterable[str], read: str, option: str, wor
     """Refuses units in a column of their own that are others than those in which columns are read."""
     for column, name in product(columns, head.names):
         of_all = plain(name) in ("unit", "units") and option == "units"
-        if of_all or re.fullmatch(f"{plain(column)}units?|units?{plain(column)}", "".join(name_words(name))):
+        bare = plain(column).removesuffix("value")
+        if of_all or re.fullmatch(f"{bare}units?|units?{bare}", "".join(name_words(name))):
             for cell in texts_of(head.cells(name)):
                 if words.get(cell.lower(), read if of_all else "") != read:
                     raise AskError(f"column {column}: expected {read}, received {cell} in the column {name}: say ",
