@@ -164,5 +164,5 @@ def test_the_chain_of_levels_is_the_exponential_of_its_rates_whatever_q_is_told(
     count = len(restart)
     rates = (restart - torch.eye(count)) / duration.unsqueeze(1)
     each = torch.eye(count, dtype=torch.float64)
-    lasted, _, follow = levels.chain.over(gap.expand(count, 1), each.unsqueeze(-1))
+    lasted, _, follow = levels.chain.over(*levels.chain.shares(gap.expand(count, 1)), each.unsqueeze(-1))
     torch.testing.assert_close((lasted + follow)[..., 0], torch.matrix_exp(rates * period), rtol=0, atol=1e-8)

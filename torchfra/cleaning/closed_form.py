@@ -98,17 +98,21 @@ class Chain(NamedTuple):
     from_modes: Tensor
     """``(J, J, B)``, ``[mode, now]``; the transition over a gap is ``to_modes exp(-rates gap) from_modes``."""
 
-    def over(self, gap: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The transition of levels with weights ``(n, J, B)`` over gaps ``(n, B)``.
+    def shares(self, gap: Tensor) -> tuple[Tensor, Tensor]:
+        """Shares ``(n, J, B)`` of levels that end within gaps ``(n, B)``, and of modes that are left after them."""
+        gap = gap.unsqueeze(1)
+        return -torch.expm1(-gap / self.duration), torch.exp(-gap * self.rates)
+
+    def over(self, ends: Tensor, left: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The transition of levels with weights ``(n, J, B)`` over gaps with these ``shares``.
 
         Returns:
             Weights ``(n, J, B)`` of levels that last throughout; of levels that end; and of the levels at the end of
             the gap, where those at its beginning have ended.
         """
-        gap = gap.unsqueeze(1)
-        ended = weights * -torch.expm1(-gap / self.duration)
+        ended = weights * ends
         lasted = weights - ended
-        modes = _product(weights, self.to_modes) * torch.exp(-gap * self.rates)
+        modes = _product(weights, self.to_modes) * left
         return lasted, ended.clamp_min(_LEAST), (_product(modes, self.from_modes) - lasted).clamp_min(_LEAST)
 
 
@@ -236,18 +240,6 @@ class Step(NamedTuple):
         """The state after the fix; the predicted one where there is none."""
         return _where(self.missing, self.predicted, self.updated)
 
-    @property
-    def prediction(self) -> Belief:
-        """``(J, B)`` of each level before the fix."""
-        log_weights = self.predicted.log_weights
-        share = (log_weights[1] - log_weights[0]).sigmoid()
-        return _merged_pair(share, *_entries(self.predicted.belief))
-
-    @property
-    def log_levels(self) -> Tensor:
-        """``(J, B)`` logs of the probabilities of the levels before the fix."""
-        return torch.logaddexp(*self.predicted.log_weights)
-
 
 def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
     """The filter: predictions of every step."""
@@ -255,11 +247,12 @@ def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) 
 
 
 def predictions_of(every: Iterable[Step]) -> Predictions:
-    """Predictions of all steps."""
-    beliefs, *rest = zip(*((step.prediction, step.log_levels, *step[3:]) for step in every), strict=True)
-    return Predictions(
-        Belief(*(torch.stack(x, -3) for x in zip(*beliefs, strict=True))), *(torch.stack(x) for x in rest)
-    )
+    """Predictions of all steps, merged over inlier and outlier in the fix before."""
+    beliefs, log_weights, *rest = zip(*((*step.predicted[:2], *step[3:]) for step in every), strict=True)
+    both = Belief(*(torch.stack(x, -4) for x in zip(*beliefs, strict=True)))
+    inlier, outlier = torch.stack(log_weights).unbind(1)
+    merged = _merged_pair((outlier - inlier).sigmoid(), *_entries(both))
+    return Predictions(merged, torch.logaddexp(inlier, outlier), *(torch.stack(x) for x in rest))
 
 
 def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterator[Step]:
@@ -273,12 +266,14 @@ def steps(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Iterat
     """
     state, chain, log_transition = _start(fixes, levels, model), levels.chain, model.transition(fixes.gap[0]).log()
     missing, repeats = fixes.missing, bool(torch.as_tensor(model.same_offset).any())
-    rows = zip(fixes.z, fixes.variance, fixes.log_odds, missing, fixes.elapsed, missing.any(1).tolist(), strict=True)
-    for k, (z, variance, log_odds, missing, elapsed, incomplete) in enumerate(rows):
+    shares, noise = (x.unsqueeze(1) for x in chain.shares(fixes.elapsed)), _process_noise(levels, fixes.elapsed)
+    rows = zip(fixes.z, fixes.variance, fixes.log_odds, missing, fixes.elapsed, missing.any(1).tolist(),
+               zip(*shares, strict=True), zip(*noise, strict=True), strict=True)  # fmt: skip
+    for k, (z, variance, log_odds, missing, elapsed, incomplete, of_chain, of_motion) in enumerate(rows):
         predicted = state
         if k:  # the first fix is of the time of the prior
-            mixed, log_weights = switched(state.belief, state.log_weights, chain, elapsed.unsqueeze(0))
-            predicted = state._replace(belief=_propagated(mixed, levels, elapsed), log_weights=log_weights)
+            mixed, log_weights = switched(state.belief, state.log_weights, chain, *of_chain)
+            predicted = state._replace(belief=_propagated(mixed, elapsed, *of_motion), log_weights=log_weights)
         inlier, log_density = corrected(predicted.belief, z, variance, missing, model)
         if repeats:
             log_density[1, 1] = _with_same_offset(
@@ -328,13 +323,13 @@ def _mixture(weight: Tensor, belief: Belief, dim: int) -> Belief:
     return Belief(position, velocity, *(x.sum(dim) for x in spread))
 
 
-def switched(belief: Belief, log_weights: Tensor, chain: Chain, gap: Tensor) -> tuple[Belief, Tensor]:
-    """Levels ``(n, J, B)`` after a transition over gaps ``(n, B)``.
+def switched(belief: Belief, log_weights: Tensor, chain: Chain, ends: Tensor, left: Tensor) -> tuple[Belief, Tensor]:
+    """Levels ``(n, J, B)`` after a transition over gaps with these ``chain.shares``.
 
     A level that lasts keeps its belief; one that is drawn again has the mixture of all that have ended.
     """
     largest = log_weights.amax(1, keepdim=True)
-    lasted, ended, restarted = chain.over(gap, (log_weights - largest).exp())
+    lasted, ended, restarted = chain.over(ends, left, (log_weights - largest).exp())
     common = _mixture(ended / ended.sum(1, keepdim=True), belief, 1)
     total = lasted + restarted
     every = Belief(*(x.unsqueeze(-2) for x in common))
@@ -359,12 +354,17 @@ def _start(fixes: Fixes, levels: Levels, model: OutlierModel) -> State:
     return State(belief, log_mode + levels.log_share, share, torch.full_like(z[0], torch.nan))
 
 
-def _propagated(x: Belief, levels: Levels, gap: Tensor) -> Belief:
-    """Beliefs predicted by ``gap`` seconds: constant velocity with white acceleration noise, and a random walk."""
-    q, pv = levels.q, torch.addcmul(x.pv, gap, x.vv)
-    pp = torch.addcmul(x.pp, gap, x.pv + pv) + (q * (gap**3 / 3) + levels.walk * gap)
-    position = torch.addcmul(x.position, gap, x.velocity)
-    return Belief(position, x.velocity, pp, pv + q * (gap**2 / 2), x.vv + q * gap)
+def _process_noise(levels: Levels, gap: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Variances ``pp``, ``pv`` and ``vv (T, J, B)`` after gaps ``(T, B)``: white acceleration and a random walk."""
+    q, gap = levels.q, gap.unsqueeze(1)
+    return q * (gap**3 / 3) + levels.walk * gap, q * (gap**2 / 2), q * gap
+
+
+def _propagated(x: Belief, gap: Tensor, pp: Tensor, pv: Tensor, vv: Tensor) -> Belief:
+    """Beliefs predicted by ``gap`` seconds at constant velocity, with these variances of ``_process_noise``."""
+    moved = torch.addcmul(x.pv, gap, x.vv)
+    spread = torch.addcmul(x.pp, gap, x.pv + moved) + pp
+    return Belief(torch.addcmul(x.position, gap, x.velocity), x.velocity, spread, moved + pv, x.vv + vv)
 
 
 def corrected(x: Belief, z: Tensor, variance: Tensor, missing: Tensor, model: OutlierModel) -> tuple[Belief, Tensor]:
@@ -442,10 +442,10 @@ def _with_spread(inside: list[Tensor], weight: Tensor, dp: Tensor, dv: Tensor) -
     """
     share = weight / len(dp)
     p_share, v_share = share * dp, share * dv
-    for axis in range(len(dp)):
-        inside[0].addcmul_(p_share[axis], dp[axis])
-        inside[1].addcmul_(p_share[axis], dv[axis])
-        inside[2].addcmul_(v_share[axis], dv[axis])
+    for p, v, p_off, v_off in zip(p_share, v_share, dp, dv, strict=True):
+        inside[0].addcmul_(p, p_off)
+        inside[1].addcmul_(p, v_off)
+        inside[2].addcmul_(v, v_off)
     return inside
 
 

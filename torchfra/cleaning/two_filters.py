@@ -112,7 +112,7 @@ def _combined(
         levels: of the process noise.
         chain: of these.
     """
-    switched_later = Predictions(*switched(later.belief, later.log_weights, chain, gap), *later[2:])
+    switched_later = Predictions(*switched(later.belief, later.log_weights, chain, *chain.shares(gap)), *later[2:])
     belief, log_fit = _product(predictions.belief, switched_later.belief)
     log_weights = predictions.log_weights + switched_later.log_weights - levels.log_share + log_fit
     both = Predictions(belief, log_weights, *predictions[2:])
