@@ -33,6 +33,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple
 
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.linalg.batches import broadcast_shapes
@@ -59,7 +60,7 @@ class Gaussian(NamedTuple):
         return ~(self.mean.isfinite().all(-1) & self.scale_tril.isfinite().flatten(-2).all(-1))
 
     @classmethod
-    def from_covariance(cls, mean: Any, covariance: Any) -> Gaussian:
+    def from_covariance(cls, mean: ArrayLike, covariance: ArrayLike) -> Gaussian:
         """The belief of this mean ``(..., n)`` and covariance ``(..., n, n)``, of any rank.
 
         What is known has variance 0.  Both may be tensors, arrays or lists.
@@ -79,7 +80,7 @@ class Gaussian(NamedTuple):
         return cls(mean, covariance_root(covariance).to(mean))
 
     @classmethod
-    def from_std(cls, mean: Any, std: Any) -> Gaussian:
+    def from_std(cls, mean: ArrayLike, std: ArrayLike) -> Gaussian:
         """The belief of this mean ``(..., n)`` and standard deviations ``(..., n)``, or one for all components.
 
         The components are independent; what is known has 0.  Both may be tensors, arrays or lists.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from torchfra.fitting.vector import NORMAL_95
 from torchfra.numbers import Array, as_numbers
@@ -43,7 +44,7 @@ class Correlation(NamedTuple):
         return text_table(("", "value", "95 % from", "to"), rows)
 
 
-def correlation(residuals: Any, time: Any) -> Correlation:
+def correlation(residuals: ArrayLike, time: ArrayLike) -> Correlation:
     """Splits the errors of a sensor into a white part and one that lasts, by maximum likelihood.
 
     Residuals are measurements less the truth, or less a reference that is far better: a receiver that stands, a survey,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from torchfra.filters import Filter
 from torchfra.fitting.data import Source, batch_of
@@ -51,7 +51,7 @@ class LogLikelihood:
         self.start: Array = self._vector.raw().numpy()
         """``(P,)`` the filter's own values."""
 
-    def __call__(self, raw: Any) -> tuple[Array, Array]:
+    def __call__(self, raw: ArrayLike) -> tuple[Array, Array]:
         """The log likelihood ``(...)`` of all tracks at ``raw (..., P)``, of chains say, and its gradient ``(..., P)``.
 
         Both are NaN where the filter fails.
@@ -66,7 +66,7 @@ class LogLikelihood:
         value, gradient = -loss.sum(-1).reshape(at.shape[:-1]), -slope.sum(1).reshape(at.shape)
         return value.numpy(), gradient.numpy()
 
-    def natural(self, raw: Any) -> Array:
+    def natural(self, raw: ArrayLike) -> Array:
         """Values ``(..., P)`` in the units of the filter."""
         found: Array = self._vector.natural(torch.as_tensor(np.asarray(raw, dtype=np.float64))).numpy()
         return found

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from torchfra.numbers import Array
 
@@ -27,7 +27,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def mean_interval(values: Any) -> Interval:
+def mean_interval(values: ArrayLike) -> Interval:
     """The mean of independent values ``(N,)`` with Student's interval.
 
     NaN does not count; infinite values make the mean infinite, and fewer than two values have no interval (NaN).
@@ -43,7 +43,7 @@ def mean_interval(values: Any) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def median_interval(values: Any) -> Interval:
+def median_interval(values: ArrayLike) -> Interval:
     """The median of independent values ``(N,)`` of any distribution, with an interval between two of them.
 
     NaN does not count.  Bounds are the order statistics that hold the median with 95 % probability or more (binomial);
@@ -59,7 +59,7 @@ def median_interval(values: Any) -> Interval:
     return Interval(middle, float(x[below - 1]), float(x[len(x) - below]))
 
 
-def signed_rank(one: Any, other: Any) -> float:
+def signed_rank(one: ArrayLike, other: ArrayLike) -> float:
     """Two-sided p of Wilcoxon's signed-rank test of two filters' errors on the same runs ``(N,)``.
 
     Runs on which both are equal, or one is NaN, do not count; an infinite error has the highest rank; p is 1 where
@@ -167,7 +167,7 @@ def _binomial_quantile(n: int, share: float) -> int:
         k += 1
 
 
-def _known(values: Any) -> Array:
+def _known(values: ArrayLike) -> Array:
     x = np.asarray(values, dtype=np.float64)
     known: Array = x[~np.isnan(x)]
     return known

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.distributions import constraints
 
@@ -227,7 +226,7 @@ def _turned(x: Tensor, y: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
     return cos * x - sin * y, sin * x + cos * y
 
 
-def body_velocities(time: Any, pose: Any) -> Tensor:
+def body_velocities(time: ArrayLike, pose: ArrayLike) -> Tensor:
     """Velocities in the axes of a robot, ``(..., T - 1, 3)`` for ``BodyOdometry``, from poses that odometry reports.
 
     Between two poses the robot goes along an arc; row ``k`` is of the time from pose ``k`` to the next.

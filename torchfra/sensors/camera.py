@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.hyper import Value
@@ -46,20 +45,20 @@ class Camera(Sensor):
         focal: Value,
         std: Value | None = None,
         *,
-        centre: Any = (0.0, 0.0),
-        position: Any = None,
-        rotation: Any = None,
+        centre: ArrayLike = (0.0, 0.0),
+        position: ArrayLike | None = None,
+        rotation: ArrayLike | None = None,
         height: float | None = None,
         noise: Tensor | None = None,
     ) -> None:
         if (position is None) != (rotation is None):
-            raise ValueError(f"position, rotation: expected both or neither, received {position} and {rotation}")
+            raise ValueError(f"position, rotation: expected both or neither, received {position!r} and {rotation!r}")
         super().__init__(3 if height is None else 2, [False, False], std, noise)
         self.dims = self.reads
         self.focal = elementwise(focal, 2, "focal")
         self.height = None if height is None else float(finite(height, name="height"))
         pose = None
-        if rotation is not None:
+        if position is not None and rotation is not None:
             place, turn = finite(position, 3, name="position"), _checked(finite(rotation, 3, 3, name="rotation"))
             pose = torch.cat([place, turn.flatten().to(place)])
         self.register_buffer("centre", finite(centre, 2, name="centre"), persistent=False)
@@ -85,7 +84,7 @@ class Camera(Sensor):
         return "moving camera" if self.pose is None else "camera"
 
 
-def facing(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Tensor:
+def facing(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Tensor:
     """Rotation ``(..., 3, 3)`` of a level camera at ``position (..., 3)`` that looks at ``target (..., 3)``.
 
     Its rows are the directions to the right, downwards and forward; ``up`` is the direction to the top of the image.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
-from typing import Any
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from torchfra.linalg.batches import joined
@@ -226,7 +226,7 @@ class Mounted(Around):
 
     at: Tensor
 
-    def __init__(self, sensor: Sensor, at: Any, heading: int = 2) -> None:
+    def __init__(self, sensor: Sensor, at: ArrayLike, heading: int = 2) -> None:
         if not isinstance(sensor, Sensor):
             raise ValueError(f"sensor: expected a sensor, received {type(sensor).__name__}")
         self._surround(sensor, heading_at(heading) + 1)

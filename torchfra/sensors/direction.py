@@ -5,9 +5,8 @@ Bearings count clockwise from the +y axis (north), ``atan2(dx, dy)``; those from
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.angles import wrap
@@ -40,7 +39,7 @@ class Bearings(Sensor):
         std: Value | None = None,
         *,
         count: int = 2,
-        stations: Any = None,
+        stations: ArrayLike | None = None,
         noise: Tensor | None = None,
     ) -> None:
         if stations is not None:
@@ -98,7 +97,7 @@ class RangeBearing(Sensor):
         std: Value | None = None,
         *,
         dims: int = 2,
-        position: Any = None,
+        position: ArrayLike | None = None,
         noise: Tensor | None = None,
         frame: str = "world",
         heading: int = 2,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.entries import Entries
@@ -36,7 +35,7 @@ class Linear(Sensor):
         tensor([2.])
     """
 
-    def __init__(self, H: Any, R: Any) -> None:
+    def __init__(self, H: ArrayLike, R: ArrayLike) -> None:
         matrix = Entries(H, "H")
         if matrix.fixed.dim() < 2 or (matrix.fixed.dim() > 2 and matrix.places):
             raise ValueError(f"H: expected a matrix (m, n), received {tuple(matrix.shape)}")

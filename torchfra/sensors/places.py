@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.motion.base import KINDS
@@ -38,7 +39,7 @@ def from_u(u: Tensor | None, count: int, what: str) -> Tensor:
     return u[..., :count]
 
 
-def finite(value: Any, *shape: int, name: str) -> Tensor:
+def finite(value: ArrayLike, *shape: int, name: str) -> Tensor:
     """``as_numbers`` of a known shape that are all finite.
 
     Raises:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.hyper import Value
@@ -45,7 +45,7 @@ class Ranges(Sensor):
 
     def __init__(
         self,
-        anchors: Any = None,
+        anchors: ArrayLike | None = None,
         std: Value | None = None,
         *,
         count: int | None = None,
@@ -55,7 +55,7 @@ class Ranges(Sensor):
     ) -> None:
         places = None if anchors is None else _places(anchors)
         if (places is None) == (count is None):
-            raise ValueError(f"anchors, count: expected exactly one of the two, received {anchors}, {count}")
+            raise ValueError(f"anchors, count: expected exactly one of the two, received {anchors!r}, {count}")
         if count is not None and count < 1:
             raise ValueError(f"count: expected 1 or more anchors, received {count}")
         if dims is None:
@@ -149,7 +149,7 @@ class RangeRates(Ranges):
         return super().describe().replace("ranges", "range rates")
 
 
-def _places(anchors: Any) -> Tensor:
+def _places(anchors: ArrayLike) -> Tensor:
     """Positions ``(m, c)`` as a tensor: see ``as_numbers``."""
     places = as_numbers(anchors, "anchors")
     if places.dim() != 2 or len(places) < 1 or places.shape[-1] not in (1, 2, 3) or not bool(places.isfinite().all()):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.hyper import Value
@@ -67,7 +68,7 @@ class TimeDifferences(Sensor):
     Source: Foy (1976), "Position-Location Solutions by Taylor-Series Estimation".
     """
 
-    def __init__(self, anchors: Any = None, std: Value | None = None, **options: Any) -> None:
+    def __init__(self, anchors: ArrayLike | None = None, std: Value | None = None, **options: Any) -> None:
         arrivals = Ranges(anchors, std, **options)
         if arrivals.size < 2:
             raise ValueError(f"anchors: expected 2 or more for a difference, received {arrivals.size}")

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.filters.base import Filter
@@ -76,7 +77,7 @@ def _number(x: Any) -> float:
         return math.nan
 
 
-def numbers(name: str, x: Any, device: torch.device, dtype: torch.dtype = torch.float64) -> Tensor:
+def numbers(name: str, x: ArrayLike, device: torch.device, dtype: torch.dtype = torch.float64) -> Tensor:
     """A copy of numbers as a tensor, as the caller may write into the original later.
 
     Raises:

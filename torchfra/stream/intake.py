@@ -9,8 +9,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
 from torchfra.gaussian.arguments import PRECISIONS
 from torchfra.linalg.triangular import apply
@@ -36,7 +38,12 @@ class Intake:
     """
 
     def __init__(
-        self, filter: Any, sensors: Mapping[str, Sensor] | None, origin: Any, dtype: torch.dtype, device: torch.device
+        self,
+        filter: Filter,
+        sensors: Mapping[str, Sensor] | None,
+        origin: Any,
+        dtype: torch.dtype,
+        device: torch.device,
     ) -> None:
         if dtype not in PRECISIONS:
             raise ValueError(f"dtype: expected one of {PRECISIONS}, received {dtype!r}")
@@ -66,7 +73,7 @@ class Intake:
             raise ValueError(f"sensor: expected one of {self.names}, received {name!r}")
         return self.names.index(name)
 
-    def entry(self, time: float, z: Any, name: str | None, u: Any, std: Any, noise: Any) -> Entry:
+    def entry(self, time: float, z: ArrayLike, name: str | None, u: Any, std: Any, noise: Any) -> Entry:
         """A measurement as the filter takes it; a standard deviation that is a number is that of each element.
 
         Raises:
@@ -88,11 +95,11 @@ class Intake:
         check_finite("z", local, missing=True)
         return Entry(time, number, local, u, std, noise)
 
-    def tensor(self, name: str, x: Any) -> Tensor | None:
+    def tensor(self, name: str, x: ArrayLike | None) -> Tensor | None:
         """Numbers in the filter's dtype, if there are any."""
         return None if x is None else numbers(name, x, self.device, self.dtype)
 
-    def inputs(self, u: Any) -> Tensor | None:
+    def inputs(self, u: ArrayLike | None) -> Tensor | None:
         """The inputs ``u`` of the models, if there are any.
 
         Raises:

@@ -8,6 +8,7 @@ from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra import tree
@@ -114,7 +115,7 @@ class Tracker:
         steps: int | None = None,
         old: str = "refuse",
         jump: float | None = None,
-        origin: Any = None,
+        origin: Sequence[float] | Tensor | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
         check_counts(lag, steps, old, jump)
@@ -219,12 +220,12 @@ class Tracker:
     def update(
         self,
         time: float,
-        z: Any,
+        z: ArrayLike,
         sensor: str | None = None,
         *,
-        u: Any = None,
-        std: Any = None,
-        noise: Any = None,
+        u: ArrayLike | None = None,
+        std: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
     ) -> Report:
         """The estimate after one more measurement.
 
@@ -254,7 +255,7 @@ class Tracker:
         return self._report("jumped" if jumped else "late" if inside < newest else "used", entry, belief, innovation)
 
     @torch.no_grad()
-    def predict(self, time: float, sensor: str | None = None, *, u: Any = None) -> Forecast:
+    def predict(self, time: float, sensor: str | None = None, *, u: ArrayLike | None = None) -> Forecast:
         """The predicted state at a time, and the predicted measurement of a sensor.
 
         Args:
