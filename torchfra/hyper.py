@@ -346,7 +346,7 @@ def out_of_range(module: nn.Module) -> Tensor | None:
     return bad if traced or bool(bad.any()) else None
 
 
-def spoilt(f: Any, state: Any, sensor: nn.Module | None = None) -> Any:
+def spoilt(f: nn.Module, state: Any, sensor: nn.Module | None = None) -> Any:
     """The state, whose means are NaN for each track with a hyperparameter that is NaN or out of its range.
 
     A choice takes NaN for no, and goes on: a gate of NaN would let every measurement pass, or none.  So a filter's

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -117,7 +117,7 @@ class Fading(Part):
         nothing = mean.new_zeros((*mean.shape[:-1], m, m))
         return Memory(nothing, nothing)
 
-    def remember(self, memory: Any, residual: Tensor, measured: Tensor) -> Any:
+    def remember(self, memory: Memory, residual: Tensor, measured: Tensor) -> Memory:
         """The memory after one more ``residual (..., m)``; entries that are not ``measured (..., m)`` do not change.
 
         A residual whose square overflows counts as missing: otherwise the moment and its gradients would be infinite
@@ -132,7 +132,7 @@ class Fading(Part):
         moment = moment + pair * (square - moment) / (1 + rho * before)  # eq. (31)
         return Memory(moment, torch.maximum(before, pair))
 
-    def forward(self, prediction: Prediction, whitened: Whitened, memory: Any, weights: Tensor) -> Tensor:
+    def forward(self, prediction: Prediction, whitened: Whitened, memory: Memory, weights: Tensor) -> Tensor:
         """The fading factor ``(...)``.
 
         Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -99,7 +99,7 @@ class SageHusa(Part):
         one = mean.new_ones((*mean.shape[:-1], len(self.block_of)))
         return NoiseMemory(one, one, 0 * one)
 
-    def learn(self, memory: Any, whitened: Whitened, measured: Tensor, when: str) -> Any:
+    def learn(self, memory: NoiseMemory, whitened: Whitened, measured: Tensor, when: str) -> NoiseMemory:
         """The memory after one more measurement if ``when`` equals ``adapt``, eq. (19); else the memory as it is.
 
         Args:
@@ -109,7 +109,7 @@ class SageHusa(Part):
             measured: ``(..., m)`` 1 where measured.
             when: ``"innovation"`` or ``"residual"``.
         """
-        return self(memory, self.excess(whitened), measured) if when == self.adapt else memory
+        return self.forward(memory, self.excess(whitened), measured) if when == self.adapt else memory
 
     def excess(self, whitened: Whitened) -> Tensor:
         """The estimate ``(..., m)`` of the variances by one measurement: ``e^2 - H P H^T``, or ``r^2 + H P H^T``."""
@@ -119,7 +119,7 @@ class SageHusa(Part):
         squared = whitened.residual.square().clamp_max(torch.finfo(predicted.dtype).max)
         return squared + (predicted if self.adapt == "residual" else -predicted)
 
-    def forward(self, memory: Any, excess: Tensor, weight: Tensor) -> Any:
+    def forward(self, memory: NoiseMemory, excess: Tensor, weight: Tensor) -> NoiseMemory:
         """The memory after one more ``excess (..., m)``.
 
         ``weight (..., m)`` is the probability that it is the target's, 0 where missing; below a half it is not used.
@@ -137,15 +137,15 @@ class SageHusa(Part):
             memory.updates + used,
         )
 
-    def rescale(self, whitened: Whitened, memory: Any) -> Whitened:
+    def rescale(self, whitened: Whitened, memory: NoiseMemory) -> Whitened:
         """The measurement in units of the estimated noise."""
         return down_weight(whitened, 1 / memory.scale)
 
-    def nominal(self, root: Tensor, memory: Any, measured: Tensor) -> Tensor:
+    def nominal(self, root: Tensor, memory: NoiseMemory, measured: Tensor) -> Tensor:
         """A root ``(..., m, m)`` in units of the estimated noise, converted to units of the nominal noise."""
         return torch.where(measured > 0, memory.scale, 1.0).sqrt().unsqueeze(-1) * root
 
-    def scale(self, memory: Any) -> Tensor:
+    def scale(self, memory: NoiseMemory) -> Tensor:
         """``(..., m)`` estimated variances as multiples of the nominal ones."""
         scale: Tensor = memory.scale
         return scale

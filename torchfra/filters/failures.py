@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Measurements
@@ -69,14 +69,14 @@ def diagnose_step(f: Any, before: Gaussian, measurements: Measurements, after: G
     return diagnose(f, estimate, measurements.as_track(), before)
 
 
-def bad_values(f: Any) -> tuple[str, ...]:
+def bad_values(f: nn.Module) -> tuple[str, ...]:
     """Paths of the hyperparameters that are NaN or out of their range."""
     if out_of_range(f) is None:
         return ()
     return tuple(path for path, hyper in hypers(f).items() if bool(hyper.out_of_range().any()))
 
 
-def with_gradients(f: Any, estimate: Estimate) -> Estimate:
+def with_gradients(f: nn.Module, estimate: Estimate) -> Estimate:
     """The estimate with a gradient of 0 where it does not depend on any value that is learned.
 
     That is so of a threshold that no measurement has reached, and of one that hard decisions alone depend on: the loss

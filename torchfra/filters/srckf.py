@@ -146,7 +146,7 @@ class SRCKF(Filter[State]):
         whitened = self.compare(beliefs, frame)
         if not self.redraw:
             _, whitened = self.predict_and_compare(Gaussian(*(x.unsqueeze(0) for x in state.belief)), frame)
-        if self.noise is None:
+        if self.noise is None or state.noise is None:
             return Gaussian(whitened.residual, innovation(whitened)[0])
         root, _ = innovation(self.noise.rescale(whitened, state.noise))
         return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))
@@ -181,7 +181,7 @@ class SRCKF(Filter[State]):
         predicted, compared = prediction, whitened
         if self.robust is not None:
             weights = self.robust(whitened.residual, normalised.square().sum(-1))  # (25)
-        if self.fading is not None:
+        if self.fading is not None and memory is not None:
             memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
             factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
             predicted = self.faded(prediction, factor)  # (29)
@@ -200,6 +200,7 @@ class SRCKF(Filter[State]):
         self, noise: SageHusa, prediction: Prediction, whitened: Whitened, state: State, frame: Frame
     ) -> tuple[State, Record]:
         """The update with an estimate of the noise: Chen, Zou & Wu."""
+        assert state.noise is not None
         root, normalised = innovation(noise.rescale(whitened, state.noise))
         memory = noise.learn(state.noise, whitened, frame.measured, "innovation")  # (19)
         belief, _, _ = correct(prediction.belief, noise.rescale(whitened, memory))

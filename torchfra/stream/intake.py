@@ -41,7 +41,7 @@ class Intake:
         self,
         filter: Filter,
         sensors: Mapping[str, Sensor] | None,
-        origin: Any,
+        origin: Sequence[float] | Tensor | None,
         dtype: torch.dtype,
         device: torch.device,
     ) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from torchfra.adaptive.fading import Memory
-from torchfra.adaptive.noise import SageHusa
+from torchfra.adaptive.noise import NoiseMemory, SageHusa
 from torchfra.association.clusters import Association
 from torchfra.filters.scans.scan import Scan, chosen, gated_first
 from torchfra.filters.srckf import SRCKF
@@ -23,9 +21,9 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 
 def learn_noise(
-    estimate: SageHusa | None, memory: Any, whitened: Whitened, when: str, *, association: Association, frame: Frame,
-    share_noise: bool,
-) -> Any:  # fmt: skip
+    estimate: SageHusa | None, memory: NoiseMemory | None, whitened: Whitened, when: str, *, association: Association,
+    frame: Frame, share_noise: bool,
+) -> NoiseMemory | None:  # fmt: skip
     """The memory of the noise estimate after a scan, if ``when`` equals its ``adapt``; else unchanged.
 
     Equation numbers are those of Chen, Zou & Wu; this is their eq. (19).
@@ -40,9 +38,9 @@ def learn_noise(
         share_noise: whether all targets share the estimate.
     """
     share = association.probabilities
-    if estimate is None or estimate.adapt != when:
+    if estimate is None or memory is None or estimate.adapt != when:
         return memory
-    memory = estimate(memory, *weighted_mean(estimate.excess(whitened), share, frame.measured))
+    memory = estimate.forward(memory, *weighted_mean(estimate.excess(whitened), share, frame.measured))
     if not share_noise:
         return memory
     measured = share.sum(-1)[..., None, None]  # probability that each target was measured
