@@ -89,3 +89,24 @@ def test_who_circles_with_few_fixes_around_is_as_far_off_as_said():
     fixes = truth + 5.0 * np.random.default_rng(59).standard_normal(truth.shape)
     (one,) = clean_tracks([Recording("circling", time, fixes, None, {})])
     assert nees(one, truth) < 1.3
+
+
+@pytest.mark.parametrize("hours", [2, 6])
+def test_with_a_given_sigma_bands_between_rare_fixes_are_those_of_who_rests_and_moves(hours):
+    """A deer that forgets its course in twenty minutes and rests half of the time, with fixes of 8 m."""
+    rng, count = np.random.default_rng([59, hours]), 60 * 24 * (10 * hours)
+    moves = np.cumsum(rng.random(count) < 1 / 90) % 2 == 0
+    kept, velocity, truth = np.exp(-1 / 20), np.zeros(2), np.zeros((count, 2))
+    for k in range(1, count):
+        velocity = kept * velocity + 0.25 * np.sqrt((1 - kept**2) / 2) * rng.standard_normal(2)
+        truth[k] = truth[k - 1] + 60 * moves[k] * velocity
+    fixes = truth[:: 60 * hours] + 8.0 * rng.standard_normal((count // (60 * hours), 2))
+    deer = Recording("deer", 3600.0 * hours * np.arange(len(fixes)), fixes, None, {})
+    for bank in (None, "animal", "bird"):
+        (one,) = clean_tracks([deer], sigma=8.0, bank=bank, dt=900.0 * hours)
+        between = one.row < 0
+        error = (one.position - truth[np.rint(one.time / 60).astype(int)])[between]
+        covariance = one.covariance[between, :2, :2]
+        inside = np.abs(error) < 1.96 * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        assert inside.mean() > 0.9
+        assert 0.25 < np.einsum("ti,tij,tj->t", error, np.linalg.inv(covariance), error).mean() / 2 < 1.5

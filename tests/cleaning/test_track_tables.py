@@ -169,6 +169,13 @@ def test_a_summary_counts_and_measures():
     assert said["largest_rejected"] == pytest.approx(off[[7, 9]].max())
 
 
+def test_what_a_path_is_good_to_is_said_of_its_fixes_whatever_is_estimated_between_them():
+    of, between = straight(40), np.arange(40) % 4 > 0
+    covariance = np.where(between[:, None, None], 1e4, 1.0) * of.covariance[0]
+    some = replace(of, row=np.where(between, -1, of.row), covariance=covariance)
+    assert summary(some)["median_std"] == pytest.approx(np.sqrt(np.trace(of.covariance[0, :2, :2]) / 2), rel=1e-3)
+
+
 def test_sentences_say_what_a_person_asks_for_in_a_line_each():
     said = sentences(straight(40))
     assert said[0] == "3c6444 DLH1AB: 40 fixes in 78 s, 1 rejected (up to 2.8 km off)"

@@ -18,7 +18,7 @@ from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 from torchfra.cleaning.kinds import USUAL, Kind
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
-from torchfra.cleaning.process_noise import levels_up_to, may_stop
+from torchfra.cleaning.process_noise import levels_up_to, may_stop, seen_ways
 from torchfra.cleaning.sigma import first_sigma, most_by_shapes
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
@@ -116,7 +116,9 @@ def _parts(
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(kinds[row.track], hardest) for row in rows], dtype=torch.float64)
-        levels, fixes = levels_up_to(most, fastest, period, count, settings.q, steady), _fixes(z, gap, std, axes)
+        fixes = _fixes(z, gap, std, axes)
+        way = None if settings.sigma is None else seen_ways(fixes, settings.sigma, period)
+        levels = levels_up_to(most, fastest, period, count, settings.q, steady, way)
         model = _outliers(most, fastest, period, steady)
         unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)
         parts.append(Part(fixes, levels, unknown, torch.zeros_like(unknown), unknown, unknown, stops, model))

@@ -50,7 +50,7 @@ def _summary(cleaned: Cleaned) -> dict[str, Any]:
         "median_correction": _quantile(residual[measured & ~rejected], 0.5),
         "largest_correction": _quantile(residual[measured & ~rejected]),
         "largest_rejected": _quantile(residual[rejected]),
-        "median_std": _quantile(np.sqrt((of.along**2 + of.across**2) / 2), 0.5),
+        "median_std": _quantile(np.sqrt((of.along**2 + of.across**2) / 2)[measured], 0.5),
         "failed": bool(cleaned.failed.any()),
         "repairs": cleaned.recording.repairs,
         "filter": found.filter, "smooth": found.smooth, "bank": found.bank, "sigma": found.sigma,
@@ -170,7 +170,7 @@ COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", 
 """Columns of a table of several targets."""
 LEGEND = (
     "farthest: of the rejected fixes; moved: the others, in the median",
-    f"std: of the cleaned path per axis, in the median, {LASTING}",
+    f"std: of the cleaned path per axis at fixes, in the median, {LASTING}",
     "sigma: of a fix per axis, or a factor on what the file states",
 )
 """What some of these columns hold."""
