@@ -249,6 +249,11 @@ def test_units_in_sentences_before_the_header_are_asked_for(write, line):
     assert len(read(write(path.read_text().replace(",alt", ",rate")))[0].time) == 8
 
 
+def test_units_above_the_names_are_those_of_the_columns(write):
+    (track,) = read(write(eight("# [s],[mm],[mm]\nt,x,y", lambda i: (i, i, 0))))
+    assert track.position[1, 0] == pytest.approx(0.001)
+
+
 @pytest.mark.parametrize(
     "around", [lambda rows: {"unit": "cm", "points": rows}, lambda rows: [r | {"unit": "cm"} for r in rows]]
 )

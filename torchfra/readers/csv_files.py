@@ -31,7 +31,7 @@ _LENGTH = re.compile(
     re.IGNORECASE,
 )
 """A unit of lengths besides metres, in a line before the header."""
-_OF_LENGTHS = re.compile(r"\bin\b|\[|unit|distance|length|position|coordinate", re.IGNORECASE)
+_OF_LENGTHS = re.compile(r"\bin\b|unit|distance|length|position|coordinate|height|altitude", re.IGNORECASE)
 """What says that a unit in such a line is that of positions."""
 _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""

@@ -144,7 +144,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     ignored = [column for column in head.names if column and column not in used and column not in unused]
     others = f"; not {listed(unused)} (option time takes another)" if unused else ""
     lines = (
-        *said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}", *_said(columns, length, options, head),
+        *said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}", *_said(columns, length, options),
         *([f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []), *noise.said,
         *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
@@ -347,7 +347,7 @@ def _with_points(head: Head) -> Callable[[str], list[Any]]:
     return lambda name: [cell.replace(",", ".") if isinstance(cell, str) else cell for cell in head.cells(name)]
 
 
-def _said(columns: Mapping[str, str], length: float, options: ReadOptions, head: Head) -> list[str]:
+def _said(columns: Mapping[str, str], length: float, options: ReadOptions) -> list[str]:
     """Lines on positions and targets."""
     places = [columns[role] for role in ("latitude", "longitude", "x", "y", "z") if role in columns]
     words = {FLIGHT_LEVEL: "flight levels (hundreds of feet)", 1.0: "metres", METRES["ft"]: "feet"}
