@@ -53,7 +53,9 @@ class Steps(NamedTuple):
 
 
 def steps_of(recording: Recording, dt: float | None = None) -> Steps:
-    """The steps at the fixes of a recording; and at every multiple of ``dt`` seconds after the first, if that is given.
+    """The steps at the fixes of a recording; and at its times that are multiples of ``dt`` seconds, if that is given.
+
+    So the steps of all targets between their fixes are at the same times, and of dates at whole hours.
 
     Raises:
         ValueError: more than ten million steps between fixes.
@@ -65,8 +67,10 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
         return steps
     if time[-1] > _MOST_STEPS * dt:
         raise ValueError(f"dt: expected at most {_MOST_STEPS:,} steps, received {dt} s in a track of {time[-1]:g} s")
-    regular: Array = dt * np.arange(int(time[-1] / dt) + 1, dtype=np.float64)
-    between = regular[np.abs(regular - time[_nearest(time, regular)]) > 1e-6 * dt]
+    begin, end = recording.time[[0, -1]]
+    regular: Array = dt * np.arange(math.ceil(begin / dt), math.floor(end / dt) + 1, dtype=np.float64) - begin
+    apart = max(1e-6 * dt, 4 * np.spacing(max(abs(begin), abs(end))))  # what times since 1970 resolve
+    between = regular[np.abs(regular - time[_nearest(time, regular)]) > apart]
     more = len(between)
     order = np.argsort(np.concatenate([time, between]), kind="stable")
     return Steps(

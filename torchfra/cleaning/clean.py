@@ -64,7 +64,7 @@ def clean(
         sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
         q: density of the process noise per second, m^2/s^3.  None finds it.
         smooth: whether estimates are smoothed, and not only filtered.
-        dt: seconds; also estimates at every multiple of it after the first fix; not of a ``DataFrame``.
+        dt: seconds; also estimates at every time that is a multiple of it, such as whole hours; not of a ``DataFrame``.
         repair: whether fixes with wrong time stamps are first moved along the path, where tracks show such errors: see
             ``cleaning.clean_tracks``.
         compile: whether to run compiled, which saves time on long tracks; needs the extra ``compiler``.

@@ -59,4 +59,4 @@ def add_cleaning_options(add: Callable[..., object]) -> None:
     add("--q", type=float, help="density of the process noise, m^2/s^3 (default: estimated)")
     add("--no-smooth", action="store_true", help="use only the fixes before and at each step: filter, do not smooth")
     add("--no-repair", action="store_true", help="keep time stamps that seem to be wrong")
-    add("--dt", type=float, metavar="S", help="also estimate every S seconds after the first fix")
+    add("--dt", type=float, metavar="S", help="also estimate at every multiple of S seconds: with 3600 at whole hours")
