@@ -254,12 +254,15 @@ def test_units_above_the_names_are_those_of_the_columns(write):
     assert track.position[1, 0] == pytest.approx(0.001)
 
 
-@pytest.mark.parametrize(
-    "around", [lambda rows: {"unit": "cm", "points": rows}, lambda rows: [r | {"unit": "cm"} for r in rows]]
-)
+@pytest.mark.parametrize("around", [
+    lambda rows: {"unit": "cm", "points": rows},
+    lambda rows: [row | {"unit": "cm"} for row in rows],
+    lambda rows: {"about": {"units": {"t": "s", "x": "cm", "y": "cm"}}, "points": rows},
+    lambda rows: {"units": "cm"} | {name: [row[name] for row in rows] for name in rows[0]},
+])  # fmt: skip
 def test_units_beside_records_are_asked_for(write, around):
     path = write(json.dumps(around([{"t": i, "x": i, "y": 0} for i in range(8)])), "a.json")
-    with pytest.raises(ValueError, match="received cm in the column unit: say units='cm'"):
+    with pytest.raises(ValueError, match=r"received cm in the column .*unit: say units='cm'"):
         read(path)
     assert read(path, units="cm")[0].position[1, 0] == pytest.approx(0.01)
 

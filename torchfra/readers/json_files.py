@@ -53,7 +53,9 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
         if len(lists) > 1 and flat and len({len(column) for column in lists.values()}) == 1:
-            return Sheet([*lists], [(len(next(iter(lists.values()))), lists.__getitem__)])
+            count = len(next(iter(lists.values())))
+            lists = {name: [unit] * count for name, unit in _units(parsed).items()} | lists
+            return Sheet([*lists], [(count, lists.__getitem__)])
         columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
         if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
             keys = [*next(iter(columns.values()))]
@@ -98,13 +100,25 @@ def _records(parsed: Any) -> tuple[list[dict[str, Any]], str]:
     if not every:
         return _flat_records([parsed]), ""
     name, records, named = (placed or every)[0]
+    named = _units(parsed) | named if isinstance(parsed, dict) else named
     return [named | record for record in records], name
+
+
+def _units(parsed: dict[str, Any], depth: int = 0) -> dict[str, str]:
+    """Cells with the units that objects around records, or beside them, state of all columns or of some."""
+    units = dict[str, str]()
+    for key, value in parsed.items():
+        if plain(key) in ("unit", "units"):
+            several = {f"{one} unit": of for one, of in value.items()} if isinstance(value, dict) else {"unit": value}
+            units |= {one: of for one, of in several.items() if isinstance(of, str)}
+        elif isinstance(value, dict) and depth < _DEEPEST:
+            units |= _units(value, depth + 1)
+    return units
 
 
 def _lists(parsed: dict[str, Any], path: str, named: dict[str, Any]) -> Iterator[tuple[str, list[Any], dict[str, Any]]]:
     """The lists of objects in an object, with their names and the target that the objects around them name."""
-    about = [*found(parsed, "id")[:1], *(key for key in parsed if plain(key) in ("unit", "units"))]
-    named = named | {key: parsed[key] for key in about if isinstance(parsed[key], str | int)}
+    named = named | {key: parsed[key] for key in found(parsed, "id")[:1] if isinstance(parsed[key], str | int)}
     for key, inner in parsed.items():
         if isinstance(inner, dict) and path.count(".") < _DEEPEST:
             yield from _lists(inner, f"{path}{key}.", named)
