@@ -96,7 +96,9 @@ class Filter(Part, Generic[S]):
     Rauch-Tung-Striebel's unless a filter has another.
 
     ``advance`` is pure and takes any batch: choices are ``torch.where``, the state that goes in is not changed.
-    Nothing of a track stays in a filter; it runs where ``z`` is, in its dtype.
+    Nothing of a track stays in a filter; it runs where ``z`` is, in its dtype.  What has measured is ``frame.sensor``,
+    which may be another than the filter's own: what its state remembers of measurements, ``forget`` empties before
+    such a step, and ``remember`` brings back after it.
 
     Args:
         motion: how targets move; a linear motion is propagated exactly, without sigma points.  None for a filter around
