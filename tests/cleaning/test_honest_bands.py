@@ -110,3 +110,6 @@ def test_with_a_given_sigma_bands_between_rare_fixes_are_those_of_who_rests_and_
         inside = np.abs(error) < 1.96 * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         assert inside.mean() > 0.9
         assert 0.25 < np.einsum("ti,tij,tj->t", error, np.linalg.inv(covariance), error).mean() / 2 < 1.5
+        if bank is not None:  # speeds are still those of the way from fix to fix
+            rate = np.diff(fixes, axis=0) / (3600.0 * hours)
+            assert np.square(one.velocity[~between]).mean() > 0.5 * np.square(rate).mean()

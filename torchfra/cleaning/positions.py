@@ -18,7 +18,7 @@ from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
 from torchfra.cleaning.kinds import USUAL, Kind
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
-from torchfra.cleaning.process_noise import levels_up_to, may_stop, seen_ways
+from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma, most_by_shapes
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
@@ -31,6 +31,8 @@ _FEW = 60
 """Fixes from which on a track has a sigma of its own; shorter tracks of a batch share one."""
 _ANYWHERE = 700.0
 """Seconds between fixes from which on a target may rest, go or come back in between."""
+_SEEN = 10.0
+"""Usual way between two fixes, in standard deviations of a given noise, from which on all motion is seen."""
 _CALM = 0.05
 """A level of process noise is calm while it changes the speed over ten seconds by less than this share of the kind's
 hardest acceleration times ten seconds, or while it is below ten times the track's usual level."""
@@ -86,14 +88,40 @@ def answers(
 ) -> list[Answer]:
     """Tracks of the same dimensions, cleaned.
 
+    Between rare fixes beside a given noise, positions are as unsure as those of targets that rest and move there, which
+    have no velocity; what has one is the motion from fix to fix.
+
     Args:
         tracks: steps of each.
         kinds: kind of each.
         settings: of cleaning.
         coarse: the least sigma that may be estimated of each, and the resolution of its heights, m.
     """
+    found = _answers(tracks, kinds, settings, coarse)
+    if settings.sigma is None or settings.q is not None:
+        return found
+    ways = [_seen_way(steps, settings.sigma) for steps in tracks]
+    chosen = [i for i, way in enumerate(ways) if not math.isnan(way)]
+    if chosen:
+        resting = _answers(
+            [tracks[i] for i in chosen], [kinds[i] for i in chosen], settings, [coarse[i] for i in chosen],
+            [ways[i] for i in chosen],
+        )  # fmt: skip
+        for i, one in zip(chosen, resting, strict=True):
+            axes, covariance = range(tracks[i].raw.shape[1]), found[i].covariance.copy()
+            more = (one.covariance - covariance)[:, axes, axes]
+            covariance[:, axes, axes] += np.maximum(more, 0.0)
+            found[i] = found[i]._replace(covariance=covariance)
+    return found
+
+
+def _answers(
+    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]],
+    ways: Sequence[float] | None = None,
+) -> list[Answer]:  # fmt: skip
+    """The same; with ``ways`` between fixes, m, that targets go at random."""
     measured = [steps.at(steps.measured) for steps in tracks]
-    rows, parts = _parts(measured, kinds, settings, coarse)
+    rows, parts = _parts(measured, kinds, settings, coarse, ways)
     parts = fitted(parts, _owners(rows, measured), find_sigma=settings.sigma is None, find_q=settings.q is None)
     if any(len(some.time) < len(every.time) for some, every in zip(measured, tracks, strict=True)):
         rows, parts = _between(tracks, rows, parts)
@@ -104,20 +132,30 @@ def answers(
     return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
 
 
+def _seen_way(steps: Steps, sigma: float) -> float:
+    """Usual way between rare fixes, m, where it is far larger than the noise and steps are between them; else NaN."""
+    fixes = steps.at(steps.measured)
+    if len(fixes.time) < 2 or len(fixes.time) == len(steps.time) or period_of(fixes) <= LONGEST:
+        return math.nan
+    way = float(np.median(np.linalg.norm(np.diff(fixes.raw[:, :2], axis=0), axis=1)))
+    return way if way > _SEEN * sigma * float(np.median(fixes.std[:, 0])) else math.nan
+
+
 def _parts(
-    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]]
-) -> tuple[list[Row], list[Part]]:
+    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]],
+    ways: Sequence[float] | None,
+) -> tuple[list[Row], list[Part]]:  # fmt: skip
     """Rows of tracks, and the initial parameters of their axes."""
     rows = _rows(tracks)
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
     period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
     fastest = torch.tensor([kinds[row.track].fastest for row in rows], dtype=torch.float64)
     steady = torch.tensor([kinds[row.track].steady for row in rows], dtype=torch.float64)
+    way = None if ways is None else torch.tensor([ways[row.track] for row in rows], dtype=torch.float64)
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
         most = torch.tensor([getattr(kinds[row.track], hardest) for row in rows], dtype=torch.float64)
         fixes = _fixes(z, gap, std, axes)
-        way = None if settings.sigma is None else seen_ways(fixes, settings.sigma, period)
         levels = levels_up_to(most, fastest, period, count, settings.q, steady, way)
         model = _outliers(most, fastest, period, steady)
         unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)

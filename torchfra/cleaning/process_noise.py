@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchfra.cleaning.closed_form import Fixes, Levels
+from torchfra.cleaning.closed_form import Levels
 
 _LEAST_DENSITY = 1e-5
 """Least density of the process noise, m^2/s^3."""
@@ -28,8 +28,6 @@ _WALK_FIXES = 3.0
 """Duration of these levels, in fixes, as a target that rests moves now and then."""
 _DRIFT_FIXES = 10.0
 """Duration of the least process noise beside them, in fixes: a drifter goes straight on where a swimmer may stop."""
-_SEEN = 10.0
-"""Usual way between two fixes, in standard deviations of a given noise, from which on all motion is seen."""
 _RARER = 3.0
 """Log of the prior ratio of the shares of the least and the largest process noise."""
 _RAREST, _NEVER = -25.0, -60.0
@@ -46,8 +44,8 @@ def levels_up_to(
     Where a target can change its velocity by its speed within a period, and its hardest manoeuvres end within one, it
     may come, go and rest between two fixes, so that a fix determines only the distance of the next: there levels of a
     random walk are added.  Without them all motion without a velocity would be noise.  If fixes were more frequent,
-    they would fit time-correlated errors; if rarer than ``steady``, the slow drifts of animals.  Where ways are seen
-    beside a given noise, these levels have sizes about the usual ``way``.
+    they would fit time-correlated errors; if rarer than ``steady``, the slow drifts of animals.  Of targets that
+    go at random by a known ``way``, these levels have sizes about it.
 
     Args:
         acceleration: the hardest.
@@ -56,7 +54,7 @@ def levels_up_to(
         count: number of levels, without those of a random walk.
         q: density around which levels are likely, m^2/s^3; None if it is to be found.
         steady: ``(B,)`` s between fixes from which on a target may keep a slow course.
-        way: ``(B,)`` m, as ``seen_ways`` says; None where sigma is not given.
+        way: ``(B,)`` usual one between fixes, m.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     density = _densities(acceleration, fastest, period, place)
@@ -69,21 +67,9 @@ def levels_up_to(
     long = (period > _SHORTEST) | ((period == _SHORTEST) & (stops > _SHORTEST / 2))
     walking, farthest = may_stop(acceleration, fastest, period, steady) & long, fastest * period
     if way is not None:
-        seen = ~way.isnan()
-        walking, farthest = walking | seen, torch.where(seen, _APART ** (_WALKS // 2) * way, farthest)
-        stops = torch.where(seen, period / 4, stops)  # as likely as any other motion
+        walking, farthest = torch.ones_like(walking), _APART ** (_WALKS // 2) * way
+        stops = period / 4  # as likely as any other motion
     return _with_walks(levels, farthest, period, stops, walking) if q is None and walking.any() else levels
-
-
-def seen_ways(fixes: Fixes, sigma: float, period: Tensor) -> Tensor:
-    """Usual ways ``(B,)`` between rare fixes, m, where they are far larger than the given noise; else NaN.
-
-    There motion cannot be taken for noise, and bands between fixes are as wide as targets rest and move in between.
-    """
-    way = fixes.z.diff(dim=0, prepend=torch.full_like(fixes.z[:1], math.nan)).square().mean(1).sqrt()
-    usual = way.nanmedian(0).values
-    noise = sigma * torch.where(fixes.missing, math.nan, fixes.variance).nanmedian(0).values.sqrt()
-    return torch.where((period > LONGEST) & (usual > _SEEN * noise), usual, math.nan)
 
 
 def with_levels_of_walks(levels: Levels, farthest: Tensor, period: Tensor) -> Levels:
