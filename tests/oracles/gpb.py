@@ -50,7 +50,7 @@ class Regimes(NamedTuple):
     far_burst: float | None = None  # the same of those that are far off
     steps: Any = 1.0  # seconds of each step, one number or (T,)
     restart: Any = None  # (B,) which regime begins when a target that has jumped is as any other
-    keeps: Any = ()  # of each jump: P(it has jumped still) at the next measurement
+    keeps: Any = ()  # of each jump: P(it is settled still) at the next measurement but the one after it
     shares: Any = ()  # of each jump in those that begin
 
     @property
@@ -83,7 +83,7 @@ class Regimes(NamedTuple):
     def with_jumps(self, transition: Array, restart: Array, measured: bool) -> Array:
         """A transition (B,B) with jumps and settled targets, (R,R): nothing becomes one of these by itself."""
         count, settled = len(transition), len(self.settled)
-        keeps = [*self.keeps, *[self.keeps[-1]] * settled] if self.jumps else []
+        keeps = [*[1.0] * len(self.jumps), *[self.keeps[-1]] * settled] if self.jumps else []
         all_of_them = np.zeros((count + len(keeps),) * 2)
         all_of_them[:count, :count] = transition
         for i, keep in enumerate(keeps if measured else [1.0] * len(keeps), count):
@@ -222,7 +222,7 @@ def widening(prediction: Belief, z: Array, model: Model, k: int) -> float:
 
 def jumped(
     mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array, model: Model, k: int,
-    outlying: OutlierModes, transition: Array,
+    outlying: OutlierModes, transition: Array, begins: bool,
 ) -> tuple[Beliefs, Array, dict[tuple[int, int], tuple[Array, Array]], list[float]]:  # fmt: skip
     """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) logs of how rare they are.
 
@@ -263,7 +263,8 @@ def jumped(
             factors[q, r] = widen, (level * Q + offset) * np.outer(widen, widen)
             after[q, r] = mean, (P + offset) * np.outer(widen, widen)
             if rarer > 0:
-                free, burst = min(len(m.e), position.stop), longest_burst(regimes, m.e, R)
+                free = min(len(m.e), position.stop)
+                burst = PRIOR_BURST if begins else longest_burst(regimes, m.e, R)
                 own = free / 2 * (math.log(1 + size * seen / free) - 1 - usual)
                 left = given(after[q, r][1], stated, place / seen, burst, position.stop, at(regimes.steps, k))
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
@@ -678,16 +679,17 @@ def step(
     mixed, shares = interacted(c.beliefs, log_pairs, beliefs)
     predictions = predicted(mixed, motions, regimes, k)
     over = q.over(seconds)
-    after_jumps, rarity, factors, costs = jumped(mixed, motions, regimes, position, z, model, k, q, over)
+    begins = c.count < -math.log2(0.7)
+    after_jumps, rarity, factors, costs = jumped(mixed, motions, regimes, position, z, model, k, q, over, begins)
     predictions |= after_jumps
     moved = paths(mixed, predictions, regimes, factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(beliefs))] for q in MODES])
     jumps = regimes.jumping
-    if jumps and not nothing:  # as likely as all regimes together, but for how rare they are
-        chance[:, jumps] = [[log_sum(row)] * len(jumps) for row in chance] + np.log(regimes.shares)
+    if jumps and not nothing:  # as likely as all regimes together that are not settled, but for how rare they are
+        chance[:, jumps] = [[log_sum(row[: jumps.start])] * len(jumps) for row in chance] + np.log(regimes.shares)
     chance[:, len(regimes.levels) : jumps.stop] += rarity
     wider, rare, begun = c.wider, [0.0, 0.0], 0.0
-    if c.count < -math.log2(0.7) and not nothing:
+    if begins and not nothing:
         wider = widening(predictions[1, 0], z, model, k)
         predictions |= {
             key: (mean, P * np.outer(*[np.where(np.arange(len(mean)) < 2 * position.stop, wider**0.5, 1.0)] * 2))

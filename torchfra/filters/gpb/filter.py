@@ -29,7 +29,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import LARGEST_FACTOR, Regimes, Surprise, Switching
+from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
@@ -60,9 +60,8 @@ PRIOR_MARGIN = 4.0
 FIRST, THIRD = 0.7, 0.2
 """Values of ``doubt`` above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8,
 so that no rounding of a mean over hypotheses decides."""
-PRIOR_BURST, PRIOR_SOONER = 2.0, 0.8
-"""How many outliers in a row at the beginning are taken for outliers, with one more the prior is off; and by how many
-it is likelier then, as ``regimes.SOONER``."""
+PRIOR_SOONER = 0.8
+"""By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``."""
 PRIOR_STEEP = 3.0
 """Power of the widening by which a prior that is off is rarer at most: nothing jumps where it begins to be off."""
 
@@ -304,14 +303,15 @@ class GPB(Filter[GPBState]):
         compared = self.compare(read(agile, frame), frame)
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
-        nis = torch.where(frame.dt == 0, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
+        first = doubt > FIRST
+        nis = torch.where((frame.dt == 0) & ~first, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
         jumps = self.regimes.jump_roots(agile, nis, self.motion)
-        jumped = self.regimes.jumped(propagated, agile, compared, nis, jumps, frame, self.motion)
+        jumped = self.regimes.jumped(propagated, agile, compared, nis, jumps, frame, self.motion, first)
         cost, least = self.outliers_of(frame.sensor).cost(
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
-        first = self.outliers.first_rarer(frame.measured, relaxation)
-        rarity = self.regimes.rarity(cost, cost - least, first, jumped)
+        rarer = self.outliers.first_rarer(frame.measured, relaxation)
+        rarity = self.regimes.rarity(cost, cost - least, rarer, jumped)
         surprise = Surprise(nis, rarity, cost)
         mean, root = self.regimes.predictions(propagated, nis, jumps)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)

@@ -29,6 +29,8 @@ LARGEST_FACTOR = 1e10
 SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
+PRIOR_BURST = 2.0
+"""How many equal outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
 NEAR, FAR = 50.0, 400.0
 """Standard deviations of the noise up to which ``burst`` says how long outliers stay where they are, and from which on
 ``far_burst`` does; between them a number between them, by the log."""
@@ -247,13 +249,13 @@ class Regimes(Part):
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)`` but for jumps, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1) / self._sharing(like)
-        odds = torch.where(self._has_jumped(like), 0.0, odds)
+        odds = torch.where(self._among(self.landed, like), 0.0, odds)
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
-    def _has_jumped(self, like: Tensor) -> Tensor:
-        """Whether a regime is a jump or of a settled target, ``(R, ...)`` bool, for ``like (R, ...)``."""
-        landed = torch.tensor([r in self.landed for r in range(len(self.each))], dtype=torch.bool, device=like.device)
-        return landed.reshape(-1, *(1,) * (like.dim() - 1))
+    def _among(self, some: range, like: Tensor) -> Tensor:
+        """Whether a regime is one of some, ``(R, ...)`` bool, for ``like (R, ...)``."""
+        chosen = torch.tensor([r in some for r in range(len(self.each))], dtype=torch.bool, device=like.device)
+        return chosen.reshape(-1, *(1,) * (like.dim() - 1))
 
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
@@ -354,7 +356,8 @@ class Regimes(Part):
 
         Returns:
             ``(R, ...)`` probability that a regime goes on, and ``(R now, R was, ...)`` that it ends and this one
-            begins.  A jump goes on as a settled target.
+            begins.  A jump goes on as a settled target, whatever comes next: else it would be mixed into the beliefs of
+            other regimes before a measurement has confirmed it.
         """
         if self.durations is None:
             stay, restart = self.discrete(like, dt, measured)
@@ -368,9 +371,10 @@ class Regimes(Part):
             if self.durations is None
             else self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
         )
-        keeps, jumped = torch.where(measured, keeps, 1.0), self._has_jumped(like)
+        landed, settled = (self._among(x, like) for x in (self.landed, self.landed[self.jump_count :]))
+        keeps = torch.where(measured & settled, keeps, 1.0)
         begins = self.restart_distribution(like).unsqueeze(1) * (1 - keeps)
-        return torch.where(jumped, keeps, stay), torch.where(jumped, begins, ended)
+        return torch.where(landed, keeps, stay), torch.where(landed, begins, ended)
 
     def _settled(self, x: Tensor, axis: int) -> Tensor:
         """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
@@ -384,7 +388,7 @@ class Regimes(Part):
 
     def jumped(
         self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, roots: Tensor, frame: Frame,
-        motion: Motion,
+        motion: Motion, first: Tensor,
     ) -> Jumped:  # fmt: skip
         """What a jump costs by itself, in the step in which it comes and after it.
 
@@ -396,6 +400,7 @@ class Regimes(Part):
             roots: from ``jump_roots``.
             frame: of the step.
             motion: as in ``widths``.
+            first: ``(...)`` whether the measurement is the first, and a jump a prior that is off.
         """
         stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]).square().sum(-1)
         place, before = (x[..., motion.position].sum(-1) for x in (agile.scale_tril.square().sum(-1), stated))
@@ -405,7 +410,7 @@ class Regimes(Part):
             return Jumped(expected, *[torch.zeros_like(seen)] * 3)
         # The diagonal of a root: what a component varies by where those before it are known, as after a measurement.
         variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
-        longest = self.longest_burst(compared.residual)
+        longest = torch.where(first, PRIOR_BURST, self.longest_burst(compared.residual))
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
         for order, part in enumerate(_derivatives(motion), 1):
             if part:  # of all its components together, whatever the axes
@@ -456,8 +461,8 @@ class Regimes(Part):
 
         Their covariances scale with the innovation, so they would explain one of any size equally well.  The weight of
         a manoeuvre falls as ``1 / nis^2`` beyond its limit.  A jump may come with any measurement, whatever the time
-        since the last one, as outliers may: its weight is that of all regimes, times its ``rarity``, and its share of
-        the jumps that begin.
+        since the last one, as outliers may: its weight is that of all regimes but of settled targets, times its
+        ``rarity``, and its share of the jumps that begin.
 
         Args:
             log_weight: of the regimes by the Markov chain alone.
@@ -472,7 +477,8 @@ class Regimes(Part):
             self.landed.start : self.landed.start + self.jump_count
         ]
         share = safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
-        jumps = log_sum(log_weight, MOTION).unsqueeze(MOTION) + share + surprise.rarity
+        unsettled = log_weight.narrow(MOTION, 0, self.landed.start)
+        jumps = log_sum(unsettled, MOTION).unsqueeze(MOTION) + share + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, -torch.inf, jumps)  # none without a measurement
         return torch.cat([before, jumps, settled], MOTION)
 
