@@ -704,7 +704,11 @@ def step(
         begun = min(0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1]), 3 * np.log(c.wider))
     every = hypotheses(predictions, moved, chance, c, over, z, model, q, jumps.stop - 1, k)
     gains = {(0, 0): begun, (1, 0): 0.0, (0, 1): -rare[0], (1, 1): -rare[1]}
-    every = [h._replace(log_weight=h.log_weight + gains[h.now, h.before]) for h in every]
+    settled = [r for r, belief in enumerate(beliefs) if jumps and belief == regimes.landed]
+    every = [
+        h._replace(log_weight=h.log_weight + min(gains[h.now, h.before], 0.0 if h.regime in settled else math.inf))
+        for h in every
+    ]
     log_likelihood, (mean, P) = merged(every)
     every = [h._replace(log_weight=h.log_weight - log_likelihood) for h in every]
     after = {key: merged([h for h in every if (h.now, beliefs[h.regime]) == key])[1] for key in c.beliefs}

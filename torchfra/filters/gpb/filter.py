@@ -209,7 +209,7 @@ class GPB(Filter[GPBState]):
         )  # (3)
         log_mode, blocks_outlying = self.outliers_of(frame.sensor).predict(state.outlier, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
-        modes = log_mode + rarity, blocks_outlying
+        modes = log_mode + regimes.given_back(rarity), blocks_outlying
         change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
         updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
         posterior = updated.posterior()  # (5)

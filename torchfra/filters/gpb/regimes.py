@@ -456,6 +456,13 @@ class Regimes(Part):
         rarity = torch.where(cost > 0, beyond.clamp(0.0, 1.0) * given - cost * burst, 0.0)
         return torch.where(held, rarity, -torch.inf)
 
+    def given_back(self, rarity: Tensor) -> Tensor:
+        """Logs ``(2, R, 2, ...)`` of factors ``(2, 1, 2, ...)`` by ``GPB.outlying_rarity``, for each regime.
+
+        What a prior that is off is given back, a settled target is not: a jump has been given it before.
+        """
+        return torch.where(self._among(self.landed, rarity[0]), rarity.clamp_max(0.0), rarity)
+
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
 

@@ -104,6 +104,6 @@ def _prior(f: Any, past: GPBPast, after: GPBPast, surprise: Surprise, dt: Tensor
         same_offset = after.log_same_offset.movedim(-1, 0)
         none = torch.zeros_like(same_offset)
         log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, same_offset], 1)])
-    log_mode = log_mode + after.rarity.movedim((-2, -1), (0, 1)).unsqueeze(1)
+    log_mode = log_mode + f.regimes.given_back(after.rarity.movedim((-2, -1), (0, 1)).unsqueeze(1))
     pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), surprise)
     return pairs
