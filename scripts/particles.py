@@ -26,6 +26,7 @@ from torch import Tensor
 from torchfra import metrics, presets, scenarios
 from torchfra.cli import command
 from torchfra.filters import GPB
+from torchfra.filters.gpb.filter import read
 from torchfra.gaussian.inputs import Frame, Measurements, make_frames
 from torchfra.gaussian.update import correct, density, down_weight, innovation
 from torchfra.linalg.triangular import apply
@@ -92,7 +93,7 @@ def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generat
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     widest = len(f.regimes.each) - 1 - f.regimes.settled  # the last jump
     compare = f.comparison(Gaussian(*(x[widest : widest + 1] for x in predicted)), frame)
-    whitened = compare(f.read(predicted), f.outliers.blocks[0])  # of (R, N)
+    whitened = compare(read(predicted, frame), f.outliers.blocks[0])  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)
     sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])[:, None, None].expand(-1, *whitened.residual.shape[:-1])
     sizes = f.outliers.adapted(sizes, whitened.residual, 1 - frame.measured).square()  # (C, R, N)

@@ -268,6 +268,8 @@ def jumped(
                 own = free / 2 * (math.log(1 + size * seen / free) - 1 - usual)
                 left = given(after[q, r][1], stated, place / seen, burst, position.stop, at(regimes.steps, k))
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
+                if begins:  # so little is given before that two outliers are likelier
+                    beyond, left = 1.0, min(left, 0.3 * rarer)
                 rare = min(beyond, 1.0) * (own - rarer + left - first) - (burst - 0.7) * rarer
         manoeuvre = -2 * math.log(max(nis / 30.0, 1.0))
         rarity.append([manoeuvre] * len(regimes.manoeuvres) + [rare] * len(regimes.jumps))
