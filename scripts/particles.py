@@ -66,8 +66,8 @@ def particle_filter(f: GPB, z: Tensor, prior: Gaussian, u: Tensor | None, count:
     rng = torch.Generator().manual_seed(seed)
     frames, _ = make_frames(Measurements(z, dt, u), f.motion, f.sensor, 0)
     particles, means = first(f, prior, count, rng), []
-    for frame in frames:
-        mean, particles = step(f, particles, frame, count, rng)
+    for k, frame in enumerate(frames):
+        mean, particles = step(f, particles, frame, count, rng, doubt=float(k == 0))
         means.append(mean)
     return torch.stack(means)
 
@@ -83,13 +83,15 @@ def first(f: GPB, prior: Gaussian, count: int, rng: torch.Generator) -> Particle
     return Particles(Gaussian(mean.expand(2 * regimes, -1), roots), regime, torch.zeros_like(regime).bool(), weights)
 
 
-def step(f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator) -> tuple[Tensor, Particles]:
-    """The mean ``(n,)`` over all continuations, and those that are kept."""
+def step(
+    f: GPB, before: Particles, frame: Frame, count: int, rng: torch.Generator, *, doubt: float
+) -> tuple[Tensor, Particles]:
+    """The mean ``(n,)`` over all continuations, and those that are kept; ``doubt`` is 1 at the first step, then 0."""
     measured = frame.measured.sum() > 0
     beliefs = f.regimes.beliefs  # all of them are that of the particle
     mixed = Gaussian(*(x[None, None, None].expand(1, beliefs, 1, *x.shape) for x in before.belief))
-    ahead, sure = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.zeros_like(before.log_weight)
-    every, _, _ = f.predict_regimes(mixed, ahead, frame, sure, None)  # an outlying prior is inflated as is said
+    ahead, doubts = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.full_like(before.log_weight, doubt)
+    every, _, _ = f.predict_regimes(mixed, ahead, frame, doubts, None)  # an outlying prior is inflated as is said
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     widest = len(f.regimes.each) - 1 - f.regimes.settled  # the last jump
     compare = f.comparison(Gaussian(*(x[widest : widest + 1] for x in predicted)), frame)
