@@ -446,18 +446,13 @@ class Filter(Part, Generic[S]):
         (frame,), _ = self._frames(track, mean.dim() - 1)
         return forecast(self, state, frame)
 
-    @property
-    def own_sensors(self) -> tuple[Sensor, ...]:
-        """The filter's own sensor, and what that is a copy of."""
-        return (self.sensor,)
-
     def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
         """A sensor that is not the filter's own, checked; None for its own, and for None.
 
         Raises:
             ValueError: no sensor, or a filter that takes its own sensor only, with the reason.
         """
-        if sensor is None or any(sensor is own for own in self.own_sensors):
+        if sensor is None or sensor is self.sensor:
             return None
         check_models(self.motion, sensor)
         if self.one_sensor is not None:

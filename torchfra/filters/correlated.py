@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
 from torchfra.gaussian.inputs import BackwardStep, Frame, Time
@@ -52,7 +53,7 @@ class WithCorrelatedErrorsPast(NamedTuple):
     past: Any
 
 
-class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
+class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
     """A filter whose sensor has time-correlated errors: only the state of ``inner`` holds them.
 
     Priors, estimates and beliefs in ``info`` have the components of the target alone; errors start from their
@@ -69,8 +70,8 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
     keeps_past = True
 
     def __init__(self, inner: Filter, sensor: Sensor) -> None:
-        super().__init__()
-        self.inner, self._original = inner, (sensor,)  # in a tuple it is no part
+        super().__init__(inner, sensor)
+        self.zero_dt = inner.zero_dt
 
     # ------------------------------------------------------------ the models
 
@@ -88,25 +89,11 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         return self.inner.sensor.unbiased  # type: ignore[return-value]  # it is Biased
 
     @property
-    def own_sensors(self) -> tuple[Sensor, ...]:
-        """The sensor with its errors, and without them."""
-        return (self.sensor, *self._original)
-
-    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
-        """A sensor that is neither the filter's own nor that of ``inner``, which both check it: see ``Filter``."""
-        return self.inner.other_sensor(super().other_sensor(sensor))
-
-    @property
     def errors(self) -> list[GaussMarkov]:
         """The errors, behind the target in the state of ``inner``."""
         motion = self.inner.motion
         first: Any = motion[0] if isinstance(motion, Bank) else motion
         return list(first.parts)[1:]
-
-    @property
-    def zero_dt(self) -> bool:  # type: ignore[override]
-        """Whether ``dt`` may be 0 in ``inner``."""
-        return self.inner.zero_dt
 
     def of_target(self, trees: Any) -> Any:
         """Trees whose beliefs have the target's components alone: the leading block of a lower root is their root."""
@@ -126,10 +113,6 @@ class WithCorrelatedErrors(Filter[WithCorrelatedErrorsState]):
         mean = torch.cat([belief.mean, torch.zeros_like(std)], -1)
         root = block_diagonal([belief.scale_tril, torch.diag_embed(std)])
         return WithCorrelatedErrorsState(belief, self.inner.begin(Gaussian(mean, root)))
-
-    def remember(self, state: WithCorrelatedErrorsState, before: WithCorrelatedErrorsState) -> Any:
-        """A state with the memory of the state ``before`` in ``inner``."""
-        return state._replace(inner=self.inner.remember(state.inner, before.inner))
 
     def advance(self, state: WithCorrelatedErrorsState, frame: Frame) -> tuple[WithCorrelatedErrorsState, Record]:
         """One step of the inner filter."""

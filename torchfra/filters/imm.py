@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
+from torchfra.filters.around import Around
 from torchfra.filters.base import Filter, Mix
 from torchfra.filters.interaction import (
     cycle,
@@ -30,7 +31,6 @@ from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.numbers import as_numbers
-from torchfra.sensors.base import Sensor
 from torchfra.steps.records import Record, Smoothed
 from torchfra.types import Gaussian
 
@@ -58,7 +58,7 @@ class IMMInfo(NamedTuple):
     """``(..., T, K)`` bool: the models that run; None if all do."""
 
 
-class IMM(Filter[IMMState]):
+class IMM(Around[IMMState]):
     """Interacting multiple models over ``SRCKF``, ``FRA`` or another filter with ``mixes``, in square-root form.
 
     Args:
@@ -106,14 +106,13 @@ class IMM(Filter[IMMState]):
         self, inner: Filter, *, transition: Value | None = None, self_transition: Value | None = None,
         durations: Value | None = None, initial: Value | None = None, subset: LikelyModels | None = None,
     ) -> None:  # fmt: skip
-        super().__init__()
         # A mix has the moments of beliefs alone, for which new points are to be drawn.
         takes_mix = "mix" in inspect.signature(inner.advance).parameters and getattr(inner, "redraw", True)
         if not isinstance(inner.motion, Bank) or not takes_mix:
             received = f"{type(inner).__name__} around {type(inner.motion).__name__}"
             expected = "SRCKF or FRA around a Bank, or a filter whose advance takes a mix"
             raise ValueError(f"inner: expected {expected}, received {received}")
-        self.inner, self._original = copy.deepcopy(inner), (inner.sensor,)  # in a tuple it is no part
+        super().__init__(copy.deepcopy(inner), inner.sensor)
         for part in self.inner.children():
             if part is not self.inner.motion and part is not self.inner.sensor:
                 for hyper in hypers(part).values():
@@ -141,24 +140,6 @@ class IMM(Filter[IMMState]):
     def motion(self) -> Bank:  # type: ignore[override]
         """The bank."""
         return self.inner.motion  # type: ignore[return-value]
-
-    @property
-    def sensor(self) -> Any:  # type: ignore[override]
-        """The sensor."""
-        return self.inner.sensor
-
-    @property
-    def own_sensors(self) -> tuple[Sensor, ...]:
-        """The sensor, and the one that it is a copy of."""
-        return (self.inner.sensor, *self._original)
-
-    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
-        """A sensor that is neither the filter's own nor that of ``inner``, which both check it: see ``Filter``."""
-        return self.inner.other_sensor(super().other_sensor(sensor))
-
-    def remember(self, state: Any, before: Any) -> Any:
-        """A state whose models have the memory of those of the state ``before``."""
-        return state._replace(inner=self.inner.remember(state.inner, before.inner))
 
     def begin(self, belief: Gaussian) -> IMMState:
         """The state of a belief: the same for each model."""

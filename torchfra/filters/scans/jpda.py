@@ -17,6 +17,7 @@ from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
 from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
+from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB
 from torchfra.filters.scans.combined import combined, fade, learn_noise, update
@@ -54,7 +55,7 @@ class ScanPast(NamedTuple):
     """``(..., N)`` number of times that the covariance of a lost track has been quadrupled."""
 
 
-class JPDA(Soft, Filter[JPDAState]):
+class JPDA(Soft, Around[JPDAState]):
     """Joint probabilistic data association around a filter of one target.
 
     The update of each target is the Gaussian with the moments of its association hypotheses: that it was missed, or
@@ -120,7 +121,6 @@ class JPDA(Soft, Filter[JPDAState]):
         permutations: bool = True,
         temperature: float = 0.0,
     ) -> None:
-        super().__init__()
         check_merges(inner)
         if share_noise and (not isinstance(inner, SRCKF) or inner.noise is None):
             raise ValueError(
@@ -133,7 +133,9 @@ class JPDA(Soft, Filter[JPDAState]):
             raise ValueError(f"lost: expected a probability of 0 or more and below 1, received {lost!r}")
         if lost and not getattr(inner, "redraw", True):
             raise ValueError(f"lost: expected 0 around a filter with redraw=False, received {lost!r}")
-        self.inner, self.gate, self.clutter = copy.deepcopy((inner, gate, clutter))
+        inner, gate, clutter = copy.deepcopy((inner, gate, clutter))
+        super().__init__(inner)
+        self.gate, self.clutter = gate, clutter
         self.scanner = None
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
@@ -146,12 +148,7 @@ class JPDA(Soft, Filter[JPDAState]):
             hyper.shared_dims += 1  # all measurements share the values of their target
 
     @property
-    def motion(self) -> Any:  # type: ignore[override]
-        """The motion of the inner filter."""
-        return self.inner.motion
-
-    @property
-    def sensor(self) -> Any:  # type: ignore[override]
+    def sensor(self) -> Sensor:  # type: ignore[override]
         """What scans: the sensor of the inner filter, unless there is a ``scanner``."""
         return self.scanner or self.inner.sensor
 
