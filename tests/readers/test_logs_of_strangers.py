@@ -91,9 +91,7 @@ MOTIVE = ["Format Version,1.23,Length Units,Millimeters", ",,Type,Rigid Body", "
 
 def test_a_unit_before_the_header_is_asked_for(write):
     path = write([*MOTIVE, *(f"{i},{i / 100},{1000 * i},0,0" for i in range(300))])
-    with pytest.raises(
-        ValueError, match=r"line before the header states lengths in Millimeters: state it by units='mm'"
-    ):
+    with pytest.raises(ValueError, match=r"line beside the rows states lengths in Millimeters: state it by units='mm'"):
         read(path)
     assert read(path, units="mm")[0].position[1, 0] == 1
 
@@ -101,7 +99,7 @@ def test_a_unit_before_the_header_is_asked_for(write):
 @pytest.mark.parametrize("unit", ["ft", "foot", "yd", "miles", "nmi"])
 def test_short_names_of_units_before_the_header_count_too(write, unit):
     path = write([f"Length unit: {unit}", "Time,X,Y", *(f"{i},{i},0" for i in range(ROWS))])
-    with pytest.raises(ValueError, match=f"line before the header states lengths in {unit}"):
+    with pytest.raises(ValueError, match=f"line beside the rows states lengths in {unit}"):
         read(path)
 
 

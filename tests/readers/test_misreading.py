@@ -240,9 +240,7 @@ def test_unknown_units_of_times_are_asked_for(write, header):
 @pytest.mark.parametrize("line", ["# altitude in feet", "Height [ft]", "# all distances are given in feet"])
 def test_units_in_sentences_before_the_header_are_asked_for(write, line):
     path = write(eight(line + "\ntime,lat,lon,alt", lambda i: (i, 47 + i / 1e4, 8, 100 * i)))
-    with pytest.raises(
-        ValueError, match=r"a line before the header states lengths in (feet|ft): state it by units='ft'"
-    ):
+    with pytest.raises(ValueError, match=r"a line beside the rows states lengths in (feet|ft): state it by units='ft'"):
         read(path)
     (track,) = read(write(path.read_text().replace(",alt", ",alt (ft)")))
     assert track.position[1, 2] == pytest.approx(30.48, abs=1e-3)
@@ -344,3 +342,63 @@ def test_a_date_and_a_clock_in_cells_of_a_workbook_are_joined(tmp_path):
     book.save(tmp_path / "a.xlsx")
     (track,) = read(tmp_path / "a.xlsx")
     assert track.source.written(track.time[:2]) == ["2024-05-06 10:00:00", "2024-05-06 10:00:01"]
+
+
+# ---------------------------------------------------------------- what stands beside rows
+
+
+def rows_of(head, rows):
+    return "\n".join(",".join(map(str, row)) for row in (head.split(","), *rows)) + "\n"
+
+
+@pytest.mark.parametrize(("above", "below", "said"), [
+    ("", "# units: cm\n", "states lengths in cm: state it by units='cm'"),
+    ("# Scale: 0.01 m\n", "", "states a scale, '# Scale: 0.01 m': multiply by it, or say units='m'"),
+    ("1 unit = 0.01 m\n", "", "states a scale"),
+])  # fmt: skip
+def test_units_and_scales_in_lines_beside_the_rows_are_asked_for(write, above, below, said):
+    text = above + rows_of("t,x,y", [(i, 2 * i, 3 * i) for i in range(30)]) + below
+    with pytest.raises(ValueError, match=said):
+        read(write(text))
+    np.testing.assert_allclose(read(write(text), units="cm")[0].position[-1], [0.58, 0.87], rtol=1e-12)
+
+
+def test_degrees_that_grow_to_the_west_are_refused(write):
+    text = rows_of("time,lat,lon", [(i, 47 + i / 1e4, 8 + i / 1e4) for i in range(30)])
+    with pytest.raises(
+        ValueError, match="expected degrees that grow to the east, received '# longitude: west positive'"
+    ):
+        read(write("# longitude: west positive\n" + text))
+
+
+@pytest.mark.parametrize("of", [
+    lambda rows: {"fps": 50} | {name: [row[name] for row in rows] for name in "txy"},
+    lambda rows: {"meta": {"frame_rate": 50}, "data": rows},
+])  # fmt: skip
+def test_numbers_of_frames_beside_their_rate_are_no_seconds(write, of):
+    path = write(json.dumps(of([{"t": i, "x": 2.0 * i, "y": 3.0 * i} for i in range(30)])), "a.json")
+    with pytest.raises(ValueError, match=r"received numbers of frames: .* time_format='50fps'"):
+        read(path)
+    np.testing.assert_allclose(read(path, time_format="50fps")[0].time[-1], 29 / 50, rtol=1e-12)
+
+
+def test_rows_of_fix_quality_0_have_no_position(write):
+    rows = [(i, 47 + i / 1e4 if i % 5 else 46, 8 + i / 1e4, 4 * (i % 5 > 0)) for i in range(30)]
+    (track,) = read(write(rows_of("time,lat,lon,Fix Quality", rows)))
+    assert track.repairs == {"rows marked as invalid dropped": 6}
+    assert np.abs(track.position).max() < 1e3
+
+
+def test_an_odd_number_of_fixes_two_in_a_second_is_spread(write):
+    fixes = [f"B1000{i // 2:02}47183{i:02}N0083050{i // 10}EA00400{400 + i:05}" for i in range(59)]
+    (track,) = read(write("\n".join(["AXXX001", "HFDTE060524", *fixes]), "a.igc"))
+    np.testing.assert_allclose(np.diff(track.time), 0.5, rtol=1e-6)
+
+
+def test_platforms_of_argos_are_targets_and_degrees_beside_ecef_are_read(write):
+    rows = [
+        (1000 + i % 2, f"2024-05-06 {i // 4:02}:{15 * (i % 4):02}:00", 4e6, 47 + i / 1e4, 8 + i % 2) for i in range(60)
+    ]
+    tracks = read(write(rows_of("Platform ID No.,Loc. date,ECEF_X [m],Latitude,Longitude", rows)))
+    assert [track.name for track in tracks] == ["1000", "1001"]
+    assert all(len(track.time) == 30 and not track.repairs for track in tracks)

@@ -212,17 +212,18 @@ def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = Fals
     weeks = found(head.names, "week") if plain(name) in ("tow", "itow", "timeofweek", "sow") and not sure else []
     if weeks:
         return _text((weeks[0], name), "gps_ms" if _unit(name) == "ms" else "gps", texts)
-    if plain(name) in _FRAMES:
+    values = values_of(texts)
+    rates = [rate for column in found(head.names, "rate") for rate in texts_of(head.cells(column))[:1]]
+    counts = bool(rates and len(values)) and not (_unit(name) or _size(values) or (values % 1).any())
+    if plain(name) in _FRAMES or counts:
         raise AskError(f"column {name}: expected times, received numbers of frames: say how many a second has: ",
-                       {"time_format": "25fps"})  # fmt: skip
+                       {"time_format": f"{(rates or ['25'])[0]}fps"})  # fmt: skip
     *front, last = name_words(name) or [""]
     for other in head.names if last in ("s", "sec", "secs", "second", "seconds") and len(columns) == 1 else ():
         *before, part = name_words(other) or [""]
         if front == before and part in _PARTS_OF_SECONDS:
-            values = values_of(cells)
             dated = bool(len(values) and values[0] >= YEAR_1980)
             return _text((name, other), f"s {_PARTS_OF_SECONDS[part]}", texts, dated=dated)
-    values = values_of(texts)
     if 2 * len(values) >= len(texts) and len(columns) == 1:  # what is none is refused by its row
         return _numeric(name, values, sure)
     forms = forms_of(texts) or forms_of(texts[:1])

@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -33,6 +33,8 @@ _LENGTH = re.compile(
 """A unit of lengths besides metres, in a line before the header."""
 _OF_LENGTHS = re.compile(r"\bin\b|unit|distance|length|position|coordinate|height|altitude", re.IGNORECASE)
 """What says that a unit in such a line is that of positions."""
+_SCALE = re.compile(r"\bscale\b.*[0-9]|\b(?:1|one) (?:unit|pixel)\b.*[0-9]", re.IGNORECASE)
+_WEST = re.compile(r"\bwest\w*\b.{0,20}\bpositive|\bpositive\b.{0,20}\bwest", re.IGNORECASE)
 _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", re.IGNORECASE)
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
@@ -79,7 +81,8 @@ def csv_sheet(file: Any, options: ReadOptions | None, headers: str, max_bytes: i
         "; rows with more are read by their first fields where options name the columns, such as ", {"time": names[0]},
         f"; or the header is another line than that of {listed(names)}",
     ) if options else ()  # fmt: skip
-    parts = _parts(rows, names, longer, more, format.lines if format else "")
+    check = partial(_check_said, names=names, options=options) if options else str
+    parts = _parts(rows, names, longer, more, format.lines if format else "", lambda row: check(sign.join(row)))
     return Sheet(names, parts, tuple(said), sign != ",", format, longer=longer)
 
 
@@ -136,20 +139,8 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
             at, sign = i, one
             break
     above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
-    units = [line for line in above if _OF_LENGTHS.search(line) and _LENGTH.search(line)]
-    lengths = [name for role in ("x", "y", "z", "altitude") for name in found(names, role)]
-    if (
-        units
-        and not all(map(unit_of, lengths))
-        and not options.units
-        and not bare
-        and (unit := _LENGTH.search(units[0]))
-    ):
-        word = unit[0].lower()
-        known = {"units": LENGTHS.get(word, "nmi" if word == "nm" else "mm")}
-        other = OTHER_UNIT.fullmatch(word) and word != "nm"
-        advice = instead_of(word) if other else ("state it by ", known, ", or another unit")
-        raise AskError(f"a line before the header states lengths in {unit[0]}: ", *advice)
+    for line in above if not bare else ():
+        _check_said(line, names, options)
     if kept := [line for line in above if not _is_comment(line)]:
         said.append(f"lines before the header left out: {len(kept)}")
     rest = rows.head[sum(map(len, lines[: at + 1])) :]
@@ -169,6 +160,25 @@ def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tup
         said += more
     rows.head = _line(names, sign) + rest
     return sign, said
+
+
+def _check_said(line: str, names: list[str], options: ReadOptions) -> None:
+    """Refuses a line for people that states another unit of lengths, a scale, or degrees that grow to the west."""
+    lengths = [name for role in ("x", "y", "z", "altitude") for name in found(names, role)]
+    if options.units or all(map(unit_of, lengths)):
+        pass
+    elif (unit := _LENGTH.search(line)) and _OF_LENGTHS.search(line):
+        word = unit[0].lower()
+        known = {"units": LENGTHS.get(word, "nmi" if word == "nm" else "mm")}
+        other = OTHER_UNIT.fullmatch(word) and word != "nm"
+        advice = instead_of(word) if other else ("state it by ", known, ", or another unit")
+        raise AskError(f"a line beside the rows states lengths in {unit[0]}: ", *advice)
+    elif _SCALE.search(line) and found(names, "x"):
+        raise AskError(
+            f"a line beside the rows states a scale, {line.strip()!r}: multiply by it, or say ", {"units": "m"}
+        )
+    if _WEST.search(line) and found(names, "longitude"):
+        raise ValueError(f"expected degrees that grow to the east, received {line.strip()!r}: change their sign")
 
 
 def _beneath(
@@ -261,16 +271,25 @@ def _line(cells: list[str], sign: str) -> str:
 
 
 def _parts(
-    rows: Rows, names: list[str], longer: Counter[str] | None, more: tuple[Any, ...], lines: str
+    rows: Rows,
+    names: list[str],
+    longer: Counter[str] | None,
+    more: tuple[Any, ...],
+    lines: str,
+    check: Callable[[list[str]], Any],
 ) -> Iterator[tuple[int, Cells]]:
     """The cells part by part.
 
-    Rows with more fields are cut and counted in ``longer``, or refused with ``more`` of a message if that is None.
+    Rows with more fields are cut and counted in ``longer``, or refused with ``more`` of a message if that is None;
+    comments between them are given to ``check``.
     """
     place, width = {name: i for i, name in enumerate(names)}, len(names)
 
     def mended(row: list[str], before: int) -> list[str]:
-        if row[0].lstrip().startswith(_COMMENTS) or (lines and not row[0].startswith(lines.rstrip(","))):
+        if row[0].lstrip().startswith(_COMMENTS):
+            check(row)
+            return []
+        if lines and not row[0].startswith(lines.rstrip(",")):
             return []
         if len(row) > width and not any(row[width:]):
             return row[:width]

@@ -109,6 +109,7 @@ FORMATS = (
     Format("PX4, vehicle_local_position", "timestamp xyvalid zvalid", columns={"x": "y", "y": "x", "z": ""}, time="us"),
     Format("PX4", "timestamp timestampsample", time="us"),
     Format("Google Smartphone Decimeter Challenge", "wlspositionxecefmeters", refused=_ECEF),
+    Format("degrees beside ECEF", "xecef|ecefx latitude|lat longitude|lon"),
     Format("ECEF", "xecef|ecefx", refused=_ECEF),
     Format("VBOX", begins=r"(?s).{0,9999}^\[column names\]", header=r"^\[column names\]\s*\n", rows=r"^\[data\]\s*\n",
            sign=" ", columns={"altitude": "height", "longitude": "long"}, time="%H%M%S", degrees=(1 / 60, -1 / 60)),

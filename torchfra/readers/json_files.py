@@ -104,13 +104,13 @@ def _records(parsed: Any) -> tuple[list[dict[str, Any]], str]:
     return [named | record for record in records], name
 
 
-def _units(parsed: dict[str, Any], depth: int = 0) -> dict[str, str]:
-    """Cells with the units that objects around records, or beside them, state of all columns or of some."""
-    units = dict[str, str]()
+def _units(parsed: dict[str, Any], depth: int = 0) -> dict[str, Any]:
+    """Cells with the units that objects around records, or beside them, state of all columns or of some; or frames."""
+    units = dict[str, Any]()
     for key, value in parsed.items():
-        if plain(key) in ("unit", "units"):
-            several = {f"{one} unit": of for one, of in value.items()} if isinstance(value, dict) else {"unit": value}
-            units |= {one: of for one, of in several.items() if isinstance(of, str)}
+        if (name := plain(key).replace("units", "unit")) in ("unit", "fps", "framerate"):
+            several = {f"{one} unit": of for one, of in value.items()} if isinstance(value, dict) else {name: value}
+            units |= {one: of for one, of in several.items() if isinstance(of, str | int | float)}
         elif isinstance(value, dict) and depth < _DEEPEST:
             units |= _units(value, depth + 1)
     return units

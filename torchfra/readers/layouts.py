@@ -226,7 +226,7 @@ def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict
     likely = {"id": ids[:1], "call": [one for one in calls if one not in ids[:1]][:1]}
     likely |= {role: found(head.names, role)[:1] for role in (MARKS if word == "animal" else ())}
     likely["valid"] = [one for one in found(head.names, "valid")
-                       if any(WORDS_OF_MARKS.get(word_of(cell)) for cell in head.cells(one))]  # fmt: skip
+                       if any(WORDS_OF_MARKS.get(word, word) for word in map(word_of, head.cells(one)))]  # fmt: skip
     likely |= {role: list(roles[role]) for role in ("update", "second") if role in roles}
     return {role: columns[0] for role, columns in likely.items() if columns}
 

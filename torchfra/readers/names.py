@@ -48,7 +48,8 @@ NAMES = {
     "id": """icao24 icao hex mmsi imo id trackid track tracknumber trackno targetid target objectid object vesselid
         vessel shipid ship flightid vehicleid vehicle deviceid device droneid uavid animalid animal individualid
         individual tagid birdid bird collarid playerid player runnerid riderid personid pedestrianid agentid agent
-        userid user tripid trip busid boatid robotid trajectoryid trajid entityid uuid imei name""",
+        userid user tripid trip busid boatid robotid trajectoryid trajid entityid uuid imei platformidno platformid
+        ptt name""",
     "call": "callsign vesselname shipname name",
     "sigma": """sigma std stddev sd sigmaxy accuracy horizontalaccuracy accuracyhorizontal hacc haccuracy eph ehpe hdop
         horizontaldilutionofprecision""",
@@ -58,8 +59,9 @@ NAMES = {
     "semi_major": "argossemimajor errorsemimajoraxis semimajor smaj",
     "semi_minor": "argossemiminor errorsemiminoraxis semiminor smin",
     "orientation": "argosorientation errorellipseorientation ellipseorientation eor",
+    "rate": "fps framerate",
     "visible": "visible", "by_hand": "manuallymarkedoutlier", "by_import": "importmarkedoutlier",
-    "by_rule": "algorithmmarkedoutlier", "valid": "valid isvalid fixvalid validfix",
+    "by_rule": "algorithmmarkedoutlier", "valid": "valid isvalid fixvalid validfix fixquality gpsquality",
 }  # fmt: skip
 """By what they hold, the best first; in small letters without signs, units and such words as "gps" in front."""
 _RANKS = {role: {name: i for i, name in enumerate(names.split())} for role, names in NAMES.items()}

@@ -242,17 +242,19 @@ class _Columns:
     def _spread(self, index: NDArray[np.intp]) -> int:
         """Spreads the rows of a target within whole seconds or minutes by their order; returns how many.
 
-        So loggers that are faster than their clock is fine write them: most rows have the time of the row before, and
+        So loggers that are faster than their clock is fine write them: most moments have several rows, and
         rows of a moment are no farther apart than those of two, as rows of several targets would be.
         """
         time, steps = self.time[index], np.diff(self.time[index])
         whole_hours = (time % _HOUR == 0).all()  # such as dates whose clock is in another column
         coarse = next((one for one in _COARSE if not whole_hours and (time % one == 0).all()), 0.0)
-        if not coarse or (steps < 0).any() or (steps == 0).sum() < _OFTEN * len(time) or not (steps > 0).any():
+        if not coarse or (steps < 0).any() or not (steps > 0).any():
             return 0
         starts = np.flatnonzero(np.diff(time, prepend=-math.inf) > 0)
         counts = np.diff(starts, append=len(time))
         usual = int(np.median(counts[1:-1] if len(counts) > 2 else counts))
+        if (steps == 0).sum() < _OFTEN * len(time) and np.median(counts) < 2:
+            return 0
         place = np.stack([self.first[index], self.second[index]], 1)
         near, far = (np.median(np.linalg.norm(place[lag:] - place[:-lag], axis=1)) for lag in (1, usual))
         if near > _NEIGHBOURS * far or (np.diff(place, axis=0) == 0).all(1)[steps == 0].mean() > _OFTEN:
