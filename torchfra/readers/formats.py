@@ -166,23 +166,3 @@ def format_of(names: Iterable[str]) -> Format | None:
 def format_of_text(text: str) -> Format | None:
     """The format of a text that begins so."""
     return next((one for one in FORMATS if one.begins and re.match(one.begins, text, re.MULTILINE)), None)
-
-
-class Json(NamedTuple):
-    """Lists of numbers that are fixes, under a name."""
-
-    name: str
-    rows: str
-    columns: str
-    """Names of the first numbers."""
-    shared: str = ""
-    """Names of what all of a list have, beside it."""
-
-
-JSON = (
-    Json("state vectors of OpenSky", "states",
-         "icao24 callsign country time contact longitude latitude baroaltitude ground velocity track rate sensors "
-         "geoaltitude"),
-    Json("a flight of OpenSky", "path", "time latitude longitude baroaltitude", "icao24 callsign"),
-    Json("a trace of readsb", "trace", "second lat lon alt_baro", "icao timestamp"),
-)  # fmt: skip

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from torchfra.readers.columns import short
-from torchfra.readers.formats import JSON, Json
 from torchfra.readers.names import found, places_in, plain
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated, whole_text
 
@@ -15,6 +14,13 @@ _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
 _TIMES = ("coordTimes", "coordtimes", "times", "time", "timestamps")
 """Properties of a line with the time of each of its places."""
+_ROWS = {
+    "states": "icao24 callsign country time contact longitude latitude baroaltitude ground velocity track rate sensors "
+              "geoaltitude",
+    "path": "time latitude longitude baroaltitude",
+}  # fmt: skip
+"""Names of what the lists of numbers hold that OpenSky gives for a moment and for a flight."""
+_READSB = ("time", "hex", "callsign", "lat", "lon", "alt_baro")
 _DEEPEST = 5
 """Objects in another that are looked into."""
 
@@ -39,16 +45,21 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return _geojson_sheet(parsed)
     several = parsed if isinstance(parsed, list) else [parsed]
     objects = bool(several) and all(isinstance(one, dict) for one in several)
-    for format in JSON if objects else ():
-        if all(isinstance(one.get(format.rows), list | None) and format.rows in one for one in several):
-            rows = [row for one in several for row in one[format.rows] or ()]
-            if all(isinstance(row, list) for row in rows):
-                return _rows_sheet(several, format)
-    if objects and all(isinstance(one.get("aircraft"), list) and "now" in one for one in several):
-        fixes = [{"time": _sum(one["now"], -fix.get("seen_pos", 0)), **fix}
-                 for one in several for fix in one["aircraft"]
-                 if isinstance(fix, dict) and "lat" in fix]  # fmt: skip
-        return _of_aircraft(fixes, "lists of aircraft of readsb or dump1090")
+    for rows, columns in _ROWS.items() if objects else ():
+        if all(isinstance(one.get(rows), list | None) and rows in one for one in several) and all(
+            isinstance(row, list) for one in several for row in one[rows] or ()
+        ):
+            fixes = [
+                {"icao24": one.get("icao24"), "callsign": one.get("callsign")}
+                | dict(zip(columns.split(), row, strict=False))
+                for one in several
+                for row in one[rows] or ()
+            ]
+            return records_sheet(fixes, (f"JSON: {rows} of OpenSky",))
+    for key, of in (("trace", _of_trace), ("aircraft", _of_moment)):
+        if objects and all(isinstance(one.get(key), list) for one in several):
+            fixes = [fix for one in several for fix in of(one)]
+            return points_sheet({name: [fix[name] for fix in fixes] for name in _READSB}, (f"JSON: {key} of readsb",))
     if isinstance(parsed, dict):
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
@@ -167,37 +178,27 @@ def _holds_records(cell: Any) -> bool:
     return isinstance(cell, list) and bool(cell) and all(isinstance(one, dict) for one in cell)
 
 
-def _rows_sheet(several: list[dict[str, Any]], format: Json) -> Sheet:
-    """Fixes that are lists of numbers."""
-    names, fixes = format.columns.split(), []
-    for one in several:
-        shared = {name: one.get(name) for name in format.shared.split()}
-        for row in one[format.rows] or ():
-            if len(row) < min(len(names), 4) or (names[0] == "second" and not isinstance(row[0], int | float)):
-                raise ValueError(f"expected {', '.join(names)} in {format.rows}, received {short(row)}")
-            more = row[8] if len(row) > 8 and isinstance(row[8], dict) else {}
-            fixes.append(
-                {**shared, "callsign": more.get("flight"), **dict(zip(names, row, strict=False))}
-                if "callsign" not in shared
-                else {**shared, **dict(zip(names, row, strict=False))}
-            )
-    if "second" in names:  # after the start of a trace
-        fixes = [{"time": _sum(fix["timestamp"], fix["second"]), "hex": fix["icao"], "callsign": fix.get("callsign"),
-                  **{name: fix[name] for name in ("lat", "lon", "alt_baro")}} for fix in fixes]  # fmt: skip
-        return _of_aircraft(fixes, format.name)
-    return records_sheet(fixes, (f"JSON: {format.name}",))
-
-
-def _of_aircraft(fixes: list[dict[str, Any]], said: str) -> Sheet:
-    """Fixes of receivers, of which those on the ground have no altitude.
+def _of_trace(one: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Fixes of an aircraft, of which those on the ground have no altitude.
 
     Source: wiedehopf/readsb, README-json.md.
     """
-    columns = {name: [fix.get(key, fix.get(name)) for fix in fixes] for name, key in
-               (("time", "time"), ("hex", "hex"), ("callsign", "flight"), ("lat", "lat"), ("lon", "lon"),
-                ("alt_baro", "alt_baro"))}  # fmt: skip
-    columns["alt_baro"] = [None if height == "ground" else height for height in columns["alt_baro"]]
-    return points_sheet(columns, (said,))
+    for row in one["trace"]:
+        if not isinstance(row, list) or len(row) < 4:
+            raise ValueError(f"expected seconds, lat, lon, alt_baro in trace, received {short(row)}")
+        more = row[8] if len(row) > 8 and isinstance(row[8], dict) else {}
+        cells = _sum(one.get("timestamp"), row[0]), one.get("icao"), more.get("flight"), *row[1:4]
+        yield dict(zip(_READSB, cells, strict=True)) | {"alt_baro": None if row[3] == "ground" else row[3]}
+
+
+def _of_moment(one: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Fixes of all aircraft that are heard at a moment."""
+    for fix in one["aircraft"]:
+        if isinstance(fix, dict) and "lat" in fix:
+            height = fix.get("alt_baro")
+            yield {name: fix.get(name) for name in _READSB} | {
+                "time": _sum(one.get("now"), -fix.get("seen_pos", 0)), "callsign": fix.get("flight"),
+                "alt_baro": None if height == "ground" else height}  # fmt: skip
 
 
 def _sum(start: Any, seconds: Any) -> float:
