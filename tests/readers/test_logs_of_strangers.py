@@ -123,12 +123,10 @@ def test_columns_of_one_name_are_refused_with_what_to_do(write):
         read(write(lines))
 
 
-def test_headers_in_the_middle_of_files_that_were_joined_are_no_rows(write):
+def test_headers_in_the_middle_of_files_that_were_joined_are_refused(write):
     rows = [f"{i},{i},0" for i in range(ROWS)]
-    (track,) = read(write(["time,x, y", *rows[:20], "time,x, y", *rows[20:]]))
-    assert len(track.time) == ROWS
-    assert track.repairs == {"rows without time dropped": 1}
-    assert track.row[20] == 21
+    with pytest.raises(ValueError, match="expected a number in data row 21, column time, received 'time'"):
+        read(write(["time,x, y", *rows[:20], "time,x, y", *rows[20:]]))
 
 
 # ---------------------------------------------------------------- robots

@@ -48,7 +48,7 @@ def test_a_trace_is_a_flight_in_seconds_since_its_start_and_feet(write, name):
     assert (track.name, track.source.word, track.source.unit) == ("a1b2c3 AB1", "aircraft", 0.3048)
     np.testing.assert_allclose(np.diff(track.position[2:, 2]), 30.48, atol=0.01)
     np.testing.assert_allclose(np.diff(track.position[:, 1]), 111.2, atol=0.3)
-    assert track.source.notes[0] == "a trace of readsb"
+    assert track.source.notes[0] == "JSON: trace of readsb"
 
 
 @pytest.mark.parametrize("lines", [False, True])

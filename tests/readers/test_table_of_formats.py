@@ -56,6 +56,8 @@ FILES = {
         lambda i, a, o: f"{1000 * (START + i)},{a},{o},{1000 / 0.3048},1,2,1.0"),
     "G1000": table("Lcl Date, Lcl Time, UTCOfst, Latitude, Longitude, AltMSL (m)",
         lambda i, a, o: f"2024-06-03, 03:15:{i:02}, -05:00, {a}, {o}, 1000"),
+    "degrees beside ECEF": table("UTC_Date,UTC_Time,ECEF_X [m],ECEF_Y [m],ECEF_Z [m],Latitude [°],Longitude [°],Height [m]",
+        lambda i, a, o: f"2024-06-03,08:15:{i:02},4277000,625000,4671000,{a},{o},1000"),
     "flights": table("time,callsign,lat,lon,alt", lambda i, a, o: f"{START + i},AB1,{a},{o},{1000 / 0.3048}"),
     "DJI": table("time(ms),OSD.flyTime,OSD.latitude,OSD.longitude,OSD.height [m],altitude",
         lambda i, a, o: f"{1000 * (START + i)},{i},{a},{o},3,1000"),

@@ -32,7 +32,7 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
     """
     pyarrow = optional("pyarrow", "Parquet and Feather", "formats")
     try:
-        schema, batches = (_parquet if start[:4] == b"PAR1" else _feather)(path, max_bytes)
+        schema, batches = _batches(path, start, max_bytes)
     except (pyarrow.ArrowException, OSError) as error:
         raise damaged(error) from error
     return Sheet([field.name for field in schema if is_flat(field.type)], _parts(batches, max_bytes))
@@ -62,14 +62,19 @@ def is_flat(kind: Any) -> bool:
     return any(test(kind) for test in tests)
 
 
-def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
-    """The schema and the batches of a file.
+def _batches(path: Path, start: bytes, max_bytes: int) -> tuple[Any, Iterator[Any]]:
+    """The schema and the batches of a file; of Feather as of the stream that it is.
 
-    The sizes are those that its metadata states.  A forged page may unfold to more, up to 2 GiB, before pyarrow finds
-    that: it has no bound of its own, and only another reader of the pages could have one.
+    The sizes of Parquet are those that its metadata states.  A forged page may unfold to more, up to 2 GiB, before
+    pyarrow finds that: it has no bound of its own, and only another reader of the pages could have one.
     """
-    from pyarrow import parquet, types
+    from pyarrow import ipc, memory_map, parquet, types
 
+    if start[:4] != b"PAR1":
+        stream = memory_map(str(path))
+        stream.seek(_MAGIC)
+        reader = ipc.open_stream(stream)
+        return reader.schema, reader
     file = parquet.ParquetFile(path)
     facts, schema = file.metadata, file.schema_arrow
     groups = [facts.row_group(i) for i in range(facts.num_row_groups)]
@@ -82,35 +87,16 @@ def _parquet(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
     return schema, parquet.ParquetFile(path, read_dictionary=texts).iter_batches(_ROWS, columns=flat)
 
 
-def _feather(path: Path, max_bytes: int) -> tuple[Any, Iterator[Any]]:
-    """The schema and the batches of a file, which is read as the stream that it is, a batch at a time."""
-    from pyarrow import ipc, memory_map
-
-    file = memory_map(str(path))
-    file.seek(_MAGIC)
-    reader = ipc.open_stream(file)
-    return reader.schema, _bounded(reader, max_bytes)
-
-
-def _bounded(batches: Any, max_bytes: int) -> Iterator[Any]:
-    size = 0
-    for batch in batches:
-        size += batch.nbytes
-        if size > max_bytes:
-            raise _too_large(max_bytes)
-        yield batch
-
-
 def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]]:
     import pyarrow
 
-    rows = 0
+    rows = size = 0
     try:
         for batch in batches:
-            batch.validate(full=True)
-            rows += batch.num_rows
-            if rows * BYTES_OF_A_ROW > max_bytes:
+            rows, size = rows + batch.num_rows, size + batch.nbytes
+            if max(rows * BYTES_OF_A_ROW, size) > max_bytes:
                 raise _too_large(max_bytes)
+            batch.validate(full=True)
             yield batch.num_rows, partial(_cells, batch)
     except (pyarrow.ArrowException, OSError) as error:
         raise damaged(error) from error

@@ -110,8 +110,9 @@ class Rows:
         """The first text, up to ``LONGEST_ROW`` of it; set it to read other text instead, before the start."""
         self.start(",")
 
-    def start(self, sign: str) -> None:
-        """Begins to read rows whose cells are separated by a sign."""
+    def start(self, sign: str, first: str = "") -> None:
+        """Begins to read rows whose cells are separated by a sign, those alone whose ``first`` cell is this."""
+        self.only = first
         self.reader = csv.reader(self._lines(), strict=True, delimiter=sign, skipinitialspace=sign == " ")
 
     def _lines(self) -> Iterator[str]:
@@ -138,6 +139,8 @@ class Rows:
         cells, rows = list[str](), 0
         for row in self.reader:
             self.of_row = 0
+            if self.only and (not row or row[0] != self.only):
+                continue
             if len(row) == fields:
                 cells += row  # and no rows: Python's garbage collector would take longer than all else
             elif row:

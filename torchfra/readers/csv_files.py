@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -23,6 +23,8 @@ from torchfra.readers.sheets import Sheet, repeated
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
 """How lines begin that are for people."""
+_IN_FRONT = " \t%#/"
+"""What stands in front of a header that is a comment."""
 _ABOVE, _BENEATH = 100, 3
 """Lines before a header, and of units beneath it, that loggers write."""
 _LENGTH = re.compile(
@@ -39,13 +41,13 @@ _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", r
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
-def csv_sheet(file: Any, options: ReadOptions | None, headers: str, max_bytes: int, encoding: str) -> Sheet:
+def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int, encoding: str) -> Sheet:
     """The rows of a file.
 
     Args:
         file: open for reading.
-        options: of the caller, which may name columns by their numbers, from 1 on; None for no options.
-        headers: beginning of the error message where there is no header.
+        options: of the caller, which may name columns by their numbers, from 1 on; None of a file of ranges, whose
+            first line has the names.
         max_bytes: of text.
         encoding: of its text.
 
@@ -62,28 +64,49 @@ def csv_sheet(file: Any, options: ReadOptions | None, headers: str, max_bytes: i
         if format is not None and (format.header or format.lines):
             sign = _begin_of_format(rows, format)
         else:
-            sign, said = _begin(rows, options or ReadOptions(), headers, bare=options is None)
-        rows.start(sign)
+            sign, said = _begin(rows, options)
+        rows.start(sign, format.lines.rstrip(",") if format else "")
         names = [name.strip() for name in rows.first()]
     except csv.Error as error:
         raise _no_csv(error) from error
     if not names:
         raise ValueError("expected a track, received an empty file")
-    if len(names) == 1:
-        raise ValueError(f"{headers}; received {listed(names)}")
+    if len(names) == 1 and options is not None:
+        raise ValueError(f"expected a header with a time and x,y[,z] or lat,lon[,alt]; received {listed(names)}")
     if twice := repeated(names):
         raise ValueError(
             f"expected every column once, received several named {twice}: give each a name of its own in the header"
         )
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
-    longer = Counter[str]() if options and options.columns else None
-    more = (
-        "; rows with more are read by their first fields where options name the columns, such as ", {"time": names[0]},
-        f"; or the header is another line than that of {listed(names)}",
-    ) if options else ()  # fmt: skip
-    check = partial(_check_said, names=names, options=options) if options else str
-    parts = _parts(rows, names, longer, more, format.lines if format else "", lambda row: check(sign.join(row)))
-    return Sheet(names, parts, tuple(said), sign != ",", format, longer=longer)
+    longer = Counter[str]()
+    place, width = {name: i for i, name in enumerate(names)}, len(names)
+
+    def mended(row: list[str], before: int) -> list[str]:
+        """A row of another length: a comment, or one whose further fields are empty or not asked for."""
+        if row[0].lstrip().startswith(_COMMENTS):
+            if options is not None:
+                _check_said(sign.join(row), names, options)
+            return []
+        if format is not None and format.lines:
+            return (row + [""] * width)[:width] if len(row) >= width / 2 else []
+        if len(row) > width and any(row[width:]) and options is not None and options.columns:
+            longer["rows with more fields than the header read by their first fields"] += 1
+        elif len(row) < width or any(row[width:]):
+            more = (
+                "; rows with more are read by their first fields where options name the columns, such as ",
+                {"time": names[0]}, f"; or the header is another line than that of {listed(names)}",
+            ) if options is not None else ()  # fmt: skip
+            raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}", *more)
+        return row[:width]
+
+    def parts() -> Iterator[tuple[int, Cells]]:
+        try:
+            for cells in rows.parts(width, mended):
+                yield len(cells) // width, partial(_cells, cells, place, width)
+        except csv.Error as error:
+            raise _no_csv(error) from error
+
+    return Sheet(names, parts(), tuple(said), sign != ",", format, longer=longer)
 
 
 def _begin_of_format(rows: Rows, format: Format) -> str:
@@ -106,60 +129,48 @@ def _begin_of_format(rows: Rows, format: Format) -> str:
     return format.sign or ","
 
 
-def _begin(rows: Rows, options: ReadOptions, headers: str, *, bare: bool) -> tuple[str, list[str]]:
+def _begin(rows: Rows, options: ReadOptions | None) -> tuple[str, list[str]]:
     """Leaves out what stands before the header, and units beneath it; numbers the columns where there is no header.
-
-    Args:
-        rows: of the file.
-        options: of the caller.
-        headers: beginning of the error message where there is no header.
-        bare: whether there are no options, and names are not those of tracks.
 
     Returns:
         What separates cells, and what is said.
     """
     lines, said = [*islice(io.StringIO(rows.head, newline=""), _ABOVE + _BENEATH + 2)], list[str]()
-    fixed = [options.sign] if options.sign else []
-    first = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
-    signs = fixed or _likely(lines[first] if first < len(lines) else "")
-    at, sign = first, signs[0]
-    for i, line in enumerate(lines[: _ABOVE + 1]):
-        if bare and i > first:
-            break
-        one = next(
-            (one for one in fixed or _likely(line) if bare or _is_header(_split(line.lstrip(" \t%#/"), one), options)),
-            "",
-        )
-        cells = _split(line.lstrip(" \t%#/"), one) if one else []
-        following = _split(next((other for other in lines[i + 1 :] if not _is_comment(other)), ""), one or ",")
-        fits = not _is_comment(line) or (
-            len(following) in (len(cells), len(cells) + 1) and (_is_row(following) or not bare)
-        )
-        if one and fits and (places_in(cells) or not _is_row(cells)):
-            at, sign = i, one
-            break
-    above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
-    for line in above if not bare else ():
-        _check_said(line, names, options)
+    at = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
+    fixed = [options.sign] if options is not None and options.sign else []
+    sign = (fixed or _likely("".join(lines[at : at + 1])))[0]
+    at, sign = next(_headers(lines, at if options is None else _ABOVE, options), (at, sign))
+    above, names = lines[:at], _split(lines[at].lstrip(_IN_FRONT), sign) if at < len(lines) else []
     if kept := [line for line in above if not _is_comment(line)]:
         said.append(f"lines before the header left out: {len(kept)}")
     rest = rows.head[sum(map(len, lines[: at + 1])) :]
     if at == len(lines) - 1 and len(rows.head) >= LONGEST_ROW and not lines[at].endswith("\n"):
         raise ValueError(f"expected rows of at most {LONGEST_ROW} characters, received a longer one")
-    if len(names) > 1 and _is_row(names) and not places_in(names):
+    if options is not None and len(names) > 1 and _is_row(names) and not places_in(names):
         rest, names = "".join(lines[at : at + 1]) + rest, [str(i + 1) for i in range(len(names))]
-        if not bare and not options.columns:
+        if not options.columns:
             several = [_split(line, sign) for line in lines[at : at + _ABOVE]]
             full = [row for row in several if len(row) == len(names)]
             raise unclear(Head(names, lambda name: [row[int(name) - 1] for row in full]), "a header", {})
-        if bare:
-            raise ValueError(f"{headers}; received {listed(_split(lines[at], sign))}")
         said.append("no header: columns by their numbers")
-    elif not bare:
+    elif options is not None:
+        for line in above:
+            _check_said(line, names, options)
         rest, names, more = _beneath(rest, lines[at + 1 :], names, sign, options, above)
         said += more
     rows.head = _line(names, sign) + rest
     return sign, said
+
+
+def _headers(lines: list[str], last: int, options: ReadOptions | None) -> Iterator[tuple[int, str]]:
+    """Which lines up to the last may be the header, and what separates its cells; a comment may be above as many."""
+    for i, line in enumerate(lines[: last + 1]):
+        below = next((other for other in lines[i + 1 :] if not _is_comment(other)), "")
+        for sign in [options.sign] if options is not None and options.sign else _likely(line):
+            cells = _split(line.lstrip(_IN_FRONT), sign)
+            fits = not _is_comment(line) or len(_split(below, sign)) - len(cells) in (0, 1)
+            if fits and _is_header(cells, options) and (places_in(cells) or not _is_row(cells)):
+                yield i, sign
 
 
 def _check_said(line: str, names: list[str], options: ReadOptions) -> None:
@@ -225,12 +236,12 @@ def _is_unit(cell: str, name: str, beneath: bool) -> bool:
     )
 
 
-def _is_header(names: list[str], options: ReadOptions) -> bool:
-    """Whether a line names places, or the columns that are asked for, or those of a format."""
+def _is_header(names: list[str], options: ReadOptions | None) -> bool:
+    """Whether a line names places, or the columns that are asked for, or those of a format; of ranges, anything."""
+    if len(names) < 2 or options is None:
+        return len(names) > 1
     asked = {name for several in options.columns.values() for name in several if not name.isdigit()}
     full = [*filter(None, names)]
-    if len(names) < 2:
-        return False
     return asked <= {*names} if asked else bool(places_in(names) or format_of(names)) or (
         bool(found(names, "time")) and not any(map(_is_number, full)) and len({*full}) == len(full) > 2)  # fmt: skip
 
@@ -268,54 +279,6 @@ def _line(cells: list[str], sign: str) -> str:
     text = io.StringIO(newline="")
     csv.writer(text, delimiter=sign).writerow(cells)
     return text.getvalue()
-
-
-def _parts(
-    rows: Rows,
-    names: list[str],
-    longer: Counter[str] | None,
-    more: tuple[Any, ...],
-    lines: str,
-    check: Callable[[list[str]], Any],
-) -> Iterator[tuple[int, Cells]]:
-    """The cells part by part.
-
-    Rows with more fields are cut and counted in ``longer``, or refused with ``more`` of a message if that is None;
-    comments between them are given to ``check``.
-    """
-    place, width = {name: i for i, name in enumerate(names)}, len(names)
-
-    def mended(row: list[str], before: int) -> list[str]:
-        if row[0].lstrip().startswith(_COMMENTS):
-            check(row)
-            return []
-        if lines and not row[0].startswith(lines.rstrip(",")):
-            return []
-        if len(row) > width and not any(row[width:]):
-            return row[:width]
-        if lines:
-            return (row + [""] * width)[:width] if len(row) >= width / 2 else []
-        if longer is None or len(row) < width:
-            raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}", *more)
-        longer["rows with more fields than the header read by their first fields"] += 1
-        return row[:width]
-
-    try:
-        for cells in rows.parts(width, mended):
-            for row, cell in enumerate(cells[::width]):  # the header again, as of files that were joined to one
-                if (
-                    cell.strip() == names[0]
-                    and [one.strip() for one in cells[row * width : (row + 1) * width]] == names
-                ):
-                    cells[row * width : (row + 1) * width] = [""] * width
-            if lines:
-                first = lines.rstrip(",")
-                cells = [
-                    cell for at in range(0, len(cells), width) if cells[at] == first for cell in cells[at : at + width]
-                ]
-            yield len(cells) // width, partial(_cells, cells, place, width)
-    except csv.Error as error:
-        raise _no_csv(error) from error
 
 
 def _no_csv(error: csv.Error) -> ValueError:

@@ -45,21 +45,19 @@ def json_sheet(file: Any, max_bytes: int) -> Sheet:
         return _geojson_sheet(parsed)
     several = parsed if isinstance(parsed, list) else [parsed]
     objects = bool(several) and all(isinstance(one, dict) for one in several)
-    for rows, columns in _ROWS.items() if objects else ():
-        if all(isinstance(one.get(rows), list | None) and rows in one for one in several) and all(
-            isinstance(row, list) for one in several for row in one[rows] or ()
-        ):
+    for rows, names in _ROWS.items() if objects else ():
+        lists_of = [one.get(rows) or () if rows in one else None for one in several]
+        if all(isinstance(of, list | tuple) and all(isinstance(row, list) for row in of) for of in lists_of):
             fixes = [
-                {"icao24": one.get("icao24"), "callsign": one.get("callsign")}
-                | dict(zip(columns.split(), row, strict=False))
+                {key: one.get(key) for key in ("icao24", "callsign")} | dict(zip(names.split(), row, strict=False))
                 for one in several
                 for row in one[rows] or ()
             ]
             return records_sheet(fixes, (f"JSON: {rows} of OpenSky",))
-    for key, of in (("trace", _of_trace), ("aircraft", _of_moment)):
+    for key, fixes_of in (("trace", _of_trace), ("aircraft", _of_moment)):
         if objects and all(isinstance(one.get(key), list) for one in several):
-            fixes = [fix for one in several for fix in of(one)]
-            return points_sheet({name: [fix[name] for fix in fixes] for name in _READSB}, (f"JSON: {key} of readsb",))
+            heard = [fix for one in several for fix in fixes_of(one)]
+            return points_sheet({name: [fix[name] for fix in heard] for name in _READSB}, (f"JSON: {key} of readsb",))
     if isinstance(parsed, dict):
         lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
         flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
@@ -184,8 +182,8 @@ def _of_trace(one: dict[str, Any]) -> Iterator[dict[str, Any]]:
     Source: wiedehopf/readsb, README-json.md.
     """
     for row in one["trace"]:
-        if not isinstance(row, list) or len(row) < 4:
-            raise ValueError(f"expected seconds, lat, lon, alt_baro in trace, received {short(row)}")
+        if not isinstance(row, list) or len(row) < 4 or not isinstance(row[0], int | float):
+            raise ValueError(f"expected second, lat, lon, alt_baro in trace, received {short(row)}")
         more = row[8] if len(row) > 8 and isinstance(row[8], dict) else {}
         cells = _sum(one.get("timestamp"), row[0]), one.get("icao"), more.get("flight"), *row[1:4]
         yield dict(zip(_READSB, cells, strict=True)) | {"alt_baro": None if row[3] == "ground" else row[3]}

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.readers.bounded import MAX_BYTES
-from torchfra.readers.columns import Array, Head, Kind, grouped
+from torchfra.readers.columns import DECIMAL, Array, Head, Kind, grouped
 from torchfra.readers.options import listed
 from torchfra.readers.ranges import RangeRecording
 from torchfra.readers.recording import Recording
@@ -130,7 +130,7 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
         try:
             _kind_of(head.names)
         except ValueError as error:
-            if any_kind:
+            if any_kind and not all(map(DECIMAL.fullmatch, head.names)):
                 raise _OtherKindError from error
             raise
         kinds = {"time": _TIME, "anchor": None}
@@ -138,7 +138,7 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
 
     with naming(path):
         try:
-            table = read_table(path, choose, headers=_HEADERS, max_bytes=max_bytes)
+            table = read_table(path, choose, max_bytes=max_bytes)
             kind = _kind_of(table.names)
         except _OtherKindError:
             found.repairs["files of another kind left out"] += 1

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from torchfra.readers.arrow_files import arrow_sheet, is_arrow
-from torchfra.readers.binary_files import fit_sheet, is_workbook, npy_sheet, workbook_text
+from torchfra.readers.binary_files import fit_sheet, is_workbook, workbook_text
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
 from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import csv_sheet
@@ -31,13 +31,12 @@ from torchfra.readers.xml_files import xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
 """The columns to read by their names, and the kind of their numbers; None for text."""
-HEADERS = "expected a header with a time and x,y[,z] or lat,lon[,alt]"
-"""The beginning of an error message."""
 _UTF_8, _OTHERWISE = "utf-8-sig", "cp1252"
 _NO_TEXT = bytes(range(7))
 """Signs that only machines read."""
 _OTHER_FILE = (
-    "expected text in UTF-8 or a format that is read, received another file: unpack it, or export its table as CSV"
+    "expected text in UTF-8 or a format that is read, received another file: unpack it, export its table as CSV, or "
+    "hand its arrays to torchfra.clean as (time, position)"
 )
 
 
@@ -63,7 +62,6 @@ def read_table(
     path: Path,
     choose: Callable[[Head], Wanted],
     *,
-    headers: str = HEADERS,
     max_bytes: int = MAX_BYTES,
     options: ReadOptions | None = None,
 ) -> Table:
@@ -72,7 +70,6 @@ def read_table(
     Args:
         path: the file.
         choose: which columns to read; it may raise a ``ValueError``.
-        headers: beginning of the error message where there is no header.
         max_bytes: of text; a row counts for 64 bytes or more, a name for 4096, a byte of JSON for 24 and of XML for 32.
         options: how cells are written.
 
@@ -92,8 +89,6 @@ def read_table(
             return json_sheet(file, max_bytes)
         if is_arrow(start):
             return arrow_sheet(path, start, max_bytes)
-        if start.startswith(b"\x93NUMPY"):
-            return npy_sheet(file, options, max_bytes)
         if start[8:12] == b".FIT":
             return fit_sheet(file)
         if is_workbook(start, suffix):
@@ -104,7 +99,7 @@ def read_table(
             return nmea_sheet(file, max_bytes)
         elif {*start[:16]} & {*_NO_TEXT} and start[:1] not in b"\xff\xfe":
             raise ValueError(_OTHER_FILE)
-        return csv_sheet(file, options, headers, max_bytes, encoding)
+        return csv_sheet(file, options, max_bytes, encoding)
 
     def read(encoding: str) -> Table:
         with open_bounded(path, max_bytes) as file:

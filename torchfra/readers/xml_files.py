@@ -9,7 +9,6 @@ import re
 from collections import Counter
 from typing import Any
 from xml.etree import ElementTree
-from xml.parsers import expat
 
 from torchfra.readers.columns import DECIMAL, short
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, whole_text
@@ -34,19 +33,37 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
         ImportError: gpxpy is needed and not installed.
     """
     text = re.sub(r"^\s*<\?xml[^>]*\?>", "", whole_text(file, max_bytes, "XML"))
-    root = _checked_root(text)
-    if root == "gpx":
-        return _gpx_sheet(text)
     try:
-        tree = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
+        tree = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Tree()))
+    except (ElementTree.ParseError, UnicodeError) as error:
         raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
-    if root == "kml":
+    if _tag(tree) == "gpx":
+        return _gpx_sheet(text)
+    if _tag(tree) == "kml":
         return _kml_sheet(tree)
-    if root == "TrainingCenterDatabase":
+    if _tag(tree) == "TrainingCenterDatabase":
         return _tcx_sheet(tree)
     raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
                      "time,lat,lon, as xml2csv.py of SUMO does")  # fmt: skip
+
+
+class _Tree(ElementTree.TreeBuilder):
+    """Elements without entities, of which none is nested deeper than in any file."""
+
+    depth = 0
+
+    def doctype(self, *_: object) -> None:
+        raise ValueError("expected GPX, KML or TCX without <!DOCTYPE>, received one that has it")
+
+    def start(self, *of: Any) -> ElementTree.Element:
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise ValueError(f"expected elements within at most {_DEEPEST} others, received more")
+        return super().start(*of)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        self.depth -= 1
+        return super().end(tag)
 
 
 def _tcx_sheet(root: ElementTree.Element) -> Sheet:
@@ -59,33 +76,6 @@ def _tcx_sheet(root: ElementTree.Element) -> Sheet:
             cells = ((names.get(_tag(part), _tag(part)), (part.text or "").strip()) for part in point.iter())
             records.append(label | {name: text for name, text in cells if text})
     return records_sheet(records, ("XML: TrainingCenterDatabase, Trackpoint",))
-
-
-def _checked_root(text: str) -> str:
-    """The name of the outermost element; refuses other text, entities, and what is nested deeper than any file."""
-    parser, depth, root = expat.ParserCreate(), 0, list[str]()
-
-    def begin(name: str, _: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth == 1:
-            root.append(name.rpartition(":")[2])
-        if depth > _DEEPEST:
-            raise ValueError(f"expected elements within at most {_DEEPEST} others, received more")
-
-    def end(_: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def refuse(*_: object) -> None:
-        raise ValueError("expected GPX, KML or TCX without <!DOCTYPE>, received one that has it")
-
-    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = begin, end, refuse
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
-    return root[0]
 
 
 def _gpx_sheet(text: str) -> Sheet:
