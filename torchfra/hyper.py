@@ -25,6 +25,7 @@ _HALF_OPEN = type(constraints.half_open_interval(0.0, 1.0))
 Value = float | Tensor
 Values = Value | Sequence[float] | Sequence[Sequence[float]]
 M = TypeVar("M", bound=nn.Module)
+T = TypeVar("T")  # a state
 F = TypeVar("F", bound=Callable[..., Any])
 _known: ContextVar[dict[Any, Any] | None] = ContextVar("known", default=None)
 
@@ -346,22 +347,22 @@ def out_of_range(module: nn.Module) -> Tensor | None:
     return bad if traced or bool(bad.any()) else None
 
 
-def spoilt(f: nn.Module, state: Any, sensor: nn.Module | None = None) -> Any:
+def spoilt(f: nn.Module, state: T, sensor: nn.Module | None = None) -> T:
     """The state, whose means are NaN for each track with a hyperparameter that is NaN or out of its range.
 
     A choice takes NaN for no, and goes on: a gate of NaN would let every measurement pass, or none.  So a filter's
     state is spoilt where it enters a step, of another ``sensor`` than the filter's own too.
     """
     bad = out_of_range(f if sensor is None else nn.ModuleList([f, sensor]))
-    return state if bad is None else _with_nan(state, bad, state.belief.mean.dim() - 1)
+    return state if bad is None else _with_nan(state, bad, state.belief.mean.dim() - 1)  # type: ignore[attr-defined]
 
 
-def _with_nan(state: Any, bad: Tensor, rank: int) -> Any:
+def _with_nan(state: T, bad: Tensor, rank: int) -> T:
     """The state with NaN for every field ``mean`` where ``bad (...)``, of ``rank`` dimensions."""
     if not isinstance(state, tuple):
         return state
     if not hasattr(state, "_fields"):
-        return tuple(_with_nan(part, bad, rank) for part in state)
+        return tuple(_with_nan(part, bad, rank) for part in state)  # type: ignore[return-value]  # a plain one
     parts = {name: _with_nan(part, bad, rank) for name, part in zip(state._fields, state, strict=True)}
     if isinstance(mean := parts.get("mean"), Tensor):
         each = bad.reshape(bad.shape + (1,) * (mean.dim() - rank))

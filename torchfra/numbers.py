@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 Array: TypeAlias = NDArray[np.float64]
@@ -17,14 +17,14 @@ NUMBERS = int, float, np.integer, np.floating
 """Types of the numbers of Python and numpy that are real."""
 
 
-def as_number(value: Any) -> float:
+def as_number(value: object) -> float:
     """The value as a number; NaN for anything that is not a number, so that every comparison fails."""
     if isinstance(value, Real) or (isinstance(value, Tensor) and value.numel() == 1):
         return float(value)
     return float("nan")
 
 
-def positive(name: str, value: Any, what: str = "a finite number") -> float:
+def positive(name: str, value: object, what: str = "a finite number") -> float:
     """A finite number above 0; ``what`` says in the error what the argument of this name is.
 
     Raises:
@@ -36,7 +36,7 @@ def positive(name: str, value: Any, what: str = "a finite number") -> float:
     return number
 
 
-def fraction(name: str, value: Any) -> float:
+def fraction(name: str, value: object) -> float:
     """A probability above 0 and below 1.
 
     Raises:
@@ -53,7 +53,7 @@ def is_integer(value: object, least: int) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
-def as_tensor(value: Any, like: Tensor | None = None) -> Tensor:
+def as_tensor(value: ArrayLike, like: Tensor | None = None) -> Tensor:
     """Numbers of Python, numpy or torch as a tensor with all their digits.
 
     ``torch.as_tensor`` rounds numbers of Python to torch's default precision, whatever they are for.
@@ -84,7 +84,7 @@ def unmasked(values: Any) -> Any:
     return floating.filled(np.nan)
 
 
-def as_numbers(value: Any, name: str, uneven: str = "") -> Tensor:
+def as_numbers(value: object, name: str, uneven: str = "") -> Tensor:
     """Numbers from a list, an array, a column of a table or a tensor; all but floating-point tensors become float64.
 
     What is masked or has no value in a table is NaN.
@@ -99,8 +99,8 @@ def as_numbers(value: Any, name: str, uneven: str = "") -> Tensor:
     """
     if isinstance(value, Tensor) and value.is_floating_point():
         return value
-    if "complex" in str(getattr(value, "dtype", "")):
-        raise ValueError(f"{name}: expected real numbers, received {value.dtype}")
+    if "complex" in (kind := str(getattr(value, "dtype", ""))):
+        raise ValueError(f"{name}: expected real numbers, received {kind}")
     try:
         return torch.as_tensor(_of_table(unmasked(value)), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):

@@ -8,13 +8,14 @@ fields differ in that says so with ``event_ranks``.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from operator import attrgetter
+from operator import attrgetter, is_
 from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 C = TypeVar("C", bound=type)
+T = TypeVar("T")  # a tree
 _RANKS: dict[type, dict[str, int]] = {}
 
 
@@ -33,20 +34,30 @@ def ranks(cls: type) -> dict[str, int]:
     return _RANKS[cls]
 
 
-def map_tensors(function: Callable[..., Any], *trees: Any) -> Any:
+def map_tensors(function: Callable[..., Any], tree: T, *others: Any) -> T:
     """``function(x, ...)`` of the tensors of one tree, or of those at the same place in several."""
-    tree = trees[0]
     if isinstance(tree, Tensor):
-        return function(*trees)
+        return function(tree, *others)  # type: ignore[no-any-return]  # a tensor
     if not isinstance(tree, tuple):
         return tree
-    parts = [map_tensors(function, *each) for each in zip(*trees, strict=True)]
-    return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
+    make: Callable[..., Any] = getattr(type(tree), "_make", tuple)
+    return make([map_tensors(function, *each) for each in zip(tree, *others, strict=True)])  # type: ignore[no-any-return]
+
+
+def map_parts(function: Callable[[Any], Any], tree: T, *kinds: type) -> T:
+    """``function(x)`` of all parts of a tree of these classes; the very same tree where that changes nothing."""
+    if isinstance(tree, kinds):
+        return function(tree)  # type: ignore[no-any-return]  # of the same class
+    if not isinstance(tree, tuple):
+        return tree
+    parts = [map_parts(function, part, *kinds) for part in tree]
+    make: Callable[..., Any] = getattr(type(tree), "_make", tuple)
+    return tree if all(map(is_, parts, tree)) else make(parts)
 
 
 def map_ranked(
-    function: Callable[..., Any], *trees: Any, rank: int | None = None, only: Collection[str] | None = None
-) -> Any:
+    function: Callable[..., Any], tree: T, *others: Any, rank: int | None = None, only: Collection[str] | None = None
+) -> T:
     """``function(rank, x, ...)`` of all tensors, with the dimensions of one track's entry; a bare tensor has ``rank``.
 
     With ``only``, the other fields of the tuple stay as they are.
@@ -55,38 +66,38 @@ def map_ranked(
         TypeError: a tuple that has not said the ranks of its fields.
     """
     if only is None:
-        return _mapped(function, rank, *trees)
-    known = ranks(type(trees[0]))
-    return trees[0]._replace(**{
-        name: _mapped(function, known.get(name, type(trees[0])), *map(attrgetter(name), trees)) for name in only
+        return _mapped(function, rank, tree, *others)
+    known = ranks(type(tree))
+    return tree._replace(**{  # type: ignore[attr-defined,no-any-return]  # a tuple with such fields
+        name: _mapped(function, known.get(name, type(tree)), *map(attrgetter(name), (tree, *others))) for name in only
     })  # fmt: skip
 
 
-def _mapped(function: Callable[..., Any], rank: int | type | None, *trees: Any) -> Any:
+def _mapped(function: Callable[..., Any], rank: int | type | None, tree: T, *others: Any) -> T:
     """``map_ranked``; instead of a rank it is given the class that does not say it."""
-    tree = trees[0]
     if isinstance(tree, Tensor):
         if not isinstance(rank, int):
             raise TypeError(f"tree: expected tuples with event_ranks, received {getattr(rank, '__name__', 'a tensor')}")
-        return function(rank, *trees)
+        return function(rank, tree, *others)  # type: ignore[no-any-return]  # a tensor
     if not isinstance(tree, tuple):
         return tree
-    if not hasattr(tree, "_fields"):
-        return tuple([_mapped(function, rank, *parts) for parts in zip(*trees, strict=True)])
-    cls = type(tree)
+    cls: Any = type(tree)
+    each, fields = zip(tree, *others, strict=True), getattr(tree, "_fields", None)
+    if fields is None:
+        return tuple([_mapped(function, rank, *parts) for parts in each])  # type: ignore[return-value]  # a plain one
     ranks = _RANKS.get(cls, {})
-    parts = zip(tree._fields, zip(*trees, strict=True), strict=True)
-    return cls(*[_mapped(function, ranks.get(name, cls), *part) for name, part in parts])
+    parts = zip(fields, each, strict=True)
+    return cls(*[_mapped(function, ranks.get(name, cls), *part) for name, part in parts])  # type: ignore[no-any-return]
 
 
-def flatten(tree: Any) -> list[Tensor]:
+def flatten(tree: object) -> list[Tensor]:
     """The tensors of a tree, in order."""
     if isinstance(tree, tuple):
         return [x for part in tree for x in flatten(part)]
     return [tree] if isinstance(tree, Tensor) else []
 
 
-def paths(tree: Any, path: str = "") -> Iterator[tuple[str, Tensor]]:
+def paths(tree: object, path: str = "") -> Iterator[tuple[str, Tensor]]:
     """The tensors of a tree with their paths: fields joined by dots, ``belief.mean``; ``part0`` in a plain tuple."""
     if isinstance(tree, Tensor):
         yield path, tree
@@ -96,13 +107,13 @@ def paths(tree: Any, path: str = "") -> Iterator[tuple[str, Tensor]]:
             yield from paths(part, f"{path}.{name}".lstrip("."))
 
 
-def unflatten(like: Any, tensors: Iterator[Tensor]) -> Any:
+def unflatten(like: T, tensors: Iterator[Tensor]) -> T:
     """A tree of the same form around other tensors."""
     # Not by the map: it is called in every step, of which that would take a tenth.
     if isinstance(like, tuple):
-        parts = [unflatten(part, tensors) for part in like]
-        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
-    return next(tensors) if isinstance(like, Tensor) else like
+        make: Callable[..., Any] = getattr(type(like), "_make", tuple)
+        return make([unflatten(part, tensors) for part in like])  # type: ignore[no-any-return]
+    return next(tensors) if isinstance(like, Tensor) else like  # type: ignore[return-value]  # a tensor is a tree
 
 
 class Late(NamedTuple):
@@ -114,7 +125,7 @@ class Late(NamedTuple):
     value: Any
 
 
-def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
+def one_earlier(late: Late, end: T, dim: int, steps: int) -> T:
     """The results ``late`` of all steps, each moved to the step before, and ``end`` for the last of the ``steps``.
 
     Where there is room for one more step along ``dim``, the end is written there and nothing is copied.
@@ -126,15 +137,16 @@ def one_earlier(late: Late, end: Any, dim: int, steps: int) -> Any:
         value.select(dim, steps).copy_(last)
         return value.narrow(dim, 1, steps)
 
-    return map_tensors(moved, late.value, end)
+    value: T = late.value
+    return map_tensors(moved, value, end)
 
 
-def detach(tree: Any) -> Any:
+def detach(tree: T) -> T:
     """The tree with all tensors detached."""
     return map_tensors(Tensor.detach, tree)
 
 
-def stack(trees: Sequence[Any], dim: int) -> Any:
+def stack(trees: Sequence[T], dim: int) -> T:
     """Trees of one form stacked, their tensors broadcast to each other."""
 
     def stacked(*xs: Tensor) -> Tensor:
@@ -144,17 +156,17 @@ def stack(trees: Sequence[Any], dim: int) -> Any:
     return map_tensors(stacked, *trees)
 
 
-def unbind(tree: Any, count: int) -> list[Any]:
+def unbind(tree: T, count: int) -> list[T]:
     """The ``count`` trees along the first dimension of all tensors."""
     if isinstance(tree, Tensor):
-        return list(tree.unbind(0))
+        return list(tree.unbind(0))  # type: ignore[arg-type]  # tensors
     if not isinstance(tree, tuple) or not tree:
         return [tree] * count
     make = getattr(type(tree), "_make", tuple)
     return list(map(make, zip(*(unbind(part, count) for part in tree), strict=True)))
 
 
-def where(mask: Tensor, yes: Any, no: Any) -> Any:
+def where(mask: Tensor, yes: T, no: T) -> T:
     """``yes`` where ``mask (...)``, else ``no``: trees of tensors that begin with the batch."""
 
     def choose(a: Tensor, b: Tensor) -> Tensor:
@@ -163,17 +175,17 @@ def where(mask: Tensor, yes: Any, no: Any) -> Any:
     return map_tensors(choose, yes, no)
 
 
-def insert_batch_dimension(tree: Any, only: Collection[str] | None = None) -> Any:
+def insert_batch_dimension(tree: T, only: Collection[str] | None = None) -> T:
     """One more dimension of size 1 at the end of the batch; what has no batch is shared and stays."""
     return map_ranked(lambda rank, x: x.unsqueeze(-1 - rank) if x.dim() > rank else x, tree, only=only)
 
 
-def remove_batch_dimension(tree: Any) -> Any:
+def remove_batch_dimension(tree: T) -> T:
     """The reverse of ``insert_batch_dimension``."""
     return map_ranked(lambda rank, x: x.squeeze(-1 - rank) if x.dim() > rank else x, tree)
 
 
-def where_needed(mask: Tensor, function: Callable[..., Any], arguments: tuple[Any, ...], default: Any) -> Any:
+def where_needed(mask: Tensor, function: Callable[..., T], arguments: tuple[object, ...], default: T) -> T:
     """``function(*arguments)`` for the tracks in ``mask (...)`` alone, ``default`` for the others.
 
     Tracks are gathered, so this is for code that runs eagerly.

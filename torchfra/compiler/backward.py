@@ -12,8 +12,8 @@ from torchfra import tree
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.numbers import as_tensor
-from torchfra.steps.loop import innermost
 from torchfra.steps.records import decided, undecided
+from torchfra.steps.recursion import innermost
 from torchfra.types import Gaussian
 
 _AT_ONCE = 1 << 20

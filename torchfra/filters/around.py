@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from torchfra.filters.base import Filter, S
+from torchfra.filters.base import Filter
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.steps.recursion import S
 
 
 class Around(Filter[S]):

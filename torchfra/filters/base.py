@@ -4,69 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Generic, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
-from typing_extensions import Self, TypeVar
+from typing_extensions import Self
 
-from torchfra.adaptive.fading import Fading
-from torchfra.filters.forecast import Forecast, forecast, one_hypothesis
+from torchfra.filters.forecast import Forecast, moments, one_hypothesis
 from torchfra.filters.several_sensors import SensorsInTurn
 from torchfra.filters.whole_tracks import WholeTracks
-from torchfra.gaussian.arguments import (
-    belief_of,
-    check,
-    check_belief,
-    measurements_of,
-    warn_of_degrees,
-    warn_of_lost_digits,
-    warn_of_width,
-)
+from torchfra.gaussian.arguments import belief_of, measurements_of
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import (
-    BackwardStep,
-    Frame,
-    Measurements,
-    Time,
-    batch_rank,
-    broadcast_with_values,
-    make_frames,
-)
-from torchfra.gaussian.model import Propagated, compare, predict, propagate
+from torchfra.gaussian.inputs import Frame, Time
+from torchfra.gaussian.model import canonical
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.smoothing import smooth_step
 from torchfra.gaussian.update import innovation
-from torchfra.hyper import Part
-from torchfra.linalg.batches import broadcast_shapes
-from torchfra.linalg.triangular import tria
-from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.steps.checks import check_lengths, check_models, check_state, check_step, needed_inputs
+from torchfra.steps.checks import check_lengths, check_state, check_step, needed_inputs
 from torchfra.steps.engine import INTERPRETED, Engine
-from torchfra.steps.loop import Options, innermost, one_step
-from torchfra.steps.records import Past, Record, Smoothed
-from torchfra.types import Estimate, Gaussian, Innovation, Prediction, Whitened
+from torchfra.steps.loop import Options, one_step
+from torchfra.steps.recursion import Recursion, S, in_full_precision
+from torchfra.types import Estimate, Gaussian, Innovation
 
-Mix = Callable[[Gaussian], Gaussian]
-"""Mixes the beliefs of interacting models before a step."""
-S = TypeVar("S", default=Any)  # the states of a filter
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-def in_full_precision(method: Callable[P, R]) -> Callable[P, R]:
-    """A method in which ``torch.autocast`` is off: half precision is too coarse for covariance roots."""
-
-    @wraps(method)
-    def full(*arguments: P.args, **options: P.kwargs) -> R:
-        if not (torch.is_autocast_enabled("cpu") or torch.is_autocast_enabled("cuda")):
-            return method(*arguments, **options)
-        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
-            return method(*arguments, **options)
-
-    return full
 
 
 def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
@@ -74,14 +36,12 @@ def by_its_engine(method: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(method)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
-        f: Any = arguments[0]
-        result: R = f.engine.call(method, *arguments, **options)
-        return result
+        return arguments[0].engine.call(method, *arguments, **options)  # type: ignore[attr-defined,no-any-return]
 
     return call
 
 
-class Filter(Part, Generic[S]):
+class Filter(Recursion[S]):
     """Abstract: a subclass gives two functions, and a third for smoothing other than Rauch-Tung-Striebel's.
 
     ::
@@ -110,76 +70,16 @@ class Filter(Part, Generic[S]):
         ValueError: the sensor reads more components than the motion's state has, or the rule is not callable.
     """
 
-    scans = False
-    """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
-    zero_dt = True
-    """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
-    keeps_past = False
-    """Whether the backward pass needs more of a step than an estimate holds of it."""
-    one_sensor: str | None = None
-    """Why the filter takes no other sensor than its own; None where it does."""
     engine: Engine
     """The engine that runs its steps: see ``compile``."""
-    motion: Motion
-    sensor: Sensor
-    fading: Fading | None
 
     def __init__(
         self, motion: Motion | None = None, sensor: Sensor | None = None, rule: Callable[[int], Rule] = third_degree
     ) -> None:
-        super().__init__()
-        if torch.empty(0).is_meta:
-            raise ValueError("device: expected one with memory to build a filter on, received torch's default of meta")
+        super().__init__(motion, sensor, rule)
         self.engine = INTERPRETED
-        if motion is None or sensor is None:
-            return
-        check_models(motion, sensor)
-        if not callable(rule):
-            raise ValueError(f"rule: expected torchfra.gaussian.third_degree or the like, received {rule!r}")
-        self.motion, self.sensor = motion, sensor
-        self.motion_rule = rule(motion.size)
-        self.sensor_rule = self.motion_rule.marginal(sensor.reads)
-
-    # ------------------------------------------------------------ three functions of a filter
-
-    def begin(self, belief: Gaussian) -> S:
-        """The state for a belief of full batch and triangular root; it has a ``belief``."""
-        raise TypeError(f"{type(self).__name__} needs a begin")
-
-    def advance(self, state: S, frame: Frame) -> tuple[S, Record]:
-        """One step: the next state, and the record of the step.
-
-        A filter inside of ``IMM`` has one more argument, ``mix``: a function that replaces the belief from which the
-        step starts, or None.
-        """
-        raise TypeError(f"{type(self).__name__} needs an advance")
-
-    def retreat(self, step: BackwardStep, after: Any) -> tuple[Any, Smoothed]:
-        """One step of the backward pass: its next state, and the smoothed estimate of the step.
-
-        The default is Rauch, Tung & Striebel (1965), with the prediction of the forward pass.  ``after`` is the state
-        of the backward pass after the step; with a fixed lag it has one more dimension in front of the batch.
-        """
-        propagated = self.propagate(step.past.belief, step.frame, step.next.factor)
-        smoothed = self.smooth_belief(step.past.belief, propagated, after)
-        return smoothed.belief, smoothed
 
     # ------------------------------------------------------------ further functions that it may override
-
-    def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
-        """Beliefs ``(..., T, ...)`` and info of a sequence that ended in ``state``.
-
-        A filter that decides a step by the next one adds the decision of the last step here.
-        """
-        return belief, info
-
-    def forget(self, state: Any, sensor: Sensor) -> Any:
-        """A state without the memory of earlier measurements, for one of another ``sensor``."""
-        return state
-
-    def remember(self, state: Any, before: Any) -> Any:
-        """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
-        return state
 
     def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(..., H, n)`` of a state, or of an estimate's past, and logs ``(..., H)`` of their weights."""
@@ -191,7 +91,7 @@ class Filter(Part, Generic[S]):
         _, record = one_step(self, state, frame)
         return one_hypothesis(self.finish(state, record.belief, None)[0])
 
-    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: S, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
         whitened = self.compare(beliefs, frame)
         return Gaussian(whitened.residual, innovation(whitened)[0])
@@ -203,68 +103,7 @@ class Filter(Part, Generic[S]):
             NotImplementedError: it cannot, with the reason.
         """
 
-    def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
-        """The past for the backward pass: a tuple of ``(..., T, ...)`` tensors, such as a ``records.Past``.
-
-        One with a method ``of_next`` says by it what ``retreat`` reads of the next step: all else is None.
-
-        Args:
-            belief: the estimates of ``forward``.
-            info: the info of ``forward``.
-            state: after the last step; None for a filter that keeps no past.
-            steps: ``Record.past`` of all steps; None for a filter that keeps no past.
-        """
-        return Past(belief, None, info=info)
-
-    def last(self, past: Any) -> tuple[Any, Smoothed]:
-        """Where the backward pass begins: its state at the last step, and the smoothed estimate there."""
-        repairs = self.motion_rule.signed and not self.motion.linear
-        repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if repairs else None
-        return past.belief, Smoothed(past.belief, repaired=repaired)
-
-    # ------------------------------------------------------------ to write a filter with
-
-    def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
-        """The belief one step later."""
-        return predict(self.motion, self.motion_rule, belief, frame)
-
-    def compare(self, belief: Gaussian, frame: Frame) -> Whitened:
-        """Compares the measurement with a predicted belief."""
-        sensor = frame.sensor
-        rule = self.sensor_rule if sensor is self.sensor else self.motion_rule.marginal(sensor.reads)
-        return compare(sensor, rule, belief, frame)
-
-    def smooth_belief(self, belief: Gaussian, propagated: Propagated, after: Gaussian) -> Smoothed:
-        """The smoothed ``belief``, from the smoothed belief ``after`` the step that has ``propagated`` it."""
-        (mean, root), repaired = smooth_step(belief, propagated, after, self.motion.difference)
-        repaired = None if repaired is None else repaired.expand(mean.shape[:-1])
-        return Smoothed(Gaussian(self.motion.canonical(mean), root), repaired=repaired)
-
-    def propagate(self, belief: Gaussian, frame: Frame, factor: Tensor | None = None) -> Propagated:
-        """A belief propagated over a step, with the fading factor ``(...)`` of the forward pass, if any."""
-        propagated = propagate(self.motion, self.motion_rule, belief, frame)
-        if factor is None or self.fading is None:
-            return propagated
-        return propagated._replace(spread=self.fading.stretch(propagated.spread, factor))
-
     # ------------------------------------------------------------ to use a filter
-
-    @in_full_precision
-    def init(self, prior: Gaussian) -> S:
-        """The state before the first measurement.
-
-        Args:
-            prior: the belief one ``dt`` earlier, ``mean (..., n)`` and any root ``(..., n, n)``; its batch is that of
-                the tracks to come.
-
-        Raises:
-            ValueError: a shape that does not fit.
-        """
-        n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
-        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * _least_rank(self))
-        mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
-        begun: S = self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
-        return begun
 
     @in_full_precision
     def step(
@@ -356,8 +195,8 @@ class Filter(Part, Generic[S]):
             NotImplementedError: ``past`` for a filter that cannot be smoothed.
         """
         check_lengths(truncate=truncate, checkpoint=checkpoint)
-        turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
-        whole = WholeTracks(self, turns, Options(checkpoint, truncate))
+        turns = None if sensors is None and which is None else SensorsInTurn(self, self.engine, sensors, which)
+        whole = WholeTracks(self, self.engine, turns, Options(checkpoint, truncate))
         measurements = measurements_of(z, dt, u, std, noise)
         if not past:
             return whole.estimate(measurements, belief_of(prior))
@@ -410,14 +249,14 @@ class Filter(Part, Generic[S]):
             NotImplementedError: filters of constant gains, which have no process noise; ``GPB`` over several sensors,
                 as its backward pass has outliers of one sensor; ``JPDA`` around several models.
         """
-        turns = None if sensors is None and which is None else SensorsInTurn(self, sensors, which)
+        turns = None if sensors is None and which is None else SensorsInTurn(self, self.engine, sensors, which)
         self.check_smooths(several=turns is not None)
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
-        whole = WholeTracks(self, turns, Options(checkpoint, truncate))
+        whole = WholeTracks(self, self.engine, turns, Options(checkpoint, truncate))
         return whole.smoothed(measurements_of(z, dt, u, std, noise), belief_of(prior), lag, estimate)
 
     @in_full_precision
-    def predict(self, state: Any, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
+    def predict(self, state: S, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None) -> Forecast:
         """The prediction of state and measurement after ``dt`` seconds; it runs interpreted.
 
         For several models or hypotheses it is the Gaussian with their moments.  ``FRA`` predicts from its provisional
@@ -444,20 +283,17 @@ class Filter(Part, Generic[S]):
         nothing = mean.new_full((*mean.shape[:-1], (other or self.sensor).size), torch.nan)
         track = check_step(self, state, measurements_of(nothing, dt, u, sensor=other))
         (frame,), _ = self._frames(track, mean.dim() - 1)
-        return forecast(self, state, frame)
-
-    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
-        """A sensor that is not the filter's own, checked; None for its own, and for None.
-
-        Raises:
-            ValueError: no sensor, or a filter that takes its own sensor only, with the reason.
-        """
-        if sensor is None or sensor is self.sensor:
-            return None
-        check_models(self.motion, sensor)
-        if self.one_sensor is not None:
-            raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
-        return sensor
+        beliefs, log_weights = self.predict_hypotheses(state, frame)
+        belief = canonical(self.motion, moments(beliefs, log_weights, self.motion.angles))
+        z = frame.sensor.at_points(belief.mean, frame.u)
+        unit = frame.sensor.measurement_noise(z)
+        frame = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=unit)
+        # The innovation of a measurement at the mean: the mean of z - h(x) over the hypotheses, and its root.
+        if len(log_weights) > 1:  # a measurement that is as expected shows no jump
+            _, log_weights = self.predict_hypotheses(state, frame)
+        residual, root = moments(self.predict_innovation(state, beliefs, frame), log_weights)
+        offset = unit.colour(residual.unsqueeze(-1)).squeeze(-1)
+        return Forecast(belief, Gaussian(z - offset, unit.colour(root)))
 
     def compile(self, *args: Any, wait: bool = True, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """Makes all later calls run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.
@@ -493,28 +329,3 @@ class Filter(Part, Generic[S]):
                 missing()
             self.engine = Compiled() if wait else InBackground()
         return self
-
-    # ------------------------------------------------------------ for engines
-
-    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
-        sensor = measurements.sensor or self.sensor
-        batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt)
-        batch = torch.Size((1,) * (_least_rank(self) - self.scans - len(batch))) + batch
-        batch = batch if self.scans else broadcast_with_values(self, batch)
-        warn_of_lost_digits(measurements, sensor, len(batch) + self.scans, scans=self.scans)
-        warn_of_degrees(measurements.z, sensor)
-        if name == "prior":
-            mixture = isinstance(self.motion, Bank) and not self.scans
-            warn_of_width(prior, measurements, sensor, mixture=mixture)
-        return batch
-
-    def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
-        """A frame for each step, and the log norms of the measurement noise, time first."""
-        f = innermost(self)
-        return make_frames(measurements, f.motion, measurements.sensor or f.sensor, rank)
-
-
-def _least_rank(f: Filter) -> int:
-    """Least number of batch dimensions of a filter's tracks."""
-    return max(batch_rank(f), int(f.scans))

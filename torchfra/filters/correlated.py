@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from torchfra import tree
 from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
@@ -25,8 +26,10 @@ from torchfra.sensors.composed import Biased
 from torchfra.sensors.correlated import errors_of, have_errors, stationary, without_errors
 from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record, Smoothed
+from torchfra.steps.recursion import HasBelief
 from torchfra.types import Gaussian
 
+T = TypeVar("T")  # a tree
 P = TypeVar("P", bound=Callable[..., Any])
 
 
@@ -35,7 +38,7 @@ class WithCorrelatedErrorsState(NamedTuple):
 
     belief: Gaussian
     """The estimate of the target alone."""
-    inner: Any
+    inner: HasBelief
     """State of the inner filter, with the errors."""
 
     @property
@@ -49,8 +52,8 @@ class WithCorrelatedErrorsPast(NamedTuple):
     """The parts of a step of the inner filter that the backward pass needs, with the errors."""
 
     belief: Gaussian
-    info: Any
-    past: Any
+    info: object
+    past: object
 
 
 class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
@@ -95,15 +98,10 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         first: Any = motion[0] if isinstance(motion, Bank) else motion
         return list(first.parts)[1:]
 
-    def of_target(self, trees: Any) -> Any:
+    def of_target(self, trees: T) -> T:
         """Trees whose beliefs have the target's components alone: the leading block of a lower root is their root."""
-        if isinstance(trees, Gaussian):
-            n = self.inner.motion.size - sum(error.size for error in self.errors)
-            return Gaussian(trees.mean[..., :n], trees.scale_tril[..., :n, :n])
-        if isinstance(trees, tuple):
-            parts = [self.of_target(part) for part in trees]
-            return type(trees)(*parts) if hasattr(trees, "_fields") else tuple(parts)
-        return trees
+        n = self.inner.motion.size - sum(error.size for error in self.errors)
+        return tree.map_parts(lambda x: Gaussian(x.mean[..., :n], x.scale_tril[..., :n, :n]), trees, Gaussian)
 
     # ------------------------------------------------------------ steps
 
@@ -150,7 +148,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         self.inner.check_smooths(several=several)
 
     def past(
-        self, belief: Gaussian, info: Any, state: WithCorrelatedErrorsState, steps: WithCorrelatedErrorsPast
+        self, belief: Gaussian, info: object, state: WithCorrelatedErrorsState, steps: WithCorrelatedErrorsPast
     ) -> Any:
         """The past of the inner filter."""
         belief, info = self.inner.finish(state.inner, steps.belief, steps.info)

@@ -13,10 +13,11 @@ from torchfra import tree
 from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers, out_of_range
 from torchfra.linalg.tracing import is_traced
+from torchfra.steps.recursion import Recursion
 from torchfra.types import Cause, Estimate, Failure, Gaussian
 
 
-def diagnose(f: Any, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
+def diagnose(f: Recursion, estimate: Estimate, measurements: Measurements, prior: Gaussian) -> Failure:
     """The step at which each track has failed, and the cause.
 
     Args:
@@ -62,7 +63,7 @@ def diagnose_smoothed(smoothed: Estimate, filtered: Estimate) -> Failure:
     return Failure(torch.where(here, last, step), torch.where(here, int(Cause.ARITHMETIC), cause), values)
 
 
-def diagnose_step(f: Any, before: Gaussian, measurements: Measurements, after: Gaussian) -> Failure:
+def diagnose_step(f: Recursion, before: Gaussian, measurements: Measurements, after: Gaussian) -> Failure:
     """The failure, at step 0, of a single step between two beliefs of a filter of single targets."""
     mean, root = after.mean.unsqueeze(-2), after.scale_tril.unsqueeze(-3)
     estimate = Estimate(mean, root, mean[..., 0], mean[..., 0], None)
@@ -93,7 +94,7 @@ def with_gradients(f: nn.Module, estimate: Estimate) -> Estimate:
 
 
 def without_failed_gradients(
-    f: Any, estimate: Estimate, filtered: Estimate, measurements: Measurements, prior: Gaussian,
+    f: Recursion, estimate: Estimate, filtered: Estimate, measurements: Measurements, prior: Gaussian,
     again: Callable[[Measurements, Gaussian], Estimate],
 ) -> Estimate:  # fmt: skip
     """The estimate, where gradients are needed without those of failed tracks.
@@ -123,8 +124,8 @@ def without_failed_gradients(
         """``failed`` with as many dimensions of an event behind it."""
         return failed.reshape(*failed.shape, *[1] * event)
 
-    def replaced(x: Any, event: int) -> Any:
-        if not isinstance(x, Tensor) or x.shape[: x.dim() - event].numel() <= 1:
+    def replaced(x: Tensor, event: int) -> Tensor:
+        if x.shape[: x.dim() - event].numel() <= 1:
             return x  # all tracks share it
         every = x.expand(*failed.shape, *x.shape[x.dim() - event :])
         return torch.where(failed_with(event), every.flatten(0, -event - 1)[good].detach(), every)
@@ -136,8 +137,7 @@ def without_failed_gradients(
 
     data: Measurements = tree.map_ranked(lambda event, x: replaced(x, event + 1), measurements)
     result = again(data, Gaussian(replaced(prior.mean, 1), replaced(prior.scale_tril, 2)))
-    either: Estimate = tree.map_tensors(chosen, estimate, result)
-    return either
+    return tree.map_tensors(chosen, estimate, result)
 
 
 def _by_then(bad: Tensor, step: Tensor, scans: bool) -> Tensor:

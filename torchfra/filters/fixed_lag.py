@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.base import Filter, in_full_precision
+from torchfra.filters.base import Filter
 from torchfra.filters.several_sensors import joined
 from torchfra.gaussian.arguments import measurements_of
 from torchfra.gaussian.inputs import Frame, Measurements, Time
@@ -17,6 +17,7 @@ from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_lengths, check_step
 from torchfra.steps.loop import Options, backward, one_step
 from torchfra.steps.records import Record, Smoothed, innovation, undecided
+from torchfra.steps.recursion import HasBelief, in_full_precision
 from torchfra.types import Gaussian, Innovation
 
 
@@ -24,15 +25,15 @@ class WindowStep(NamedTuple):
     """The parts of a step that the backward pass needs."""
 
     belief: Gaussian
-    info: Any
-    past: Any
+    info: object
+    past: object
     frame: Frame
 
 
 class FixedLagState(NamedTuple):
     """State after a step."""
 
-    inner: Any
+    inner: HasBelief
     """State of the filter."""
     window: tuple[WindowStep, ...] = ()
     """The steps up to ``lag`` back, the newest last."""
@@ -42,8 +43,7 @@ class FixedLagState(NamedTuple):
     @property
     def belief(self) -> Gaussian:
         """The estimate now, of the filter."""
-        belief: Gaussian = self.inner.belief
-        return belief
+        return self.inner.belief
 
     @property
     def lagged(self) -> Gaussian:
@@ -105,18 +105,18 @@ class FixedLag(Part):
         return FixedLagState(inner, window, first), innovation(record, step.frame.measurement_noise, scans=f.scans)
 
 
-def step_kept(f: Filter, state: Any, measurements: Measurements) -> tuple[Any, Record, WindowStep]:
+def step_kept(f: Filter, state: HasBelief, measurements: Measurements) -> tuple[HasBelief, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     (frame,), _ = f._frames(check_step(f, state, measurements), state.belief.mean.dim() - 1)
     state, record = one_step(f, spoilt(f, state, measurements.sensor), frame)
-    return state, record, WindowStep(record.belief, record.info, record.past if f.keeps_past else None, frame)
+    return state, record, WindowStep(record.belief, record.info, record.past, frame)
 
 
-def smooth_window(f: Filter, inner: Any, window: Sequence[WindowStep]) -> Smoothed:
+def smooth_window(f: Filter, inner: HasBelief, window: Sequence[WindowStep]) -> Smoothed:
     """The backward pass over a window that ends in the filter's state ``inner``, time behind the batch."""
     rank = inner.belief.mean.dim() - 1
     steps = [tree.map_tensors(lambda x: x.unsqueeze(rank), step[:3]) for step in window]
-    belief, info, steps = joined(steps, rank)
-    past = f.past(*f.finish(inner, belief, info), inner, steps)
+    belief, info, kept = joined(steps, rank)
+    past = f.past(*f.finish(inner, belief, info), inner, kept)
     *earlier, now = tree.unbind(tree.map_tensors(lambda x: x.movedim(rank, 0), past), len(window))
     return backward(f, [*earlier, undecided(now)], [step.frame for step in window], rank, None, Options())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,7 +16,7 @@ from torch.nn.functional import logsigmoid
 
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
-from torchfra.filters.base import Filter, Mix
+from torchfra.filters.base import Filter
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
@@ -33,8 +33,10 @@ from torchfra.robust.weights import Huber, Weights
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_parts, check_weights
 from torchfra.steps.records import Past, Record
+from torchfra.steps.recursion import Mix
 from torchfra.types import Gaussian, Prediction, Whitened
 
+T = TypeVar("T")  # a tree
 Branches = tuple[Gaussian, Gaussian, Gaussian]
 """The robust, the adaptive and the plain branch, in this order everywhere."""
 UNDECIDED = ("robust", "adaptive", "plain", "likeliest")
@@ -356,13 +358,13 @@ class FRA(Soft, Filter[FRAState]):
             return best(self.odds(like))
         return Choice(*(torch.full_like(like, branch == name, dtype=torch.bool) for name in Choice._fields))
 
-    def past(self, belief: Gaussian, info: FRAInfo, state: Any, steps: Any) -> Past:
+    def past(self, belief: Gaussian, info: FRAInfo, state: object, steps: object) -> Past:
         """Final and provisional beliefs, each with the fading factor where it is that of the adaptive branch."""
         adaptive = info.abnormal & self.favoured(self.provisional, info.fading[..., 0]).adaptive.unsqueeze(-1)
         factor, early = (torch.where(kept, info.fading, 1.0) for kept in (info.adaptive, adaptive))
         return Past(belief, factor, (info.provisional, early))
 
-    def where_abnormal(self, mask: Tensor, function: Callable[..., Any], arguments: Any, default: Any) -> Any:
+    def where_abnormal(self, mask: Tensor, function: Callable[..., T], arguments: tuple[Any, ...], default: T) -> T:
         """``function`` for the tracks in ``mask``, else ``default``.
 
         Traced code computes it for all tracks.  Unless ``mask`` is empty, so does a filter whose hyperparameters have a

@@ -14,7 +14,7 @@ from torch.distributions import constraints
 
 from torchfra import tree
 from torchfra.filters.around import Around
-from torchfra.filters.base import Filter, Mix
+from torchfra.filters.base import Filter
 from torchfra.filters.interaction import (
     cycle,
     for_each_model,
@@ -32,6 +32,7 @@ from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.numbers import as_numbers
 from torchfra.steps.records import Record, Smoothed
+from torchfra.steps.recursion import HasBelief, Mix
 from torchfra.types import Gaussian
 
 
@@ -40,7 +41,7 @@ class IMMState(NamedTuple):
 
     belief: Gaussian
     """The Gaussian with the moments of all models."""
-    inner: Any
+    inner: HasBelief
     """State of the inner filter, whose batch ends in the models: ``(..., K)``."""
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
@@ -240,17 +241,16 @@ class IMM(Around[IMMState]):
             self.use_matrix()
         super()._load_from_state_dict(state_dict, prefix, *args)
 
-    def predict_hypotheses(self, state: Any, frame: Frame) -> tuple[Gaussian, Tensor]:
+    def predict_hypotheses(self, state: IMMState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step, one for each model, and logs of their weights."""
         log_weights, interact, frame, _ = self.mixing(state, frame)
         belief = self.inner.predicted(interact(state.inner.belief), frame).belief
         return models_first(belief), log_weights.movedim(-1, 0)
 
-    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: IMMState, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
         mean, root = beliefs.mean.movedim(0, -2), beliefs.scale_tril.movedim(0, -3)
-        f: Any = self.inner
-        return models_first(f.predict_innovation(state.inner, Gaussian(mean, root), for_each_model(frame)))
+        return models_first(self.inner.predict_innovation(state.inner, Gaussian(mean, root), for_each_model(frame)))
 
     def past_transition(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition in a step of the forward pass, ``[was, now]``, and its frame."""
@@ -266,7 +266,7 @@ class IMM(Around[IMMState]):
         """The models of a state, or of an estimate's past, and logs of their probabilities."""
         return source.inner.belief, source.log_weights
 
-    def past(self, belief: Gaussian, info: Any, state: Any, steps: ModelsStep) -> ModelsPast:
+    def past(self, belief: Gaussian, info: Any, state: IMMState, steps: ModelsStep) -> ModelsPast:
         """The past of every model."""
         return past_of_models(self.inner, state.inner, steps)
 
@@ -279,8 +279,7 @@ class IMM(Around[IMMState]):
         """One step of the backward pass, of all models."""
         if after.log_weights.dim() > step.past.log_weights.dim():
             each = [self.retreat(step, one) for one in tree.unbind(after, len(after.log_weights))]
-            several: tuple[Models, Smoothed] = tree.stack(each, 0)
-            return several
+            return tree.stack(each, 0)
         matrix, frame = self.past_transition(step, after.log_weights)
         models = retreat(self.inner, BackwardStep(step.past, step.next.inner, frame, step.source), matrix, after)
         return models, estimate_of_models(models, step.past.active, self.motion)

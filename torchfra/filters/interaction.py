@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from torchfra import tree
-from torchfra.filters.base import Mix
 from torchfra.filters.model_smoothing import ModelsStep
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import (
@@ -32,13 +31,14 @@ from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
 from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record
+from torchfra.steps.recursion import Mix, Recursion, S
 from torchfra.types import Gaussian
 
 PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
 """Fields of a frame that differ between the models of a ``Bank``."""
 
 
-def cycle(inner: Any, state: Any, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[Any, Tensor, Record]:
+def cycle(inner: Recursion[S], state: S, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[S, Tensor, Record]:
     """One cycle after the interaction: the models' filters, their probabilities and fusion, eqs. (9)-(11).
 
     Args:
@@ -139,5 +139,4 @@ def identity_at_zero_dt(matrix: Tensor, dt: Tensor) -> Tensor:
 
 def for_each_model(frame: Frame) -> Frame:
     """The frame with a last dimension of models in its batch, which the matrices of a ``Bank`` have already."""
-    each: Frame = tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])
-    return each
+    return tree.insert_batch_dimension(frame, only=[name for name in Frame._fields if name not in PER_MODEL])

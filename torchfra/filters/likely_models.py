@@ -153,8 +153,7 @@ def of_active(frame: Frame, active: Tensor) -> Frame:
         chosen: Tensor = (active @ rows).unflatten(-1, x.shape[-rank:])
         return chosen
 
-    chosen: Frame = tree.map_ranked(pick, frame, only=PER_MODEL)
-    return chosen
+    return tree.map_ranked(pick, frame, only=PER_MODEL)
 
 
 def _check_thresholds(unlikely: Value, principal: Value) -> None:

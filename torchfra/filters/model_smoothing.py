@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from torch import Tensor
 
@@ -14,7 +14,10 @@ from torchfra.gaussian.model import adapted, canonical
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
 from torchfra.steps.records import Smoothed
+from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Gaussian
+
+T = TypeVar("T")  # a tree
 
 
 class ModelsStep(NamedTuple):
@@ -22,7 +25,7 @@ class ModelsStep(NamedTuple):
 
     belief: Gaussian
     """``(..., K)`` of each model."""
-    info: Any
+    info: object
     """The info of the models' filters."""
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
@@ -55,7 +58,7 @@ class Models(NamedTuple):
     """``(..., K)`` logs of the models' smoothed probabilities."""
 
 
-def past_of_models(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
+def past_of_models(inner: Recursion[S], state: S, steps: ModelsStep) -> ModelsPast:
     """The past of all models, from the kept parts of all steps.
 
     Args:
@@ -65,7 +68,7 @@ def past_of_models(inner: Any, state: Any, steps: ModelsStep) -> ModelsPast:
     """
     time = steps.log_weights.dim() - 2
 
-    def swapped(several: Any) -> Any:
+    def swapped(several: T) -> T:
         """Exchanges the dimensions of time and models: filters have time last in the batch."""
         return tree.map_tensors(lambda x: x.transpose(time, time + 1), several)
 
@@ -81,7 +84,7 @@ def estimate_of_models(models: Models, active: Tensor | None, motion: Motion) ->
     return Smoothed(belief, weights if active is None else (weights.unsqueeze(-2) @ active).squeeze(-2))
 
 
-def retreat(inner: Any, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
+def retreat(inner: Recursion, step: BackwardStep, matrix: Tensor, after: Models) -> Models:
     """One step of the backward pass, over all pairs of a model before the step and one after it.
 
     For each model after the step, all later measurements together act as the measurement that turns its prediction into

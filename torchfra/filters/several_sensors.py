@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -18,8 +18,12 @@ from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import is_integer
 from torchfra.sensors.base import Sensor
+from torchfra.steps.engine import Engine
 from torchfra.steps.loop import Options, finish, start
+from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Estimate, Gaussian
+
+T = TypeVar("T")  # a tree
 
 
 class SensorsInTurn:
@@ -27,6 +31,7 @@ class SensorsInTurn:
 
     Args:
         f: the filter.
+        engine: that runs its steps.
         sensors: all that measure.
         which: ``(T,)`` index of each step's sensor.
 
@@ -34,7 +39,9 @@ class SensorsInTurn:
         ValueError: one without the other, no sensors, or indices that are not those of the sensors.
     """
 
-    def __init__(self, f: Any, sensors: Sequence[Sensor] | None, which: Any) -> None:
+    def __init__(
+        self, f: Recursion, engine: Engine, sensors: Sequence[Sensor] | None, which: Tensor | Sequence[int] | None
+    ) -> None:
         if sensors is None or which is None:
             missing, there = ("sensors", "which") if sensors is None else ("which", "sensors")
             raise ValueError(f"{missing}: expected it beside {there}, received None")
@@ -45,7 +52,7 @@ class SensorsInTurn:
         count = len(sensors)
         if not isinstance(numbers, Sequence) or not all(is_integer(k, 0) and k < count for k in numbers):
             raise ValueError(f"which: expected (T,) indices from 0 to {count - 1}, received {which}")
-        self.filter, self.which = f, [int(k) for k in numbers]
+        self.filter, self.engine, self.which = f, engine, [int(k) for k in numbers]
         self.sensors = [f.other_sensor(sensor) for sensor in sensors]
         self.sizes = [(sensor or f.sensor).size for sensor in self.sensors]
 
@@ -79,8 +86,8 @@ class SensorsInTurn:
         return [(steps, self._part(measurements, steps)) for steps in every]
 
     def forward(
-        self, f: Any, measurements: Measurements, prior: Gaussian, options: Options
-    ) -> tuple[Estimate, Any, Any]:
+        self, f: Recursion[S], measurements: Measurements, prior: Gaussian, options: Options
+    ) -> tuple[Estimate, S, Any]:
         """Filters whole tracks from their prior, in stretches of steps of one sensor."""
         steps, truncate = len(self.which), options.truncate
         state, rank = start(f, measurements, prior, self._batch(measurements, prior))
@@ -91,7 +98,7 @@ class SensorsInTurn:
             if truncate and first and first % truncate == 0:
                 state = tree.detach(state)
             part = self._part(measurements, list(range(first, last)))
-            state, more = f.engine.scan(f, state, part, rank, options._replace(truncate=None))
+            state, more = self.engine.scan(f, state, part, rank, options._replace(truncate=None))
             parts.append(tree.map_tensors(lambda x: x.narrow(rank, 0, last - first), more))  # noqa: B023  # it runs now
         kept = joined(parts, rank)
         return finish(f, state, kept), state, kept.past
@@ -111,7 +118,7 @@ class SensorsInTurn:
         )
 
 
-def joined(parts: Sequence[Any], rank: int) -> Any:
+def joined(parts: Sequence[T], rank: int) -> T:
     """Trees of successive stretches of time, concatenated along the dimension after ``rank`` batch dimensions.
 
     Dimensions of a measurement's elements are padded to the longest: with NaN, or False, or 0 for whole numbers.

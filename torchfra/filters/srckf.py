@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.adaptive.noise import NoiseMemory, SageHusa
-from torchfra.filters.base import Filter, Mix
+from torchfra.filters.base import Filter
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
@@ -22,6 +22,7 @@ from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_parts, check_weights
 from torchfra.steps.records import Past, Record
+from torchfra.steps.recursion import Mix
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
@@ -88,7 +89,7 @@ class SRCKF(Filter[State]):
         redraw: bool = True,
     ) -> None:
         super().__init__(motion, sensor, rule)
-        parts: dict[str, tuple[Any, type]] = {
+        parts: dict[str, tuple[object, type]] = {
             "robust": (robust, Robust),
             "fading": (fading, Fading),
             "noise": (noise, SageHusa),
@@ -151,7 +152,7 @@ class SRCKF(Filter[State]):
         root, _ = innovation(self.noise.rescale(whitened, state.noise))
         return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))
 
-    def past(self, belief: Gaussian, info: Info, state: Any, steps: Any) -> Past:
+    def past(self, belief: Gaussian, info: Info, state: object, steps: object) -> Past:
         """The past for the backward pass: beliefs, and the fading factors of the forward pass."""
         return Past(belief, info.fading)
 

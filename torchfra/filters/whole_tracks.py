@@ -8,16 +8,20 @@ from torchfra.filters.failures import diagnose, diagnose_smoothed, with_gradient
 from torchfra.filters.several_sensors import SensorsInTurn
 from torchfra.gaussian.inputs import Measurements
 from torchfra.steps.checks import needed_inputs
+from torchfra.steps.engine import Engine
 from torchfra.steps.loop import Options
 from torchfra.steps.records import Smoothed, SmoothInfo
+from torchfra.steps.recursion import Recursion
 from torchfra.types import Estimate, Gaussian
 
 
 class WholeTracks(NamedTuple):
     """How a call of a filter runs tracks."""
 
-    f: Any
+    f: Recursion
     """The filter."""
+    engine: Engine
+    """That runs its steps."""
     turns: SensorsInTurn | None
     """The sensor of each step; None for the filter's own."""
     options: Options
@@ -59,7 +63,7 @@ class WholeTracks(NamedTuple):
     def _run(self, measurements: Measurements, prior: Gaussian, *, past: bool) -> tuple[Estimate, Any, Any]:
         """The estimate, and for a backward pass the last state and ``Record.past`` of all steps."""
         f, options = self.f, self.options._replace(past=past)
-        estimate, state, kept = (self.turns or f.engine).forward(f, measurements, prior, options)
+        estimate, state, kept = (self.turns or self.engine).forward(f, measurements, prior, options)
         if estimate.failure is None:
             estimate = estimate._replace(failure=diagnose(f, estimate, measurements, prior))
         return with_gradients(f, estimate), state, kept
@@ -87,7 +91,7 @@ class WholeTracks(NamedTuple):
         """The smoothed estimate."""
         filtered, past = self._filtered(measurements, prior, filtered)
         f, rank, frames = self.f, filtered.mean.dim() - 2, (self.turns or self.f)._frames
-        smoothed: Smoothed = f.engine.backward(
+        smoothed: Smoothed = self.engine.backward(
             f, past, measurements, rank, lambda: frames(measurements, rank)[0], lag, self.options
         )
         info = SmoothInfo(filtered, smoothed.probabilities, smoothed.outlier, smoothed.repaired)

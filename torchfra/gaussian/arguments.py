@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from torchfra.numbers import NUMBERS, as_numbers, as_tensor
 from torchfra.sensors.base import Sensor
 from torchfra.types import Gaussian
 
+T = TypeVar("T")
 PRECISIONS = (torch.float32, torch.float64)
 _TIMES = float, Tensor, *NUMBERS
 """Types of time steps that stay as they are, the most frequent first."""
@@ -71,17 +72,17 @@ def check(
 
 
 def measurements_of(
-    z: Any, dt: Any = 1.0, u: Any = None, std: Any = None, noise: Any = None, sensor: Sensor | None = None
-) -> Measurements:
+    z: object, dt: object = 1.0, u: object = None, std: object = None, noise: object = None,
+    sensor: Sensor | None = None,
+) -> Measurements:  # fmt: skip
     """A user's arguments as tensors: see ``as_numbers``.
 
     Raises:
         ValueError: no numbers, or rows of different lengths.
     """
-    times: Any = dt if isinstance(dt, _TIMES) else as_numbers(dt, "dt")
     return Measurements(
         z if type(z) is Tensor and z.is_floating_point() else as_numbers(z, "z", _PAD),
-        times,
+        dt if isinstance(dt, _TIMES) else as_numbers(dt, "dt"),  # type: ignore[arg-type]  # some are numpy's
         u if u is None else as_numbers(u, "u"),
         std if std is None else as_numbers(std, "std"),
         noise if noise is None else as_numbers(noise, "noise"),
@@ -89,7 +90,7 @@ def measurements_of(
     )
 
 
-def belief_of(belief: Any) -> Any:
+def belief_of(belief: T) -> T:
     """A Gaussian of a user with tensors, see ``as_numbers``; anything else as it is.
 
     Raises:
@@ -97,10 +98,13 @@ def belief_of(belief: Any) -> Any:
     """
     if not isinstance(belief, Gaussian):
         return belief
-    return Gaussian(as_numbers(belief.mean, "prior.mean"), as_numbers(belief.scale_tril, "prior.scale_tril"))
+    mean, root = as_numbers(belief.mean, "prior.mean"), as_numbers(belief.scale_tril, "prior.scale_tril")
+    return Gaussian(mean, root)  # type: ignore[return-value]  # as it came
 
 
-def check_belief(belief: Any, name: str = "prior", *, size: int | None = None, from_filter: bool = False) -> Gaussian:
+def check_belief(
+    belief: object, name: str = "prior", *, size: int | None = None, from_filter: bool = False
+) -> Gaussian:
     """Checks that ``belief`` is a Gaussian in single or double precision, of ``size`` components if that is not None.
 
     One that does not come ``from_filter`` must not have a covariance in the place of its root.
@@ -155,7 +159,7 @@ def check_kinds(measurements: Measurements) -> None:
         raise ValueError("std, noise: expected at most one of the two, received both")
 
 
-def _check_tensor(name: str, x: Any, precisions: Sequence[torch.dtype] = ()) -> None:
+def _check_tensor(name: str, x: object, precisions: Sequence[torch.dtype] = ()) -> None:
     """Checks that ``x`` is a tensor of one of these precisions; if there are none, of real numbers."""
     if not isinstance(x, Tensor):
         raise ValueError(f"{name}: expected a tensor, received {type(x).__name__}")

@@ -125,9 +125,9 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
         return x.reshape(x.shape[:1] + (1,) * (rank + 1 + event - x.dim()) + x.shape[1:])
 
     own = measurements if varying else measurements._replace(dt=None)  # type: ignore[arg-type]  # one dt for all
-    z, dt, u, std, noise, _ = tree.map_ranked(time_first, own)
+    z, every_dt, u, std, noise, _ = tree.map_ranked(time_first, own)
     z = z.contiguous()
-    dt = dt if varying else as_tensor(measurements.common_dt, z)
+    dt = every_dt if isinstance(every_dt, Tensor) else as_tensor(measurements.common_dt, z)
     missing = z.isnan()
     measurement_noise = sensor.measurement_noise(z, std, noise)
     shift = motion.shift(dt, u)

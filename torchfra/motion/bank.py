@@ -145,9 +145,8 @@ class Bank(Motion):
             return None
         one = dt.new_ones(2)
         none = Adaptation(dt.new_zeros(self.size, self.dims), one, 0 * one)
-        parts = [none if part is None else part for part in parts]
-        stacked: Adaptation = tree.map_ranked(lambda rank, *xs: _stack(xs, rank), *parts)
-        return stacked
+        first, *others = (none if part is None else part for part in parts)
+        return tree.map_ranked(lambda rank, *xs: _stack(xs, rank), first, *others)
 
     @property
     def _motions(self) -> list[Motion]:

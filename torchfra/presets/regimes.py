@@ -15,7 +15,7 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
 from torchfra.presets.learning import with_learning
 from torchfra.sensors.base import Sensor
-from torchfra.steps.checks import check_models, of_a_module
+from torchfra.steps.models import check_models, of_a_module
 from torchfra.suggestions import meant
 
 MANOEUVRES: dict[str, dict[str, Any]] = {

@@ -3,72 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchfra.gaussian.arguments import check_belief, check_kinds
 from torchfra.gaussian.inputs import Measurements
 from torchfra.linalg.tracing import is_traced
-from torchfra.motion.base import Motion
 from torchfra.numbers import is_integer
-from torchfra.sensors.base import Sensor
-from torchfra.sensors.correlated import Correlated
+from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Gaussian
 
-_OF_A_MODULE = {
-    "motion": """, which these lines make one:
-    class Mine(torchfra.motion.Motion):
-        def __init__(self, module):
-            super().__init__(dims=2, orders=2, q=1.0)  # [x, y, vx, vy]; variance of the acceleration noise, m^2/s^4
-            self.module = module
-        def forward(self, x, dt, u=None):
-            return self.module(x)""",
-    "sensor": """, which these lines make one:
-    class Mine(torchfra.sensors.Sensor):
-        def __init__(self, module):
-            super().__init__(reads=2, angles=[False, False], std=1.0)  # [x, y] of the state; noise of each element
-            self.module = module
-        def forward(self, x, u=None):
-            return self.module(x[..., :2])""",
-}
-"""By the name of the argument."""
 
-
-def check_models(motion: Motion, sensor: Sensor) -> None:
-    """Checks that a motion and a sensor go together.
-
-    Raises:
-        ValueError: an argument is not a motion or not a sensor, the sensor reads more components or dimensions of space
-            than the motion has, or it expects other kinds of components than the motion states.
-    """
-    for name, model, kind in (("motion", motion, Motion), ("sensor", sensor, Sensor)):
-        if not isinstance(model, kind):
-            received = model.__name__ if isinstance(model, type) else type(model).__name__
-            expected = f"an instance of torchfra's {kind.__name__}"
-            raise ValueError(f"{name}: expected {expected}, received {received}{of_a_module(name, model)}")
-    if any(isinstance(part, Correlated) for part in sensor.modules()):
-        expected = "one without time-correlated errors (a preset of single targets takes them, outermost or in Stacked)"
-        raise ValueError(f"sensor: expected {expected}, received {sensor.describe()}")
-    if sensor.reads > motion.size:
-        expected = f"one that reads at most {motion.size} states [{', '.join(motion.components)}]"
-        raise ValueError(f"sensor: expected {expected}, received one that reads {sensor.reads}")
-    if sensor.dims is not None and sensor.dims > motion.dims:
-        raise ValueError(f"sensor: expected one of at most {motion.dims} dimensions of space, received {sensor.dims}")
-    for i, kinds in sensor.expects:
-        if motion.stated[i] not in (*kinds, "other"):
-            has = f"{motion.components[i]!r}, {motion.stated[i]}, in [{', '.join(motion.components)}]"
-            expected = f"a motion whose component {i} is {' or '.join(kinds)}"
-            raise ValueError(f"sensor: {sensor.describe()}: expected {expected}, received {has}")
-
-
-def of_a_module(name: str, model: Any) -> str:
-    """What turns a module of torch into a motion or a sensor, for an error about it; nothing for anything else."""
-    return _OF_A_MODULE[name] if isinstance(model, nn.Module) and not isinstance(model, Motion | Sensor) else ""
-
-
-def check_parts(**parts: tuple[Any, type]) -> None:
+def check_parts(**parts: tuple[object, type]) -> None:
     """Checks that each part of a filter is of its class: ``check_parts(robust=(robust, Robust))``.
 
     Raises:
@@ -80,7 +27,7 @@ def check_parts(**parts: tuple[Any, type]) -> None:
             raise ValueError(f"{name}: expected {expected}, received {type(part).__name__}")
 
 
-def check_weights(f: Any, beside: str = "") -> None:
+def check_weights(f: Recursion, beside: str = "") -> None:
     """Checks that no weights of a filter's rule are negative, ``beside`` something.
 
     Raises:
@@ -90,7 +37,7 @@ def check_weights(f: Any, beside: str = "") -> None:
         raise ValueError(f"rule: expected one without negative weights{beside}, received one with some")
 
 
-def check_state(f: Any, state: Any) -> None:
+def check_state(f: Recursion[S], state: S) -> None:
     """Checks that a state comes from this filter, or has the same form.
 
     Raises:
@@ -104,7 +51,7 @@ def check_state(f: Any, state: Any) -> None:
         raise ValueError(f"state: expected {expected}, received a {type(state).__name__} of another filter")
 
 
-def _fits(made: Any, state: Any) -> bool:
+def _fits(made: object, state: object) -> bool:
     """Whether a state has the form of the one that the filter has ``made`` from the same belief."""
     if isinstance(made, Tensor):
         sizes = zip(reversed(made.shape), reversed(getattr(state, "shape", (None,))), strict=False)
@@ -114,7 +61,7 @@ def _fits(made: Any, state: Any) -> bool:
     return type(state) is type(made) and len(state) == len(made) and all(map(_fits, made, state))
 
 
-def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
+def check_step(f: Recursion[S], state: S, measurements: Measurements) -> Measurements:
     """Checks a single step, and returns it as a track of one step in the precision of the state.
 
     Raises:
@@ -129,7 +76,7 @@ def check_step(f: Any, state: Any, measurements: Measurements) -> Measurements:
     return track._replace(z=track.z.to(mean))
 
 
-def needed_inputs(f: Any, measurements: Measurements, check: Callable[[], Any]) -> Measurements:
+def needed_inputs(f: Recursion, measurements: Measurements, check: Callable[[], object]) -> Measurements:
     """Replaces NaN in ``u`` that only missing elements depend on, such as the positions of satellites out of view.
 
     A NaN on which the motion or a measured element depends stays: such a track fails.

@@ -12,20 +12,21 @@ from torchfra.hyper import spoilt
 from torchfra.steps.checks import check_step
 from torchfra.steps.loop import Options, backward, finish, observe, observe_apart, one_step, scan, start
 from torchfra.steps.records import Kept, Smoothed, decided, kept
+from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Estimate, Gaussian
 
-Function = Callable[[Any, Any, Frame], tuple[Any, Any]]
+Function = Callable[[Any, S, Frame], tuple[S, Any]]
 """From a filter, its state and a frame to the next state and a result of the step."""
 
 
 class Engine:
     """Runs the steps of a filter one after the other.  A filter holds an engine; ``Filter.compile`` replaces it."""
 
-    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
+    def call(self, method: Callable[..., Estimate], f: Recursion, *arguments: Any, **options: Any) -> Estimate:
         """The result of a method of the filter for whole tracks, ``method(f, *arguments, **options)``."""
         return method(f, *arguments, **options)
 
-    def step(self, f: Any, state: Any, measurements: Measurements, apart: bool = False) -> tuple[Any, Any]:
+    def step(self, f: Recursion[S], state: S, measurements: Measurements, apart: bool = False) -> tuple[S, Any]:
         """The state after one measurement, which is checked, and its innovation.
 
         Args:
@@ -37,16 +38,18 @@ class Engine:
         function = observe_apart if apart else observe
         return self._once(f, function, state, check_step(f, state, measurements))
 
-    def once(self, f: Any, function: Function, state: Any, measurements: Measurements) -> tuple[Any, Any]:
+    def once(self, f: Recursion, function: Function[S], state: S, measurements: Measurements) -> tuple[S, Any]:
         """The result of ``function(f, state, frame)`` for one measurement that has been checked."""
         return self._once(f, function, state, measurements.as_track(scans=f.scans))
 
     @staticmethod
-    def _once(f: Any, function: Function, state: Any, track: Measurements) -> tuple[Any, Any]:
+    def _once(f: Recursion, function: Function[S], state: S, track: Measurements) -> tuple[S, Any]:
         (frame,), _ = f._frames(track, state.belief.mean.dim() - 1)
         return function(f, spoilt(f, state, track.sensor), frame)
 
-    def scan(self, f: Any, state: Any, measurements: Measurements, rank: int, options: Options) -> tuple[Any, Kept]:
+    def scan(
+        self, f: Recursion[S], state: S, measurements: Measurements, rank: int, options: Options
+    ) -> tuple[S, Kept]:
         """The state after all steps of checked tracks, and what is kept of each, time behind ``rank`` dimensions."""
         frames, log_norm = f._frames(measurements, rank)
         state = spoilt(f, state, measurements.sensor)
@@ -56,15 +59,15 @@ class Engine:
         return state, kept(tree.stack(needed, rank), log_norm.movedim(0, -1))
 
     def forward(
-        self, f: Any, measurements: Measurements, prior: Gaussian, options: Options
-    ) -> tuple[Estimate, Any, Any]:
+        self, f: Recursion[S], measurements: Measurements, prior: Gaussian, options: Options
+    ) -> tuple[Estimate, S, Any]:
         """Filters whole tracks: the estimate, and for a backward pass the last state and ``Record.past``."""
         state, rank = start(f, measurements, prior)
         state, steps = self.scan(f, state, measurements, rank, options)
         return finish(f, state, steps), state, steps.past
 
     def backward(
-        self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
+        self, f: Recursion, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
         lag: int | None, options: Options,
     ) -> Smoothed:  # fmt: skip
         """The backward pass over a ``past``, time behind ``rank`` batch dimensions.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 
@@ -12,7 +12,12 @@ from torchfra import tree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.hyper import same_values
 from torchfra.steps.records import Kept, Record, Smoothed, innovation, undecided
+from torchfra.steps.recursion import Mix, Recursion, S, innermost
 from torchfra.types import Estimate, Gaussian, Innovation
+
+A = TypeVar("A")  # the state of a loop
+I = TypeVar("I")  # noqa: E741  # an input of its step
+O = TypeVar("O")  # noqa: E741  # an output of its step
 
 
 class Options(NamedTuple):
@@ -26,7 +31,9 @@ class Options(NamedTuple):
     """Whether to keep ``Record.past``."""
 
 
-def start(f: Any, measurements: Measurements, prior: Gaussian, batch: torch.Size | None = None) -> tuple[Any, int]:
+def start(
+    f: Recursion[S], measurements: Measurements, prior: Gaussian, batch: torch.Size | None = None
+) -> tuple[S, int]:
     """The state of a filter before the first measurement, and its number of batch dimensions.
 
     Without a ``batch`` the arguments are checked.
@@ -37,44 +44,36 @@ def start(f: Any, measurements: Measurements, prior: Gaussian, batch: torch.Size
     return f.init(Gaussian(mean.expand((*batch, f.motion.size)), root)), len(batch)
 
 
-def finish(f: Any, state: Any, kept: Kept) -> Estimate:
+def finish(f: Recursion[S], state: S, kept: Kept) -> Estimate:
     """The estimate of whole tracks, from the last state and the kept parts of all steps."""
     (mean, root), info = f.finish(state, kept.belief, kept.info)
     return Estimate(mean, root, kept.nis, kept.log_likelihood, info)
 
 
-def innermost(f: Any) -> Any:
-    """The innermost filter: the transition and process noise of its motion are in the frames, and its sensor."""
-    while hasattr(f, "inner"):
-        f = f.inner
-    return f
-
-
-def one_step(f: Any, state: Any, frame: Frame, *mix: Any) -> tuple[Any, Record]:
+def one_step(f: Recursion[S], state: S, frame: Frame, *mix: Mix) -> tuple[S, Record]:
     """``advance`` of a filter; by another sensor it neither uses nor changes the memory of its own."""
     if frame.sensor is innermost(f).sensor:
-        stepped: tuple[Any, Record] = f.advance(state, frame, *mix)
-        return stepped
+        return f.advance(state, frame, *mix)  # a filter inside of ``IMM`` takes a mix
     after, record = f.advance(f.forget(state, frame.sensor), frame, *mix)
     return f.remember(after, state), record
 
 
-def observe(f: Any, state: Any, frame: Frame) -> tuple[Any, Innovation]:
+def observe(f: Recursion[S], state: S, frame: Frame) -> tuple[S, Innovation]:
     """The state after one step, and its innovation."""
     state, record = one_step(f, state, frame)
     return state, innovation(record, frame.measurement_noise, scans=f.scans)
 
 
-def observe_apart(f: Any, state: Any, frame: Frame) -> tuple[Any, tuple[Innovation, Gaussian]]:
+def observe_apart(f: Recursion[S], state: S, frame: Frame) -> tuple[S, tuple[Innovation, Gaussian]]:
     """The same with a copy of the belief, for who keeps the state and hands out the belief."""
     state, seen = observe(f, state, frame)
     return state, (seen, tree.map_tensors(torch.clone, state.belief))
 
 
 def scan(
-    step: Callable[[Any, Any], tuple[Any, Any]], state: Any, inputs: Sequence[Any], checkpoint: int | None = None,
+    step: Callable[[A, I], tuple[A, O]], state: A, inputs: Sequence[I], checkpoint: int | None = None,
     truncate: int | None = None,
-) -> tuple[Any, list[Any]]:  # fmt: skip
+) -> tuple[A, list[O]]:  # fmt: skip
     """The state after all steps, and what each gives beside it.
 
     Args:
@@ -85,8 +84,8 @@ def scan(
         truncate: see ``Options``.
     """
 
-    def stretch(state: Any, first: int, last: int) -> tuple[Any, list[Any]]:
-        results = []
+    def stretch(state: A, first: int, last: int) -> tuple[A, list[O]]:
+        results: list[O] = []
         for k in range(first, last):
             if truncate is not None and k and k % truncate == 0:
                 state = tree.detach(state)
@@ -100,7 +99,7 @@ def scan(
             return stretch(state, 0, len(inputs))
     from torch.utils.checkpoint import checkpoint as recompute  # before torch 2.11 it imports half of torch's compiler
 
-    results: list[Any] = []
+    results: list[O] = []
     for first in range(0, len(inputs), checkpoint):
         last = min(first + checkpoint, len(inputs))
         state, more = recompute(stretch, state, first, last, use_reentrant=False)
@@ -108,7 +107,9 @@ def scan(
     return state, results
 
 
-def backward(f: Any, past: Any, frames: Sequence[Frame], rank: int, lag: int | None, options: Options) -> Smoothed:
+def backward(
+    f: Recursion, past: Sequence[Any], frames: Sequence[Frame], rank: int, lag: int | None, options: Options
+) -> Smoothed:
     """The smoothed estimates of all steps, stacked over time behind ``rank`` batch dimensions.
 
     Args:
@@ -126,16 +127,14 @@ def backward(f: Any, past: Any, frames: Sequence[Frame], rank: int, lag: int | N
     if lag is not None:
         state = tree.stack([state] * lag, 0)
 
-    def back(after: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
-        stepped: tuple[Any, Smoothed] = f.retreat(step, after) if lag is None else _lagged(f, after, step)
-        return stepped
+    def back(after: A, step: BackwardStep) -> tuple[A, Smoothed]:
+        return f.retreat(step, after) if lag is None else _lagged(f, after, step)
 
     _, smoothed = scan(back, state, steps[::-1], options.checkpoint)
-    stacked: Smoothed = tree.stack([*smoothed[::-1], end], rank)
-    return stacked
+    return tree.stack([*smoothed[::-1], end], rank)
 
 
-def _lagged(f: Any, window: Any, step: BackwardStep) -> tuple[Any, Smoothed]:
+def _lagged(f: Recursion, window: A, step: BackwardStep) -> tuple[A, Smoothed]:
     """One step of the backward pass with a fixed lag: ``window[l]`` is smoothed by the ``l`` steps after its own.
 
     For ``window[0]`` the past of the next step is provisional: no later measurement has decided that step.

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from torch import Tensor
 
+from torchfra import tree
 from torchfra.gaussian.update import density
 from torchfra.linalg.safe import safe_square
 from torchfra.sensors.base import MeasurementNoise
 from torchfra.types import Estimate, Gaussian, Innovation
+
+T = TypeVar("T")  # a past
 
 
 class Record(NamedTuple):
@@ -107,23 +108,11 @@ class Past(NamedTuple):
         return self._replace(belief=None, provisional=None)  # type: ignore[arg-type]  # ``retreat`` reads no belief
 
 
-def undecided(past: Any) -> Any:
+def undecided(past: T) -> T:
     """The past of a step before the next measurement has decided its estimate; the same where nothing is open."""
-    return _each(lambda x: x if x.provisional is None else Past(*x.provisional), past)
+    return tree.map_parts(lambda x: x if x.provisional is None else Past(*x.provisional), past, Past)
 
 
-def decided(past: Any) -> Any:
+def decided(past: T) -> T:
     """The past of a step whose estimate no later measurement can decide."""
-    return _each(lambda x: x if x.provisional is None else x._replace(provisional=None), past)
-
-
-def _each(function: Callable[[Past], Past], past: Any) -> Any:
-    """The function of every ``Past`` in a tuple; the very same tuple where that changes nothing."""
-    if isinstance(past, Past):
-        return function(past)
-    if not isinstance(past, tuple):
-        return past
-    parts = [_each(function, part) for part in past]
-    if all(map(operator.is_, parts, past)):
-        return past
-    return type(past)(*parts) if hasattr(past, "_fields") else tuple(parts)
+    return tree.map_parts(lambda x: x if x.provisional is None else x._replace(provisional=None), past, Past)

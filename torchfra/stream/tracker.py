@@ -13,13 +13,14 @@ from torch import Tensor
 
 from torchfra import tree
 from torchfra.filters.alarms import faulty_seconds
-from torchfra.filters.base import Filter, in_full_precision
+from torchfra.filters.base import Filter
 from torchfra.filters.failures import diagnose_step
 from torchfra.filters.fixed_lag import smooth_window, step_kept
 from torchfra.filters.forecast import Forecast
 from torchfra.filters.protection import protection_level
 from torchfra.gaussian.arguments import belief_of, check_belief
 from torchfra.sensors.base import Sensor
+from torchfra.steps.recursion import in_full_precision
 from torchfra.stream.arguments import check_counts, seconds
 from torchfra.stream.intake import Intake
 from torchfra.stream.window import At, Clock, Entry, Window

@@ -206,8 +206,7 @@ class Targets(Part):
         )
         if found != expected:
             raise ValueError(f"values: expected a state of {expected}, received {found}")
-        state: TargetsState = tree.unflatten(empty, iter(tensors))
-        return state
+        return tree.unflatten(empty, iter(tensors))
 
     def step(
         self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None, std: Tensor | None = None,

@@ -18,7 +18,7 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
-from torchfra.steps.checks import check_models
+from torchfra.steps.models import check_models
 from torchfra.testing import refusals
 from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, drawn, make_case

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import reduce
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ from torch.distributions import constraints
 
 from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.gains import Gains
-from torchfra.filters.base import Filter, S
+from torchfra.filters.base import Filter
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.linalg.safe import safe_divide, safe_sqrt
@@ -22,8 +22,10 @@ from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
 from torchfra.steps.records import Record
+from torchfra.steps.recursion import S
 from torchfra.types import Gaussian
 
+T = TypeVar("T")  # an info
 Rows: TypeAlias = list[list[Tensor]]
 """Rows of the covariance roots of all axes: entry i, j is ``(..., d)``."""
 
@@ -74,7 +76,7 @@ class ConstantGainFilter(Filter[S]):
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
 
-    def predict_innovation(self, state: Any, beliefs: Gaussian, frame: Frame) -> Gaussian:
+    def predict_innovation(self, state: S, beliefs: Gaussian, frame: Frame) -> Gaussian:
         """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
         mean, root = (x[..., : self.sensor.size, :] for x in (beliefs.mean.unsqueeze(-1), beliefs.scale_tril))
         noise = frame.measurement_noise
@@ -94,7 +96,7 @@ class ConstantGainFilter(Filter[S]):
             "or a bank of motions"
         )
 
-    def finish(self, state: Any, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
+    def finish(self, state: S, belief: Gaussian, info: T) -> tuple[Gaussian, T]:
         """Beliefs of all steps with full roots; steps keep only the nonzero entries of roots."""
         return Gaussian(belief.mean, full_root(belief.scale_tril, belief.mean.shape[-1])), info
 
@@ -181,7 +183,7 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         root = corrected_root(rows, gains, since, frame.measured, std)
         root = root.expand(*mean.shape[:-1], *root.shape[-2:])
         state = AlphaBetaState(mean, root, state.used + frame.measured, since * (1 - frame.measured))
-        return state, record(state, residual, frame, residual_spread(rows, std), None)
+        return state, record(Gaussian(mean, root), residual, frame, residual_spread(rows, std), None)
 
     def _gains(self, since: Tensor, used: Tensor) -> list[Tensor]:
         """Gains of this step: larger for the first measurements, smaller for short steps."""
@@ -196,11 +198,11 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
 # ---------------------------------------------------------------- arithmetic, axis by axis
 
 
-def record(state: Any, residual: Tensor, frame: Frame, std: Tensor, info: Any) -> Record:
+def record(belief: Gaussian, residual: Tensor, frame: Frame, std: Tensor, info: object) -> Record:
     """The record of a step.
 
     Args:
-        state: after the step.
+        belief: mean and entries of the root after the step.
         residual: ``(..., d)``, 0 where nothing was measured.
         frame: of the step.
         std: ``(..., d)`` standard deviation of the residual, in units of the measurement noise.
@@ -209,7 +211,7 @@ def record(state: Any, residual: Tensor, frame: Frame, std: Tensor, info: Any) -
     std = std.expand_as(residual)
     whitened = residual * frame.measurement_noise.scale
     std = torch.where(frame.measured > 0, std, 1.0)
-    return Record(Gaussian(state.mean, state.root), whitened, std.diag_embed(), whitened / std, info)
+    return Record(belief, whitened, std.diag_embed(), whitened / std, info)
 
 
 def predict_axes(parts: tuple[Tensor, ...], dt: Tensor) -> list[Tensor]:

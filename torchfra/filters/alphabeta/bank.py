@@ -337,7 +337,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         after = remember(state, innovation, vote, test, flag)
         after = after._replace(mean=belief.mean, root=belief.scale_tril, level=level, fastest=fastest)
         spread = residual_spread(predict_root(root_rows(state.root), innovation.dt), innovation.std)
-        return after, record(after, innovation.residual, frame, spread, _info(vote, test, level))
+        belief = Gaussian(after.mean, after.root)
+        return after, record(belief, innovation.residual, frame, spread, _info(vote, test, level))
 
     # ------------------------------------------------------------ decisions, in the order of the paper
 

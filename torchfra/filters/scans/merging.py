@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +16,8 @@ from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.mixture import log_sum, moment_match
 from torchfra.types import Gaussian
+
+T = TypeVar("T")  # a tree
 
 
 def check_merges(inner: Filter) -> None:
@@ -60,7 +62,7 @@ def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
     return State(belief, *averaged(states[1:], log_weights))
 
 
-def averaged(trees: Any, log_weights: Tensor, angles: Sequence[int] = ()) -> Any:
+def averaged(trees: T, log_weights: Tensor, angles: Sequence[int] = ()) -> T:
     """Trees ``(P, ...)`` merged into one: beliefs by their moments, truth values of the first, all else by the mean.
 
     Args:
@@ -75,18 +77,10 @@ def averaged(trees: Any, log_weights: Tensor, angles: Sequence[int] = ()) -> Any
         weight = log_weights.exp().reshape(log_weights.shape + (1,) * (x.dim() - log_weights.dim()))
         return (weight * torch.where(weight > 0, x, 0.0)).sum(0)
 
-    def both(x: Any) -> Any:
-        return moment_match(x, log_weights, angles) if isinstance(x, Gaussian) else tree.map_tensors(mean, x)
+    def both(x: Gaussian | Tensor) -> Gaussian | Tensor:
+        return moment_match(x, log_weights, angles) if isinstance(x, Gaussian) else mean(x)
 
-    return on_beliefs(both, trees)
-
-
-def on_beliefs(function: Callable[[Any], Any], trees: Any) -> Any:
-    """Applies ``function`` to every belief of a tree, and to every tensor outside of beliefs."""
-    if isinstance(trees, tuple) and not isinstance(trees, Gaussian):
-        parts = [on_beliefs(function, part) for part in trees]
-        return type(trees)(*parts) if hasattr(trees, "_fields") else tuple(parts)
-    return function(trees)
+    return tree.map_parts(both, trees, Gaussian, Tensor)
 
 
 def _of_models(inner: IMM, states: Any, log_weights: Tensor) -> IMMState:

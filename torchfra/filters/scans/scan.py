@@ -115,8 +115,7 @@ def chosen(trees: C, order: Tensor, shape: torch.Size, only: Collection[str] | N
 
     With ``only``, all other fields of the tuple stay as they are.
     """
-    taken: C = tree.map_ranked(lambda rank, x: _taken(x, rank, order, shape), trees, only=only)
-    return taken
+    return tree.map_ranked(lambda rank, x: _taken(x, rank, order, shape), trees, only=only)
 
 
 def _taken(x: Tensor, rank: int, order: Tensor, shape: torch.Size) -> Tensor:

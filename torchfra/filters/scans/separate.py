@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -12,13 +12,16 @@ from torchfra.association.clusters import Association
 from torchfra.filters.base import Filter
 from torchfra.filters.imm import IMM, IMMState
 from torchfra.filters.interaction import pooled
-from torchfra.filters.scans.merging import averaged, merged, on_beliefs
+from torchfra.filters.scans.merging import averaged, merged
 from torchfra.filters.scans.scan import chosen, gated_first
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
 from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record, scores
+from torchfra.steps.recursion import HasBelief, S
 from torchfra.types import Gaussian
+
+T = TypeVar("T")  # a tree
 
 
 class Pairs(NamedTuple):
@@ -26,7 +29,7 @@ class Pairs(NamedTuple):
 
     states: Any
     """States ``(K, ..., N)`` of the filter."""
-    info: Any
+    info: object
     """Info ``(K, ..., N)`` of the filter."""
     order: Tensor
     """``(..., N, K)`` index of each measurement in the scan."""
@@ -39,7 +42,7 @@ def core(inner: Filter) -> Any:
     return inner.inner if isinstance(inner, IMM) else inner
 
 
-def step_missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tuple[Any, Record]:
+def step_missed(inner: Filter, state: HasBelief, frame: Frame, sensor: Sensor) -> tuple[Any, Record]:
     """State and info ``(1, ..., N)`` of targets that are missed, and the record ``(..., N, 1)`` of the step."""
     z = torch.zeros_like(frame.z[..., :1, :])
     nothing = sensor.measurement_noise(torch.full_like(z, torch.nan))
@@ -49,7 +52,7 @@ def step_missed(inner: Filter, state: Any, frame: Frame, sensor: Sensor) -> tupl
     return _rows_first((state, record.info), rank, 1), record
 
 
-def step_measured(inner: Filter, state: Any, frame: Frame, inside: Tensor) -> Pairs:
+def step_measured(inner: Filter, state: HasBelief, frame: Frame, inside: Tensor) -> Pairs:
     """The states after each measurement that is ``inside (..., N, J)`` a target's gate."""
     order, rank = gated_first(inside), state.belief.mean.dim() - 1
     frame = chosen(frame, order, inside.shape, only=("z", "measured", "measurement_noise"))
@@ -68,27 +71,25 @@ def merge_hypotheses(inner: Filter, none: tuple[Any, Any], each: Pairs, associat
     return merged(inner, state, log_weights), averaged(info, log_weights, inner.motion.angles)
 
 
-def inflated_state(inner: Filter, state: Any, factor: Tensor) -> Any:
+def inflated_state(inner: Filter, state: S, factor: Tensor) -> S:
     """A state of the filter with all covariance roots multiplied by ``factor (...)``; models are pooled again."""
 
-    def inflate(x: Any) -> Any:
-        if not isinstance(x, Gaussian):
-            return x
+    def inflate(x: Gaussian) -> Gaussian:
         each = factor.reshape(factor.shape + (1,) * (x.scale_tril.dim() - factor.dim()))
         return Gaussian(x.mean, each * x.scale_tril)
 
-    state = on_beliefs(inflate, state)
+    state = tree.map_parts(inflate, state, Gaussian)
     if isinstance(state, IMMState) and state.active is None:
         state = state._replace(belief=pooled(state.inner.belief, state.log_weights, inner.motion))
     return state
 
 
-def _with_rows(state: Any, rank: int, count: int) -> Any:
+def _with_rows(state: T, rank: int, count: int) -> T:
     """The state, repeated ``count`` times along a new last dimension of the batch."""
     return tree.map_tensors(lambda x: x.unsqueeze(rank).expand(*x.shape[:rank], count, *x.shape[rank:]), state)
 
 
-def _rows_first(trees: Any, rank: int, count: int) -> Any:
+def _rows_first(trees: T, rank: int, count: int) -> T:
     """Trees with the dimension of ``_with_rows`` moved to the front; tensors with a single entry are repeated."""
 
     def first(x: Tensor) -> Tensor:
