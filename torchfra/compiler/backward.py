@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchfra import tree
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.numbers import as_tensor
 from torchfra.steps.records import decided, undecided
-from torchfra.steps.recursion import innermost
+from torchfra.steps.recursion import HasBelief, Recursion, innermost
 from torchfra.types import Gaussian
 
 _AT_ONCE = 1 << 20
@@ -23,7 +23,7 @@ _AT_ONCE = 1 << 20
 class BackwardInputs(NamedTuple):
     """What the kernel of a backward pass reads."""
 
-    state: Any
+    state: HasBelief
     """To begin with, at the last step."""
     data: dict[str, Tensor]
     """Of each step its past and what is needed of the next step, its ``dt`` and ``u``, and whether it is the last."""
@@ -33,23 +33,23 @@ class BackwardInputs(NamedTuple):
     """Dimensions of one track's entry."""
     batch: torch.Size
     steps: int
-    like: Any
+    like: object
     """A past, what is needed of the next step, and the past that it was predicted from, if that is another; their
     leaves come first in the data."""
     windows: bool = False
     """Whether the last dimension of the batch counts windows; the filter's own values do not have it."""
 
-    def begin(self, f: Any, book: Expressions) -> Any:
+    def begin(self, f: nn.Module, book: Expressions) -> Any:
         """The state of one track, in which all is unknown but the zeros of lower roots."""
         rank = len(self.batch)
         return _lower(tree.map_tensors(lambda x: torch.ones(x.shape[rank:], dtype=x.dtype), self.state))
 
-    def advance(self, f: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+    def advance(self, f: Recursion, after: object, data: dict[str, Tensor]) -> tuple[Any, Any]:
         """One step back of one track: see ``retreat``."""
         return retreat(f, self.like, after, data)
 
 
-def cut(past: Any, rank: int, truncate: int) -> Any:
+def cut(past: object, rank: int, truncate: int) -> Any:
     """A past ``(..., T, ...)`` without the gradients of steps after which those of the forward pass were cut."""
 
     def without(x: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ def cut(past: Any, rank: int, truncate: int) -> Any:
 
 
 def windows(
-    f: Any, past: Any, source: Any, measurements: Measurements, rank: int, lag: int
+    f: Recursion, past: object, source: object, measurements: Measurements, rank: int, lag: int
 ) -> Iterator[tuple[Any, Any, Measurements]]:
     """A track of ``lag + 1`` steps for each step that has so many later ones, along one more dimension of the batch.
 
@@ -98,7 +98,9 @@ def of_windows(smoothed: Sequence[Any], rank: int, lag: int) -> Any:
     return tree.map_tensors(steps, *smoothed)
 
 
-def backward_inputs(f: Any, past: Any, source: Any, measurements: Measurements, rank: int) -> BackwardInputs:
+def backward_inputs(
+    f: Recursion, past: object, source: object, measurements: Measurements, rank: int
+) -> BackwardInputs:
     """All that the kernel of this filter reads.
 
     Args:
@@ -126,7 +128,7 @@ def backward_inputs(f: Any, past: Any, source: Any, measurements: Measurements, 
     )
 
 
-def _lower(x: Any) -> Any:
+def _lower(x: object) -> Any:
     """The same tree, that says which entries of the roots of Gaussians are zero."""
     if isinstance(x, Gaussian):
         return Gaussian(x.mean, x.scale_tril.tril())
@@ -136,7 +138,7 @@ def _lower(x: Any) -> Any:
     return type(x)(*parts) if hasattr(x, "_fields") else tuple(parts)
 
 
-def retreat(f: Any, like: Any, after: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+def retreat(f: Recursion, like: object, after: object, data: dict[str, Tensor]) -> tuple[Any, Any]:
     """One step back of one track; at the last step, where it begins, what that says."""
     leaves = iter([x for name, x in data.items() if name.startswith("past")])
     past, following, source = _lower(tree.unflatten(like, leaves))

@@ -21,7 +21,7 @@ from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
 from torchfra.steps.loop import finish
 from torchfra.tree import flatten, map_tensors, unflatten
-from torchfra.types import Gaussian
+from torchfra.types import Estimate, Gaussian
 
 PRIOR = ("mean of the prior", "root of the prior")
 LAST = "state after the last step"
@@ -36,9 +36,9 @@ class Traced(NamedTuple):
     prior: list[Entries]
     begun: list[Entries]
     after: tuple[Entries, ...]
-    steps: Any
+    steps: object
     """The records of two steps."""
-    made: Any
+    made: Estimate
     """What becomes of them."""
 
 

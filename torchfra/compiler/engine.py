@@ -28,6 +28,7 @@ from torchfra.numbers import NUMBERS
 from torchfra.steps.checks import check_step
 from torchfra.steps.engine import INTERPRETED, Engine
 from torchfra.steps.loop import Options, finish, observe, observe_apart, start
+from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.tree import flatten, map_tensors, unflatten
 from torchfra.types import Estimate, Gaussian
 
@@ -71,7 +72,7 @@ class Compiled(Engine):
         return now
 
     @staticmethod
-    def takes(z: Any) -> bool:
+    def takes(z: object) -> bool:
         """Whether kernels can work on it: on the CPU or NVIDIA's GPUs, not inside ``torch.compile`` or a transform."""
         return (
             isinstance(z, Tensor)
@@ -82,14 +83,14 @@ class Compiled(Engine):
             and not (torch.is_grad_enabled() and has_tangents())
         )
 
-    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
+    def call(self, method: Callable[..., Estimate], f: Recursion, *arguments: Any, **options: Any) -> Estimate:
         """What a method of the filter gives for whole tracks: to ``torch.compile`` it is one operation."""
         if one_operation.takes(f, options):
             return one_operation.call(method.__name__, f, *arguments, **options)
         return method(f, *arguments, **options)
 
     def forward(
-        self, f: Any, measurements: Measurements, prior: Gaussian, options: Options
+        self, f: Recursion, measurements: Measurements, prior: Gaussian, options: Options
     ) -> tuple[Estimate, Any, Any]:
         """Whole tracks from their prior: the estimate, and for a backward pass the last state and what is kept."""
         if not self.takes(measurements.z):
@@ -104,7 +105,7 @@ class Compiled(Engine):
         state, kept = done
         return finish(f, state, kept), state, kept.past
 
-    def _ready(self, f: Any, measurements: Measurements, prior: Gaussian, options: Options) -> Any:
+    def _ready(self, f: Recursion, measurements: Measurements, prior: Gaussian, options: Options) -> Any:
         """The estimate, or what ``scan`` gives from a prior; None unless a call of this form is known.
 
         Raises:
@@ -115,7 +116,9 @@ class Compiled(Engine):
         now, form = self._now(f), form_of(measurements, options.past, _plain(options))
         return now.tracks(f, form, prior, measurements, now.read)
 
-    def _get_ready(self, f: Any, state: Any, measurements: Measurements, prior: Gaussian, options: Options) -> None:
+    def _get_ready(
+        self, f: Recursion, state: HasBelief, measurements: Measurements, prior: Gaussian, options: Options
+    ) -> None:
         """Makes later calls of ``forward`` like this one ready, if that is worth it; ``state`` is that of the prior."""
         plain, past = _plain(options), options.past
         form, z, now = form_of(measurements, past, plain), measurements.z, self._now(f)
@@ -127,7 +130,9 @@ class Compiled(Engine):
             now, task, data = self._task(f, state, measurements, past)
             now.get_tracks_ready(form, task, prior, state, data, past, plain)
 
-    def scan(self, f: Any, state: Any, measurements: Measurements, rank: int, options: Options) -> tuple[Any, Any]:
+    def scan(
+        self, f: Recursion, state: HasBelief, measurements: Measurements, rank: int, options: Options
+    ) -> tuple[Any, Any]:
         """The state after whole tracks that have been checked, and what is kept of each step."""
         if not self.takes(measurements.z):
             return super().scan(f, state, measurements, rank, options)
@@ -144,7 +149,9 @@ class Compiled(Engine):
         # The batch is that of scenes: time comes behind the targets of each.
         return state, map_tensors(lambda x: x.movedim(rank, rank + 1), kept) if f.scans else kept
 
-    def _task(self, f: Any, state: Any, measurements: Measurements, past: bool) -> tuple[Version, Task, Data]:
+    def _task(
+        self, f: Recursion, state: HasBelief, measurements: Measurements, past: bool
+    ) -> tuple[Version, Task, Data]:
         """The kernels that hold for the filter, what this form of call comes to, and its data."""
         data, now = (measurements.z, seconds_of(measurements), *measurements[2:5]), self._now(f, measurements.sensor)
         advance = traced.Advance(traced.keep_past if past else traced.keep, _complete(f, measurements))
@@ -152,13 +159,13 @@ class Compiled(Engine):
             return now, now.task(advance, state, data, (True, measurements.varying_dt, True, True, True)), data
 
     def backward(
-        self, f: Any, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
+        self, f: Recursion, past: object, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
         lag: int | None, options: Options,
     ) -> Any:  # fmt: skip
         """The backward pass over a ``past``, time behind ``rank`` batch dimensions."""
         if not self.takes(measurements.z):
             return super().backward(f, past, measurements, rank, frames, lag, options)
-        measurements = f.for_each_target(measurements) if f.scans else measurements
+        measurements = f.for_each_target(measurements) if f.scans else measurements  # type: ignore[operator]
         truncate = options.truncate
         source = cut(past, rank, truncate) if truncate and has_gradient(flatten(past)) else None
         if lag is None or lag >= flatten(past)[0].shape[rank] - 1:
@@ -167,17 +174,17 @@ class Compiled(Engine):
         parts = [self._back(f, backward_inputs(f, *part, rank + 1)._replace(windows=True)) for part in every]
         return of_windows(parts, rank, lag)
 
-    def _back(self, f: Any, back: BackwardInputs) -> Any:
+    def _back(self, f: Recursion, back: BackwardInputs) -> Any:
         now, task, data = self._task_back(f, back)
         return now.run(task, back.steps, back.state, data, back=back)[1]
 
-    def _task_back(self, f: Any, back: BackwardInputs) -> tuple[Version, Task, list[Tensor]]:
+    def _task_back(self, f: Recursion, back: BackwardInputs) -> tuple[Version, Task, list[Tensor]]:
         """The same as ``_task`` of a backward pass."""
         now, data, timed = self._now(f), list(back.data.values()), list(back.timed.values())
         with building():
             return now, now.task(back.advance, back.state, data, timed, back), data
 
-    def _make_backward(self, f: Any, task: Task, measurements: Measurements) -> None:
+    def _make_backward(self, f: Recursion, task: Task, measurements: Measurements) -> None:
         """Makes the kernel of the backward pass, from zeros for what the filter will keep of two steps of a track.
 
         It is traced while LLVM compiles the filter.  An error comes again in the call that needs the kernel.
@@ -200,7 +207,7 @@ class Compiled(Engine):
             task.kernels.around(learns=False)
 
     def once(
-        self, f: Any, function: Callable[..., tuple[Any, Any]], state: Any, measurements: Measurements
+        self, f: Recursion, function: Callable[..., tuple[Any, Any]], state: HasBelief, measurements: Measurements
     ) -> tuple[Any, Any]:
         """What ``function(f, state, frame)`` gives for one measurement or scan that has been checked."""
         if not self.takes(measurements.z):
@@ -210,7 +217,7 @@ class Compiled(Engine):
             task = now.task(traced.Advance(function, _complete(f, measurements)), state, data, (False,) * 5)
         return now.run(task, 1, state, data)
 
-    def step(self, f: Any, state: Any, measurements: Measurements, apart: bool = False) -> tuple[Any, Any]:
+    def step(self, f: Recursion, state: HasBelief, measurements: Measurements, apart: bool = False) -> tuple[Any, Any]:
         """The state after one measurement, and its innovation: see ``Engine``.
 
         Shapes are checked unless a call of the same shapes has passed before.
@@ -230,7 +237,7 @@ class Compiled(Engine):
 
     @staticmethod
     def _prepare(
-        f: Any, now: Version, state: Any, measurements: Measurements, data: Data, kind: tuple[bool, bool]
+        f: Recursion, now: Version, state: HasBelief, measurements: Measurements, data: Data, kind: tuple[bool, bool]
     ) -> tuple[Any, Any]:
         """The same where no step is ready, which then becomes ready if it can."""
         tensors = (*data, *flatten(state), *now.read())
@@ -255,8 +262,8 @@ def _plain(options: Options) -> bool:
     return not (options.checkpoint or options.truncate or hooked())
 
 
-def _complete(f: Any, measurements: Measurements) -> bool:
-    return bool(f.scans and f.complete(measurements))
+def _complete(f: Recursion, measurements: Measurements) -> bool:
+    return bool(f.scans and f.complete(measurements))  # type: ignore[operator]  # a ``JPDA`` has it
 
 
 @lru_cache(maxsize=64)
@@ -282,11 +289,11 @@ class InBackground(Engine):
     def __reduce__(self) -> tuple[type[InBackground], tuple[()]]:
         return InBackground, ()  # kernels are no part of a copy
 
-    def call(self, method: Callable[..., Estimate], f: Any, *arguments: Any, **options: Any) -> Estimate:
+    def call(self, method: Callable[..., Estimate], f: Recursion, *arguments: Any, **options: Any) -> Estimate:
         """As ``Compiled`` does."""
         return self._compiled.call(method, f, *arguments, **options)
 
-    def _run(self, name: str, f: Any, *arguments: Any) -> Any:
+    def _run(self, name: str, f: Recursion, *arguments: Any) -> Any:
         """The result of the method of this name; see ``steps.engine.Engine``.
 
         Raises:
@@ -309,7 +316,7 @@ class InBackground(Engine):
     scan = partialmethod(_run, "scan")
     forward, backward = partialmethod(_run, "forward"), partialmethod(_run, "backward")
 
-    def _start(self, name: str, f: Any, arguments: tuple[Any, ...]) -> Future[Any]:
+    def _start(self, name: str, f: Recursion, arguments: tuple[Any, ...]) -> Future[Any]:
         """Makes a call in a thread."""
         made: Future[Any] = Future()
         inference, grad = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
@@ -327,7 +334,7 @@ class InBackground(Engine):
         return made
 
 
-def _kinds(x: Any) -> Hashable:
+def _kinds(x: object) -> Hashable:
     """What kernels depend on; of numbers and tensors not the values."""
     if isinstance(x, Tensor):
         return x.dtype, x.device, x.dim(), x.dim() == 0 or x.shape[:-1].numel() == 1

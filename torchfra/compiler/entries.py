@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._ops import OpOverload
 
 from torchfra.compiler.expressions import Expressions
 
@@ -67,7 +68,9 @@ class Entries(Tensor):
     __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
 
     @classmethod
-    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:  # type: ignore[override]
+    def __torch_dispatch__(  # type: ignore[override]  # torch types it as of an instance
+        cls, func: OpOverload, types: Sequence[type], args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
         kwargs = kwargs or {}
         book = next(x.book for x in leaves((*args, *kwargs.values())) if isinstance(x, Entries))
         rule = RULES.get(func)
@@ -86,12 +89,12 @@ def leaves(arguments: Iterable[Any]) -> Iterator[Any]:
             yield x
 
 
-def each(function: Callable[[Any], Any], x: Any) -> Any:
+def each(function: Callable[[Any], Any], x: object) -> Any:
     """What a function gives for an argument or a result of an operation; a list for each in a list."""
     return [each(function, y) for y in x] if isinstance(x, list | tuple) else function(x)
 
 
-def as_entries(book: Expressions, x: Any) -> Entries:
+def as_entries(book: Expressions, x: object) -> Entries:
     """A tensor or a number as entries; entries stay as they are."""
     if isinstance(x, Entries):
         return x
@@ -132,7 +135,7 @@ class _Graded(torch.autograd.Function):
         return None, *ctx.gradients
 
 
-def unsupported(operation: Any, reason: str) -> NotImplementedError:
+def unsupported(operation: object, reason: str) -> NotImplementedError:
     """The error for an operation that kernels do not have: which one, and what to do."""
     return NotImplementedError(
         f"compile: {operation} cannot become part of a kernel ({reason}): write the step with sums, products, "

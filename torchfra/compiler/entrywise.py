@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._ops import OpOverload
 
 from torchfra.compiler.entries import Entries, as_entries, from_numbers
 from torchfra.compiler.expressions import Expressions
@@ -18,7 +19,7 @@ Function = Callable[..., int]
 """From expressions and the numbers of some of them to the number of another."""
 
 
-def entrywise(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
+def entrywise(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Entries:
     """Applies a function of ``ENTRYWISE`` to each entry of what its arguments broadcast to."""
     like = func(*map(_sample, args), **kwargs)
     ids = torch.broadcast_tensors(*(as_entries(book, x).ids for x in args))
@@ -29,7 +30,7 @@ def entrywise(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
     return from_numbers(book, numbers, like.shape, like.dtype)
 
 
-def _sample(x: Any) -> Any:
+def _sample(x: object) -> Any:
     """A tensor of this form, for the form of a result: not a meta tensor, for which torch may import its compiler."""
     return torch.ones(x.shape, dtype=x.dtype) if isinstance(x, Tensor) else x
 

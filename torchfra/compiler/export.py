@@ -22,6 +22,7 @@ from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import tria
 from torchfra.numbers import is_integer
 from torchfra.steps.loop import observe
+from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.tree import flatten, paths
 from torchfra.types import Gaussian
 from torchfra.version import __version__
@@ -68,7 +69,7 @@ class Output(NamedTuple):
 
 
 def export(
-    f: Any, name: str = "filter", *, u: int = 0, inputs: Collection[str] = (), dtype: torch.dtype = torch.float64
+    f: Recursion, name: str = "filter", *, u: int = 0, inputs: Collection[str] = (), dtype: torch.dtype = torch.float64
 ) -> dict[str, str]:
     """One step of a filter as C++17: the texts of header, source, example program and ``CMakeLists.txt``, by file.
 
@@ -168,7 +169,7 @@ _TAKEN = KEYWORDS | {"advance", "begin", "block", "example", "main", "read", "st
 """Keywords, and names in the files themselves."""
 
 
-def _check(f: Any, name: str, u: int, inputs: Collection[str], dtype: torch.dtype) -> None:
+def _check(f: Recursion, name: str, u: int, inputs: Collection[str], dtype: torch.dtype) -> None:
     if getattr(f, "scans", True):
         raise ValueError(f"filter: expected one of single tracks, received {type(f).__name__}")
     if not isinstance(name, str) or not re.fullmatch(r"[a-z_][a-z0-9_]*", name):
@@ -188,12 +189,12 @@ def _check(f: Any, name: str, u: int, inputs: Collection[str], dtype: torch.dtyp
         raise ValueError(f"filter: expected one value of each hyperparameter, received a batch of {batched[0]}")
 
 
-def _advance(f: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Output]:
+def _advance(f: Recursion, state: HasBelief, data: dict[str, Tensor]) -> tuple[Any, Output]:
     state, innovation = traced.Advance(observe)(f, state, data)
     return state, Output(*state.belief, *innovation[:4])
 
 
-def _begin(f: Any, dtype: torch.dtype) -> tuple[Scan, list[Field]]:
+def _begin(f: Recursion, dtype: torch.dtype) -> tuple[Scan, list[Field]]:
     """``init`` of one track, and what it reads."""
     n, book = f.motion.size, Expressions()
     prior = Gaussian(Entries.inputs(book, (n,), dtype), Entries.inputs(book, (n, n), dtype))
@@ -207,12 +208,12 @@ def _begin(f: Any, dtype: torch.dtype) -> tuple[Scan, list[Field]]:
     return Scan(book, [], [], reads, writes, dtype=dtype), _fields(prior)
 
 
-def _fields(tree: Any) -> list[Field]:
+def _fields(tree: object) -> list[Field]:
     """The tensors of a tree as they stand in a struct."""
     return [Field(path.replace(".", "_"), x.shape, _MEANINGS.get(path, path)) for path, x in paths(tree)]
 
 
-def _about(f: Any) -> str:
+def _about(f: Recursion) -> str:
     """What the filter is, and how to build it, as a comment."""
     built = "one track, one measurement at a time.  It needs g++ or clang++ (C++17) and no library."
     lines = [f"{type(f).__name__}, written by torchfra {__version__}: {built}", "", *str(f).splitlines()]

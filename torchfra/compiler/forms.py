@@ -48,7 +48,7 @@ def savable(x: Tensor) -> Tensor:
     return x.clone() if x.is_inference() else x
 
 
-def flattener(like: Any) -> Callable[[Any], tuple[Tensor, ...] | None]:
+def flattener(like: object) -> Callable[[Any], tuple[Tensor, ...] | None]:
     """``flatten`` for trees of this form alone, faster; None for one that has something where this one has None.
 
     It is written as Python, as ``collections.namedtuple`` does: compiled filters call it in every step.
@@ -60,12 +60,12 @@ def flattener(like: Any) -> Callable[[Any], tuple[Tensor, ...] | None]:
     return function
 
 
-def unflattener(like: Any, places: Iterable[int] | None = None) -> Callable[[Sequence[Tensor]], Any]:
+def unflattener(like: object, places: Iterable[int] | None = None) -> Callable[[Sequence[Tensor]], Any]:
     """``unflatten`` for trees of this form alone, faster, as written code; tensors may be in other ``places``."""
     known: list[Any] = []
     place = itertools.count() if places is None else iter(places)
 
-    def text(tree: Any) -> str:
+    def text(tree: object) -> str:
         if isinstance(tree, Tensor):
             return f"tensors[{next(place)}]"
         parts = "".join(f"{text(part)}, " for part in tree) if isinstance(tree, tuple) else None
@@ -80,7 +80,7 @@ def unflattener(like: Any, places: Iterable[int] | None = None) -> Callable[[Seq
     return function
 
 
-def _places(tree: Any, at: str) -> Iterator[tuple[str, Any]]:
+def _places(tree: object, at: str) -> Iterator[tuple[str, Any]]:
     """The leaves of a tree, whatever they are, and where they are."""
     if isinstance(tree, tuple):
         for i, part in enumerate(tree):
@@ -89,7 +89,7 @@ def _places(tree: Any, at: str) -> Iterator[tuple[str, Any]]:
         yield at, tree
 
 
-def late(tree: Any) -> list[bool]:
+def late(tree: object) -> list[bool]:
     """For each tensor of a tree whether it is part of something ``Late``."""
     if isinstance(tree, tuple):
         return [isinstance(tree, Late) or part for branch in tree for part in late(branch)]

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._ops import OpOverload
 
 from torchfra.compiler.entries import Entries, as_entries, each, from_numbers, leaves, unsupported
 from torchfra.compiler.entrywise import integer, number, truth_value
@@ -46,7 +47,7 @@ SHAPES = _overloads(
 _LAYOUT = ("dtype", "layout", "device", "pin_memory", "memory_format")
 
 
-def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
+def move(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     """Moves entries by moving the numbers of their expressions."""
     indexed = func in INDEXED
     if indexed and any(isinstance(x, Entries) for x in leaves(args[1:])):
@@ -54,10 +55,10 @@ def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
             return _gather(*args, **kwargs)
         raise unsupported(func, "the index depends on data; choose by torch.where")
 
-    def is_moved(x: Any) -> bool:
+    def is_moved(x: object) -> bool:
         return isinstance(x, Tensor) and (x is args[0] or not indexed)
 
-    def ids(x: Any) -> Any:
+    def ids(x: object) -> Any:
         return as_entries(book, x).ids if is_moved(x) else x
 
     func = aten.reshape.default if func in (aten.view.default, aten._unsafe_view.default) else func
@@ -66,16 +67,16 @@ def move(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
     return each(lambda x: Entries(book, x, dtype), moved)
 
 
-def shaped(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
+def shaped(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     """Makes a tensor of known values that needs nothing but the shape of its argument."""
     return Entries.constants(book, func(*each(_zeros, args), **kwargs))
 
 
-def _zeros(x: Any) -> Any:
+def _zeros(x: object) -> Any:
     return torch.zeros(x.shape, dtype=x.dtype) if isinstance(x, Entries) else x
 
 
-def _gather(x: Tensor, dim: int, index: Tensor, **_: Any) -> Tensor:
+def _gather(x: Tensor, dim: int, index: Tensor, **_: object) -> Tensor:
     """Takes entries from indices that are not known."""
     rows = [row.unsqueeze(dim) for row in _cut(x, dim, index).unbind(dim)]
     taken: Tensor = rows[0].expand(index.shape)
@@ -119,7 +120,7 @@ def _index_put(book: Expressions, x: Tensor, indices: Any, values: Any, accumula
     return from_numbers(book, numbers, x.shape, x.dtype)
 
 
-def cast(book: Expressions, x: Entries, *, dtype: torch.dtype | None = None, **_: Any) -> Entries:
+def cast(book: Expressions, x: Entries, *, dtype: torch.dtype | None = None, **_: object) -> Entries:
     """Entries in another dtype; all numbers of a kernel have one precision."""
     if dtype is None or dtype == x.dtype or (dtype.is_floating_point and x.dtype.is_floating_point):
         return Entries(book, x.ids.clone(), dtype or x.dtype)
@@ -127,7 +128,7 @@ def cast(book: Expressions, x: Entries, *, dtype: torch.dtype | None = None, **_
     return from_numbers(book, [convert(book, i) for i in x.ids.flatten().tolist()], x.shape, dtype)
 
 
-def _cast_to(book: Expressions, x: Entries, dtype: torch.dtype, *_: Any) -> Entries:
+def _cast_to(book: Expressions, x: Entries, dtype: torch.dtype, *_: object) -> Entries:
     return cast(book, x, dtype=dtype)
 
 
@@ -140,17 +141,17 @@ def _clamp(book: Expressions, x: Tensor, low: Any = None, high: Any = None) -> T
     return x if high is None else x.clamp_max(high)
 
 
-def _laid_out(book: Expressions, x: Tensor, shape: Sequence[int], strides: Sequence[int], **_: Any) -> Entries:
+def _laid_out(book: Expressions, x: Tensor, shape: Sequence[int], strides: Sequence[int], **_: object) -> Entries:
     """A new tensor of this layout, all 0."""
     return Entries(book, torch.empty_strided(shape, strides, dtype=torch.int64).fill_(ZERO), x.dtype)
 
 
-def _laid_out_like(book: Expressions, x: Tensor, other: Tensor, **_: Any) -> Entries:
+def _laid_out_like(book: Expressions, x: Tensor, other: Tensor, **_: object) -> Entries:
     """The same with the layout of another tensor."""
     return _laid_out(book, x, other.shape, other.stride())
 
 
-def _copied(book: Expressions, x: Tensor, source: Tensor, *_: Any) -> Entries:
+def _copied(book: Expressions, x: Tensor, source: Tensor, *_: object) -> Entries:
     """What ``copy_`` writes into a tensor."""
     return as_entries(book, source)
 

@@ -22,6 +22,7 @@ from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import hypers
 from torchfra.linalg.tracing import elementary
 from torchfra.steps.engine import INTERPRETED
+from torchfra.steps.recursion import Recursion
 from torchfra.tree import flatten, map_tensors
 from torchfra.types import Estimate, Gaussian
 
@@ -53,7 +54,7 @@ class Call(nn.Module):
     leaves: list[tuple[torch.dtype, torch.Size]]
     """Of each tensor of an estimate the dtype and, behind the batch, the shape for one step; none of a whole track."""
 
-    def __init__(self, f: Any, method: str, names: Sequence[str], options: dict[str, Any]) -> None:
+    def __init__(self, f: Recursion, method: str, names: Sequence[str], options: dict[str, Any]) -> None:
         super().__init__()
         self.filter, self.method, self.names, self.options = f, method, names, options
         read = {name for name, _ in f.named_parameters()} | {f"{path}.raw" for path in hypers(f)}
@@ -107,7 +108,7 @@ class Call(nn.Module):
         self.places = map_tensors(lambda x: next(count), made)
 
 
-def known_call(f: Any, method: str, names: tuple[str, ...], options: tuple[Any, ...], *of: Any) -> str:
+def known_call(f: Recursion, method: str, names: tuple[str, ...], options: tuple[Any, ...], *of: Any) -> str:
     """The name by which the operations know calls of a form; ``of`` goes to ``Call.try_out``."""
     call = Call(f, method, names, dict(options))
     call.try_out(*of)
@@ -115,7 +116,7 @@ def known_call(f: Any, method: str, names: tuple[str, ...], options: tuple[Any, 
     digest = hashlib.sha256(repr((method, names, options, call.values, call.leaves)).encode()).hexdigest()[:16]
     name = f"call_{digest}_{next(_COUNT)}"
     _CALLS[name] = call
-    setattr(f.engine.calls, name, call)
+    setattr(f.engine.calls, name, call)  # type: ignore[union-attr]  # of a compiled engine
     return name
 
 
@@ -128,21 +129,21 @@ def in_transform() -> bool:
 known_call._dynamo_marked_constant = in_transform._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
-def takes(f: Any, options: dict[str, Any]) -> bool:
+def takes(f: Recursion, options: dict[str, Any]) -> bool:
     """Whether ``torch.compile`` sees a call that can be one operation: tracks, one sensor, outside of transforms."""
     apart = any(options.get(name) is not None for name in ("sensors", "which", "estimate")) or options.get("past")
     traced = IS_THERE and torch.compiler.is_dynamo_compiling() and not torch.compiler.is_exporting()
     return traced and not (f.scans or apart or in_transform())
 
 
-def call(method: str, f: Any, z: Tensor, prior: Gaussian, **options: Any) -> Estimate:
+def call(method: str, f: Recursion, z: Tensor, prior: Gaussian, **options: Any) -> Estimate:
     """What the method of this name gives, for ``torch.compile`` to trace."""
     rest = {name: options[name] for name in _OPTIONAL if options.get(name) is not None}
     others = tuple((name, x) for name, x in options.items() if name not in (*_OPTIONAL, "dt"))
     dt = torch.as_tensor(options.get("dt", 1.0), dtype=torch.float64, device=z.device)
     known = len(range(rest["u"].shape[-1])) if "u" in rest else 0  # the range makes a constant of what may be a symbol
     name = known_call(f, method, tuple(rest), others, z.dtype, z.device, known)
-    made, values = getattr(f.engine.calls, name), _values(f)
+    made, values = getattr(f.engine.calls, name), _values(f)  # type: ignore[union-attr]
     written = whole_tracks(name, [z, *prior, dt, *rest.values()], [values[path] for path in made.values])
     estimate: Estimate = _placed(made.places, written)
     return estimate

@@ -5,11 +5,12 @@ What is in no table of ``entrywise``, ``reductions`` and ``moves`` is taken apar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from torch._decomp import decomposition_table
+from torch._ops import OpOverload
 
 from torchfra.compiler.entries import RULES, Entries, Rule, as_entries, unsupported
 from torchfra.compiler.entrywise import ENTRYWISE, entrywise
@@ -25,18 +26,18 @@ def _plain(function: Callable[..., Any]) -> Rule:
     return lambda book, func, args, kwargs: function(book, *args, **kwargs)
 
 
-def _decompose(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
+def _decompose(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     return decomposition_table[func](*args, **kwargs)
 
 
-def _value(book: Expressions, func: Any, args: Any, kwargs: Any) -> Any:
+def _value(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     raise unsupported(func, "the value of an entry is not known while tracing: choose by torch.where, not by if")
 
 
 def _in_place(functional: Any) -> Rule:
     """The rule of an operation that writes into its first argument, from that of the one that returns the result."""
 
-    def rule(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
+    def rule(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Entries:
         target = args[0]
         if not isinstance(target, Entries):
             raise unsupported(func, "it changes a tensor of known values in place; make a new one")
@@ -47,7 +48,7 @@ def _in_place(functional: Any) -> Rule:
     return rule
 
 
-def _view_in_place(book: Expressions, func: Any, args: Any, kwargs: Any) -> Entries:
+def _view_in_place(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Entries:
     """An operation that changes the shape of a tensor: ``squeeze_`` ends torch's product of a vector and a matrix."""
     target: Entries = args[0]
     func(target.ids, *args[1:], **kwargs)
@@ -80,7 +81,9 @@ RULES.update(
 RULES.update(_in_place_rules())
 
 
-def _of_entries(cls: Any, func: Any, types: Any, args: Any, kwargs: Any = None) -> Any:
+def _of_entries(
+    cls: Any, func: OpOverload, types: Sequence[type], args: tuple[Any, ...], kwargs: dict[str, Any] | None = None
+) -> Any:
     return Entries.__torch_dispatch__(func, types, args, kwargs)
 
 

@@ -167,7 +167,7 @@ class Pieces:
         return torch.stack(torch.broadcast_tensors(*close)).all(0)
 
 
-def _parts(tree: Any) -> Iterator[Any]:
+def _parts(tree: object) -> Iterator[Any]:
     """The Gaussians of a tree, and its other tensors."""
     if isinstance(tree, Gaussian | Tensor):
         yield tree

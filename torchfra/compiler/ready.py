@@ -18,6 +18,7 @@ from torchfra.gaussian.arguments import PRECISIONS, check_values
 from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.linalg.triangular import tria
 from torchfra.numbers import NUMBERS
+from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.tree import flatten
 from torchfra.types import Estimate, Failure, Gaussian
 
@@ -57,7 +58,7 @@ class ReadyStep:
         made: the state and the record that the kernel writes, of one track.
     """
 
-    def __init__(self, ready: Ready, inputs: tuple[Any, Data, tuple[Tensor, ...]], made: Any) -> None:
+    def __init__(self, ready: Ready, inputs: tuple[Any, Data, tuple[Tensor, ...]], made: object) -> None:
         self.run, self.made = ready, unflattener(made)
         self._leaves = flattener(inputs)
         self._fit = guard(flatten(inputs))
@@ -78,7 +79,7 @@ class ReadySteps:
         self._known = _Known[ReadyStep]()
 
     def __call__(
-        self, state: Any, data: Data, values: Sequence[Tensor], zero_dt: bool | None
+        self, state: HasBelief, data: Data, values: Sequence[Tensor], zero_dt: bool | None
     ) -> tuple[Any, Any] | None:
         """The next state and the record of the step; None where no step is ready.
 
@@ -100,12 +101,12 @@ class ReadySteps:
                 return made
         return None
 
-    def add(self, step: ReadyStep, state: Any, data: Data) -> None:
+    def add(self, step: ReadyStep, state: HasBelief, data: Data) -> None:
         """Remembers a step."""
         self._known.add(_kind(state, data), step)
 
 
-def _kind(state: Any, data: Data) -> Hashable:
+def _kind(state: HasBelief, data: Data) -> Hashable:
     _, _, u, std, noise = data
     return type(state), u is None, std is None, noise is None, torch.is_grad_enabled()
 
@@ -149,7 +150,9 @@ class ReadyTracks:
         made: the state and the record of one track.
     """
 
-    def __init__(self, run: Ready, batch: torch.Size, tensors: Sequence[Tensor], state: Any, made: Any) -> None:
+    def __init__(
+        self, run: Ready, batch: torch.Size, tensors: Sequence[Tensor], state: HasBelief, made: object
+    ) -> None:
         self._run, self._shape = run, (*batch, tensors[0].shape[-1])
         self._leaves, self._made = flattener(state), unflattener(made)
         self.fit = guard(tensors)
@@ -202,7 +205,7 @@ class AllReadyTracks:
         return self._calls[form, learns] % (_LEARNING if learns else _OFTEN) == 0
 
     def __call__(
-        self, f: Any, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
+        self, f: Recursion, form: Hashable, prior: Gaussian, measurements: Measurements, values: Callable[[], Any]
     ) -> Estimate | tuple[Any, Any] | None:
         """The estimate, or the state after the last step and what is kept of each; None where no such tracks are ready.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import reduce
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
@@ -16,13 +16,16 @@ from torchfra.linalg.batches import broadcast_shapes
 
 aten = torch.ops.aten
 
+Dims: TypeAlias = int | list[int] | None
+"""Dimensions of a tensor; None for all."""
+
 
 def _reduction(op: str, start: float | None = None) -> Callable[..., Entries]:
     """A reduction over some dimensions, or all, by an operation of two numbers."""
     logical = op in ("and", "or")
     convert = truth_value if logical else number
 
-    def reduction(book: Expressions, x: Entries, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
+    def reduction(book: Expressions, x: Entries, dim: Dims = None, keepdim: bool = False, **_: object) -> Entries:
         first = [] if start is None else [book.constant(start)]
         counts = torch.int64 if x.dtype == torch.bool and op in ("add", "mul") else x.dtype
 
@@ -34,7 +37,7 @@ def _reduction(op: str, start: float | None = None) -> Callable[..., Entries]:
     return reduction
 
 
-def _reduced(x: Entries, dim: Any, keepdim: bool, combine: Callable[[list[int]], int], dtype: torch.dtype) -> Entries:
+def _reduced(x: Entries, dim: Dims, keepdim: bool, combine: Callable[[list[int]], int], dtype: torch.dtype) -> Entries:
     """What ``combine`` makes of the entries along some dimensions, or all."""
     every = list(range(x.dim()))
     dims = [dim] if isinstance(dim, int) else dim or every
@@ -66,7 +69,7 @@ def _place(book: Expressions, x: Entries, dim: int | None = None, keepdim: bool 
     return _maximum_and_place(book, x, 0 if dim is None else dim, keepdim)[1]
 
 
-def _mean(book: Expressions, x: Tensor, dim: Any = None, keepdim: bool = False, **_: Any) -> Tensor:
+def _mean(book: Expressions, x: Tensor, dim: Dims = None, keepdim: bool = False, **_: object) -> Tensor:
     total = torch.sum(x, dim, keepdim)
     return total * (total.numel() / x.numel())
 
@@ -89,13 +92,20 @@ def _log_softmax(book: Expressions, x: Tensor, dim: int, half_to_float: bool) ->
     return shifted - torch.log(torch.sum(torch.exp(shifted), dim, True))
 
 
-def _norm(book: Expressions, x: Entries, ord: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Entries:
+def _norm(
+    book: Expressions,
+    x: Entries,
+    ord: float = 2,
+    dim: Dims = None,
+    keepdim: bool = False,
+    **_: object,
+) -> Entries:
     if ord != 2:
         raise unsupported(aten.linalg_vector_norm.default, f"with order {ord}; order 2 can")
     return _reduced(x, dim, keepdim, lambda row: book.apply("norm", *row), x.dtype)
 
 
-def _matrix_product(book: Expressions, a: Any, b: Any) -> Entries:
+def _matrix_product(book: Expressions, a: object, b: object) -> Entries:
     """Product of matrices ``(..., n, k)`` and ``(..., k, m)``."""
     a, b = as_entries(book, a), as_entries(book, b)
     rows, columns = torch.broadcast_tensors(a.ids.unsqueeze(-2), b.ids.mT.unsqueeze(-3))
@@ -107,7 +117,7 @@ def _matrix_product(book: Expressions, a: Any, b: Any) -> Entries:
 
 
 def _solve_triangular(
-    book: Expressions, a: Any, b: Any, *, upper: bool, left: bool = True, unitriangular: bool = False
+    book: Expressions, a: object, b: object, *, upper: bool, left: bool = True, unitriangular: bool = False
 ) -> Entries:
     """``X`` with ``A X = B``, or ``X A = B`` if not ``left``."""
     a, b = as_entries(book, a), as_entries(book, b)

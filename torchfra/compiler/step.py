@@ -40,7 +40,7 @@ def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Mo
     return memo[id(module)]
 
 
-def _copied(x: Any) -> Any:
+def _copied(x: object) -> Any:
     if isinstance(x, Tensor):
         return x if x.requires_grad else x.detach().cpu().clone()
     return copy.copy(x) if isinstance(x, list | dict | set) else x
@@ -89,7 +89,13 @@ def staying(run: Run, zero: list[Tensor], dtype: torch.dtype) -> list[Tensor]:
 class _BothSides(TorchFunctionMode):
     """Inside, a choice is 0 only where both sides are: a step of other numbers may choose the other one."""
 
-    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_function__(
+        self,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
         chosen = func(*args, **(kwargs or {}))
         if func not in (torch.where, Tensor.where) or len(args) < 3:
             return chosen
@@ -331,7 +337,7 @@ def pullback(
     return [as_entries(book, torch.zeros(x.shape) if g is None else g) for x, g in zip(sources, pulled, strict=True)]
 
 
-def _paths(tree: Any, root: str) -> list[str]:
+def _paths(tree: object, root: str) -> list[str]:
     """Where the tensors of a tree are, for their names."""
     return [f"{root}.{path}".rstrip(".") if path[:4] in ("", "part") else path for path, _ in paths(tree)]
 

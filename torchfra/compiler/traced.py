@@ -16,6 +16,7 @@ from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
 from torchfra.hyper import spoilt
 from torchfra.steps.loop import one_step
 from torchfra.steps.records import kept
+from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.types import Gaussian
 
 
@@ -27,12 +28,12 @@ class WithSensor(nn.Module):
         self.filter, self.sensor, self.scans = f, sensor, False
 
 
-def _parts(module: Any) -> tuple[Any, Any]:
+def _parts(module: object) -> tuple[Any, Any]:
     """A filter, and another sensor that measures; None for its own."""
     return (module.filter, module.sensor) if isinstance(module, WithSensor) else (module, None)
 
 
-def begin(module: Any, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
+def begin(module: object, book: Expressions, targets: Sequence[int] = (), like: Any = None) -> Any:
     """The state before the first measurement, of scans that of so many ``targets``.
 
     A state ``like`` it may have more than the filter's own: numbers of each target beside that, which are unknown.
@@ -56,7 +57,7 @@ class Advance:
     function: Callable[[Any, Any, Frame], tuple[Any, Any]]
     complete: bool = False
 
-    def __call__(self, module: Any, state: Any, data: dict[str, Tensor]) -> tuple[Any, Any]:
+    def __call__(self, module: object, state: HasBelief, data: dict[str, Tensor]) -> tuple[Any, Any]:
         """The next state, and what else the function gives; of one track, or scene."""
         f, sensor = _parts(module)
         measurements = Measurements(**data, sensor=sensor).as_track(scans=f.scans)
@@ -64,13 +65,13 @@ class Advance:
         return self.function(f, spoilt(f, state, sensor), frame)
 
 
-def keep(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
+def keep(f: Recursion, state: HasBelief, frame: Frame) -> tuple[Any, Any]:
     """A step of ``forward``: the next state, and what is kept of the step."""
     state, of_step = keep_past(f, state, frame)
     return state, of_step._replace(past=None)
 
 
-def keep_past(f: Any, state: Any, frame: Frame) -> tuple[Any, Any]:
+def keep_past(f: Recursion, state: HasBelief, frame: Frame) -> tuple[Any, Any]:
     """The same with what the backward pass needs."""
     state, record = one_step(f, state, frame)
     return state, kept(record, frame.measurement_noise.log_norm)

@@ -29,7 +29,7 @@ from torchfra.compiler.source import Port, Scan
 from torchfra.compiler.tensor_entries import PORT, functions
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.tree import flatten
-from torchfra.types import Cause
+from torchfra.types import Cause, Estimate
 
 
 class TrackKernel:
@@ -44,7 +44,7 @@ class TrackKernel:
         remembers: whether ``states``, the first and the last, are kept for a gradient pass.
     """
 
-    made: Any
+    made: Estimate
     """The tree that is made."""
     after: list[int]
     """Where leaves of the state after the last step begin, in bytes of the memory of states."""

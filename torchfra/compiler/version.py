@@ -20,6 +20,7 @@ from torchfra.gaussian.inputs import Measurements
 from torchfra.hyper import Hyper
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import has_tangents
+from torchfra.steps.recursion import HasBelief
 from torchfra.tree import flatten, map_tensors, ranks
 from torchfra.types import Gaussian
 
@@ -123,7 +124,7 @@ class Version:
         return values
 
     def task(
-        self, advance: Callable[..., Any], state: Any, data: Sequence[Tensor | None], timed: Sequence[bool],
+        self, advance: Callable[..., Any], state: HasBelief, data: Sequence[Tensor | None], timed: Sequence[bool],
         back: BackwardInputs | None = None,
     ) -> Task:  # fmt: skip
         """What is to be done with this ``data``, which has an entry for each step where ``timed``."""
@@ -142,7 +143,7 @@ class Version:
             double = x.dtype == torch.float64 != dtype  # read as it is: to convert it would take longer than to filter
             inputs[value.path] = Input(x.shape[rank:], False, True, double)
             shapes.append(batch + x.shape[rank:])
-        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()), tuple(map(type, state)))
+        key = (retreat if back else advance, dtype, targets, tuple(inputs.items()), tuple(map(type, state)))  # type: ignore[call-overload]  # a tuple
         if key not in self.kernels:
             begin = back.begin if back else partial(traced.begin, targets=targets, like=state)
             with torch.inference_mode(False):  # in which torch does not take operations apart
@@ -161,7 +162,7 @@ class Version:
         pairs = ((x, x.dim() - value.alone) for value, x in zip(self.values, self.read(), strict=True))
         return [x.unsqueeze(rank) if rank else x for x, rank in pairs]
 
-    def get_ready(self, task: Task, state: Any, data: Data, kind: tuple[bool, bool]) -> None:
+    def get_ready(self, task: Task, state: HasBelief, data: Data, kind: tuple[bool, bool]) -> None:
         """Makes later steps like this one ready, if they need no gradient and all is read where it lies."""
         tensors = [*flatten(state), *(x for x in data if x is not None), *self.read()]
         if task.counts or self._changes(tensors):
@@ -175,7 +176,7 @@ class Version:
             self.ready[kind].add(ReadyStep(ready, inputs, (step.state, step.record)), state, data)
 
     def get_tracks_ready(
-        self, form: Hashable, task: Task, prior: Gaussian, state: Any, data: Data, past: bool, plain: bool
+        self, form: Hashable, task: Task, prior: Gaussian, state: HasBelief, data: Data, past: bool, plain: bool
     ) -> None:
         """Makes later tracks like these ready as well; with a gradient where the gradient pass is ``plain``."""
         steps, inputs = data[0].shape[-2], [*(x for x in data if x is not None), *self.read()]
@@ -214,7 +215,7 @@ class Version:
         ]
 
     def run(
-        self, task: Task, steps: int, state: Any, data: Sequence[Tensor | None], *options: int | None,
+        self, task: Task, steps: int, state: HasBelief, data: Sequence[Tensor | None], *options: int | None,
         back: BackwardInputs | None = None,
     ) -> tuple[Any, Any]:  # fmt: skip
         """Runs the kernels of a task on these tensors: the state after all steps, and the record of each."""
@@ -229,7 +230,7 @@ def _as_count(x: Tensor, like: Tensor) -> Tensor:
     return x if like.is_floating_point() else x.to(like.dtype)
 
 
-def _event(module: nn.Module, part: dict[str, Any], x: Any, scans: bool) -> int | None:
+def _event(module: nn.Module, part: dict[str, Any], x: Tensor | None, scans: bool) -> int | None:
     """The number of dimensions, without a batch, of what is read when a kernel runs; None for what is part of it.
 
     Read are hyperparameters, parameters, and buffers that have gradients.  Those that differ between the targets of
@@ -257,7 +258,7 @@ def _unchanged(sizes: Sequence[dict[str, Any]], items: Sequence[tuple[dict[str, 
     known: dict[str, Any] = {}
     names: dict[int, str] = {}
 
-    def name(x: Any) -> str:
+    def name(x: object) -> str:
         known.setdefault(names.setdefault(id(x), f"x{len(names)}"), x)
         return names[id(x)]
 
