@@ -97,6 +97,7 @@ HELP_ONLY = {
         for name in ("bearings", "adsb-turns", "alpha-beta", "growth", "reentry", "clutter-crossing", "noise-change")
     },
     "scripts/bearings.py": "run by test_scripts.py",
+    "scripts/harbours.py": "run by test_harbour.py",
     "scripts/peers_targets.py --harbour": "reads such recordings, too: run by test_peers_targets.py",
     "scripts/recordings.py": "reads recordings that are not part of the project: run by test_recordings_script.py",
     "scripts/benchmark.py --what scaling": "compiles a filter for each number of states",
