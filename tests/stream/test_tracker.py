@@ -15,6 +15,7 @@ from torchfra.motion import Augmented, ConstantVelocity, CoordinatedTurn, Random
 from torchfra.sensors import Biased, Position, RangeBearing, Ranges, Stacked
 from torchfra.sensors.base import Sensor
 from torchfra.stream import Tracker
+from torchfra.stream.tracker import OUTCOMES
 
 F64 = {"dtype": torch.float64}
 GPS, RADAR = Position(2.0), RangeBearing(torch.tensor([3.0, 0.02], **F64))
@@ -249,6 +250,31 @@ def test_what_is_not_all_there_leaves_the_track_as_it_was(missing):
         other.load_state_dict(values)
     assert (other.time, other.counts["used"]) == (0.0, 0)
     close(other.belief, tracker(made()).belief)
+
+
+@pytest.mark.parametrize(("changed", "said"), [
+    ({"time": math.nan}, "time: expected finite seconds"),
+    ({"state": [1.0]}, "expected what state_dict gives"),
+    ({"clock": {"behind": "1", "before": 0.0, "back": 0.0, "gap": 0.0}}, "expected what state_dict gives"),
+    ({"counts": dict.fromkeys(OUTCOMES, 0.5)}, "expected what state_dict gives"),
+    ({"failure": (1,)}, "expected what state_dict gives"),
+    ({"failure": (torch.zeros(3), torch.zeros(3))}, "expected a failure of streams"),
+    ({"sensor": 2}, "sensor: expected the number of one of"),
+    ({"z": torch.zeros(3).double()}, r"z: expected \(\.\.\., 2\)"),
+    ({"std": torch.zeros(4, 2).double()}, "std: expected 1 dimension"),
+    ({"noise": object}, "expected what state_dict gives"),
+])  # fmt: skip
+def test_what_is_of_another_form_is_refused_and_leaves_the_track_as_it_was(changed, said):
+    t, other = tracker(made()), tracker(made())
+    fed(t, events())
+    values = t.state_dict()
+    if {*changed} <= {*values}:
+        values |= changed
+    else:
+        values["entries"][-1] |= changed
+    with pytest.raises(ValueError, match=f"values: {said}"):
+        other.load_state_dict(values)
+    assert (other.time, other.counts["used"], other.failure) == (0.0, 0, None)
 
 
 def test_several_streams_go_side_by_side():

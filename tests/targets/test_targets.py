@@ -1,7 +1,9 @@
 """Targets come and go in streams and batches, around any filter of scans; clusters change nothing."""
 
 import copy
+import functools
 import math
+import operator
 import pickle
 import sys
 
@@ -173,6 +175,24 @@ def test_a_saved_state_of_another_manager_is_refused():
         Targets(plane(), confirmation=MOfN(2, 3)).restored(values)
     with pytest.raises(ValueError, match="values: expected format 4, received None"):
         Targets(plane()).restored({})
+
+
+@pytest.mark.parametrize(("path", "value", "said"), [
+    (("state",), [1.0], "expected what saved gives"),
+    (("state", -2), torch.zeros(5).long(), "unassociated: expected as many rows"),
+    (("past", 0), 3, "expected what saved gives"),
+    (("past", 0, "sensor"), "radar", "sensor: expected one of none"),
+    (("past", 1, "scan", "z"), torch.zeros(1, 2, 3).double(), "z: expected floating-point scans"),
+    (("past", 1, "scan", "dt"), torch.tensor([-1.0]).double(), "dt: expected 0 s or more"),
+])  # fmt: skip
+def test_a_saved_state_of_another_form_is_refused(path, value, said):
+    targets = Targets(plane(), lag=5.0)
+    values = targets.saved(run(targets, moving(FOUR, 4)[1])[-1])
+    targets.restored(values)
+    *places, last = path
+    functools.reduce(operator.getitem, places, values)[last] = value
+    with pytest.raises(ValueError, match=f"values: {said}"):
+        targets.restored(values)
 
 
 def test_a_target_ends_when_nobody_knows_any_more_where_it_is():

@@ -6,6 +6,7 @@ Positions may be large numbers outside and small ones, relative to a local origi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import index
 from typing import Any
 
 import torch
@@ -82,18 +83,29 @@ class Intake:
         number = self.number(name)
         sensor = self.sensors[number]
         measured = numbers("z", z, self.device, self.dtype if self.origin is None else torch.float64)
-        if measured.shape[-1:] != (sensor.size,):
-            raise ValueError(f"z: expected (..., {sensor.size}), received {tuple(measured.shape)}")
-        check_fits("z", measured, 1, self.batch)
         if not (u is std is noise is None):
             u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
             std = std.repeat(sensor.size) if std is not None and not std.dim() else std
-            for what, x, event in (("u", u, 1), ("std", std, 1), ("noise", noise, 2)):
-                if x is not None:
-                    check_fits(what, x, event, self.batch)
+        self.check(Entry(time, number, measured, u, std, noise))
         local = measured if self.origin is None else self.origin.measured(sensor, measured, u)
         check_finite("z", local, missing=True)
         return Entry(time, number, local, u, std, noise)
+
+    def check(self, entry: Entry) -> None:
+        """Checks that an entry is of one of the sensors, and its numbers of the shapes of this batch.
+
+        Raises:
+            ValueError: it is not.
+        """
+        if not 0 <= index(entry.sensor) < len(self.sensors):
+            raise ValueError(f"sensor: expected the number of one of {self.names}, received {entry.sensor}")
+        size = self.sensors[entry.sensor].size
+        if entry.z.shape[-1:] != (size,):
+            raise ValueError(f"z: expected (..., {size}), received {tuple(entry.z.shape)}")
+        check_fits("z", entry.z, 1, self.batch)
+        for what, x, event in (("u", entry.u, 1), ("std", entry.std, 1), ("noise", entry.noise, 2)):
+            if x is not None:
+                check_fits(what, x, event, self.batch)
 
     def tensor(self, name: str, x: ArrayLike | None) -> Tensor | None:
         """Numbers in the filter's dtype, if there are any."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from operator import index
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
@@ -338,22 +339,31 @@ class Tracker:
         Raises:
             ValueError: they are not of a tracker like this one; the track stays as it was.
         """
-        for name, expected in {"format": FORMAT, **self._intake.kind()}.items():
-            received = values.get(name) if isinstance(values, Mapping) else None
-            if received != expected:
-                raise ValueError(f"values: expected {name} {expected!r}, received {received!r}")
         like, clock = self._window.state, Clock(self.jump)
         try:
-            window = Window(values["time"], _state_like(like, values["state"]))
-            window.forgot = values["forgot"]
-            window.entries = [Entry(**{**x, "state": _state_like(like, x["state"])}) for x in values["entries"]]
+            for name, expected in {"format": FORMAT, **self._intake.kind()}.items():
+                received = values.get(name) if isinstance(values, Mapping) else None
+                if received != expected:
+                    raise ValueError(f"expected {name} {expected!r}, received {received!r}")
+            window = Window(seconds("time", values["time"]), _state_like(like, values["state"]))
+            window.forgot = bool(values["forgot"])
+            for x in values["entries"]:
+                time, known = seconds("time", x["time"]), _state_like(like, x["state"])
+                window.entries.append(Entry(**{**x, "time": time, "state": known}))
+                self._intake.check(window.entries[-1])
             clock.load_state_dict(values["clock"])
-            counts = dict(values["counts"])
-        except (KeyError, TypeError) as error:
+            counts = {outcome: index(values["counts"][outcome]) for outcome in OUTCOMES}
+            failed = values.get("failure")  # files of earlier versions have none
+            failure = None if failed is None else Failure(*failed)
+            if failure is not None and {failure.step.shape, failure.cause.shape} != {self._intake.batch}:
+                raise ValueError(f"expected a failure of streams {tuple(self._intake.batch)}, received {failed}")
+        except KeyError as error:
             raise ValueError(f"values: expected all entries of state_dict, received none of {error}") from None
-        self._window, self._clock, self._counts = window, clock, counts
-        failure = values.get("failure")  # files of earlier versions have none
-        self._failure = None if failure is None else Failure(*failure)
+        except (TypeError, AttributeError, IndexError, RuntimeError):
+            raise ValueError("values: expected what state_dict gives, received entries of other types") from None
+        except ValueError as error:
+            raise ValueError(f"values: {error}") from None
+        self._window, self._clock, self._counts, self._failure = window, clock, counts, failure
 
     def _old(self, time: Any, entry: Entry) -> Report:
         """Refuses a measurement that comes too late, or counts it."""
@@ -413,7 +423,7 @@ def _state_like(like: Any, tensors: Sequence[Tensor]) -> Any:
     """A saved state, of the form of another."""
     form, received = ([(x.shape, x.dtype) for x in xs] for xs in (tree.flatten(like), tensors))
     if received != form:
-        raise ValueError(f"values: expected states of {form}, received {received}")
+        raise ValueError(f"expected states of {form}, received {received}")
     return tree.unflatten(like, iter(tensors))
 
 

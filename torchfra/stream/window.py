@@ -165,5 +165,13 @@ class Clock:
         return {"behind": self.behind, "before": self.before, "back": self.back, "gap": self.gap}
 
     def load_state_dict(self, values: Mapping[str, float]) -> None:
-        """Takes the values that were saved."""
-        self.behind, self.before, self.back, self.gap = (values[x] for x in ("behind", "before", "back", "gap"))
+        """Takes the values that were saved.
+
+        Raises:
+            KeyError: one is not there.
+            TypeError: one is no number.
+        """
+        numbers = [values[x] for x in ("behind", "before", "back", "gap")]
+        if not all(isinstance(x, int | float) for x in numbers):
+            raise TypeError
+        self.behind, self.before, self.back, self.gap = numbers

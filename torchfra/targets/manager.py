@@ -15,7 +15,7 @@ from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.arguments import measurements_of
-from torchfra.gaussian.inputs import Time
+from torchfra.gaussian.inputs import Measurements, Time
 from torchfra.hyper import Part
 from torchfra.numbers import as_number, fraction, is_integer
 from torchfra.steps.engine import INTERPRETED
@@ -191,12 +191,26 @@ class Targets(Part):
             ValueError: they are of another manager.
         """
         received = values.get("format") if isinstance(values, Mapping) else None
-        if received != FORMAT:
+        if type(received) is not int or received != FORMAT:
             raise ValueError(f"values: expected format {FORMAT}, received {received!r}")
         if missing := {"state", "past"} - values.keys():
             raise ValueError(f"values: expected state and past, received none of {', '.join(sorted(missing))}")
-        past = (Passed(self._unsaved(x["before"]), SceneScan(**x["scan"]), x["sensor"]) for x in values["past"])
-        return self._unsaved(values["state"])._replace(past=tuple(past))
+        try:
+            past = [self._unpassed(**x) for x in values["past"]]
+            return self._unsaved(values["state"])._replace(past=tuple(past))
+        except (TypeError, AttributeError, LookupError, RuntimeError):
+            raise ValueError("values: expected what saved gives, received entries of other types") from None
+        except ValueError as error:
+            raise ValueError(f"values: {error}") from None
+
+    def _unpassed(self, before: list[Tensor], scan: Mapping[str, Any], sensor: str | None) -> Passed:
+        """A scan that a late one may yet belong before."""
+        state, saved = self._unsaved(before), SceneScan(**scan)
+        if saved.dt.shape != state.next_identity.shape or not bool((saved.dt >= 0).all()):
+            raise ValueError(f"dt: expected 0 s or more for each scene, received {saved.dt.tolist()}")
+        measurements = Measurements(*saved)._replace(dt=1.0)  # that of a scan which was late may be 0
+        checked = check_scan(self._of(sensor), state, measurements, self.confirmation.window, 0.0)
+        return Passed(state, checked._replace(dt=saved.dt), sensor)
 
     def _unsaved(self, tensors: list[Tensor]) -> TargetsState:
         """The state of these tensors."""
@@ -204,9 +218,17 @@ class Targets(Part):
         expected, found = (
             [(x.shape[1:], x.is_floating_point()) for x in each] for each in (tree.flatten(empty), tensors)
         )
-        if found != expected:
-            raise ValueError(f"values: expected a state of {expected}, received {found}")
-        return tree.unflatten(empty, iter(tensors))
+        if found != expected or len({x.dtype for x in tensors if x.is_floating_point()}) > 1:
+            raise ValueError(f"expected a state of {expected}, received {found}")
+        state = tree.unflatten(empty, iter(tensors))
+        parts = {"targets": state.track, "unassociated": state.unassociated, "ended": state.ended}
+        for name, part in parts.items():
+            tensors = tree.flatten((state.filter, part) if part is state.track else part)
+            if len(rows := {len(x) for x in tensors}) > 1:
+                raise ValueError(f"{name}: expected as many rows of all, received {sorted(rows)}")
+            if part is not None and not set(part.scene.tolist()) <= {*range(len(state.next_identity))}:
+                raise ValueError(f"{name}: expected {len(state.next_identity)} scenes, received {part.scene.tolist()}")
+        return state
 
     def step(
         self, state: TargetsState, z: Tensor, *, dt: Time = 1.0, u: Tensor | None = None, std: Tensor | None = None,
