@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Compares what the filter knows of the vehicle and of its antenna."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=10, help="drives (default: 10)")
-    parser.add_argument("--steps", type=int, default=210, help="ranges of a drive, 10 a second (default: 210)")
+    parser.add_argument("--steps", type=int, default=105, help="ranges of a drive, 10 a second (default: 105)")
     options = parser.parse_args(arguments)
     truth = drive(options.steps)
     z, ranges = measure(truth, options.runs), Ranges(ANCHORS, STD, height=1.0)

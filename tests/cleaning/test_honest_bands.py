@@ -91,8 +91,9 @@ def test_who_circles_with_few_fixes_around_is_as_far_off_as_said():
     assert nees(one, truth) < 1.3
 
 
-@pytest.mark.parametrize("hours", [2, 6])
-def test_with_a_given_sigma_bands_between_rare_fixes_are_those_of_who_rests_and_moves(hours):
+@pytest.mark.slow
+@pytest.mark.parametrize(("hours", "named"), [(2, "animal"), (6, "bird")])
+def test_with_a_given_sigma_bands_between_rare_fixes_are_those_of_who_rests_and_moves(hours, named):
     """A deer that forgets its course in twenty minutes and rests half of the time, with fixes of 8 m."""
     rng, count = np.random.default_rng([59, hours]), 60 * 24 * (10 * hours)
     moves = np.cumsum(rng.random(count) < 1 / 90) % 2 == 0
@@ -102,7 +103,7 @@ def test_with_a_given_sigma_bands_between_rare_fixes_are_those_of_who_rests_and_
         truth[k] = truth[k - 1] + 60 * moves[k] * velocity
     fixes = truth[:: 60 * hours] + 8.0 * rng.standard_normal((count // (60 * hours), 2))
     deer = Recording("deer", 3600.0 * hours * np.arange(len(fixes)), fixes, None, {})
-    for bank in (None, "animal", "bird"):
+    for bank in (None, named):
         (one,) = clean_tracks([deer], sigma=8.0, bank=bank, dt=900.0 * hours)
         between = one.row < 0
         error = (one.position - truth[np.rint(one.time / 60).astype(int)])[between]

@@ -84,7 +84,7 @@ def test_a_covariance_that_goes_round_has_not_converged(stretches):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_tracks_are_those_of_a_batch(seed, stretches):
     generator = torch.Generator().manual_seed(seed)
 
@@ -110,11 +110,3 @@ def test_random_tracks_are_those_of_a_batch(seed, stretches):
         assert ((one.mean - two.mean).abs() / spread).max() < apart
         assert ((one.scale_tril - two.scale_tril).abs().amax(-1) / spread).max() < apart
     assert len(stretches) == 3  # whether roots come back within so many steps is a matter of rounding
-
-
-@pytest.mark.slow
-def test_a_steady_track_is_what_the_filter_says_step_by_step_in_python():
-    f, z = presets.srckf(MOTION, SENSOR), track(STEPS)
-    z[4000:4003] = torch.nan
-    with torch.no_grad():
-        check_same(presets.srckf(MOTION, SENSOR).compile()(z, PRIOR), f(z, PRIOR))

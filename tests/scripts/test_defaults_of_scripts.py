@@ -59,6 +59,7 @@ def test_layer_has_every_teacher_of_both_networks(run):
 def test_learning_has_every_way_in_every_cell(run, monkeypatch):
     monkeypatch.setattr(learning, "BATCH", 2)
     monkeypatch.setattr(learning, "of_grid", lambda *arguments: {"grid": {}})
+    monkeypatch.setattr(learning, "of_fits", lambda *arguments: {})  # both: test_learning.py
     monkeypatch.setattr(learning, "table", None)
     cells = run(learning, "--trainings", "2", "--iterations", "1", "--runs", "2", "--no-compile")["cells"]
     assert list(cells) == list(learning.CELLS)
