@@ -159,7 +159,7 @@ def test_a_compiled_filter_that_knows_tracks_of_the_same_shapes_still_asks_which
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "options"), [("fra", {}), ("gpb", SMALL_GPB)])
+@pytest.mark.parametrize(("name", "options"), [("fra", {}), ("imm_fra", {}), ("gpb", SMALL_GPB)])
 def test_kernels_of_another_sensor_have_the_states_of_the_filter(name, options):
     z, found = measured(), []
     for f in (made(name, **options), made(name, **options).compile()):

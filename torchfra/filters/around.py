@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from torchfra.filters.base import Filter
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
@@ -35,3 +37,7 @@ class Around(Filter[S]):
     def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
         """A sensor that is neither the filter's own nor that of ``inner``, which both check it: see ``Filter``."""
         return None if sensor in self._given else self.inner.other_sensor(super().other_sensor(sensor))
+
+    def remember(self, state: Any, before: Any) -> Any:
+        """A state with the memory of the state ``before`` in ``inner``."""
+        return state._replace(inner=self.inner.remember(state.inner, before.inner))
