@@ -9,7 +9,9 @@ import pytest
 import torch
 from learned import lorenz
 
-from torchfra.sensors import RangeBearing
+from torchfra import Gaussian, presets
+from torchfra.motion import WhiteJerk
+from torchfra.sensors import Position, RangeBearing
 
 OWN = '''
 import numpy as np
@@ -75,6 +77,24 @@ def test_cells_that_are_lost_come_first_and_are_red(tmp_path):
     assert lines[2].split()[:3] == ["fast", "time", "0.25"]
     field.draw(cells, tmp_path / "ratios.png")
     assert (tmp_path / "ratios.png").stat().st_size > 5000
+
+
+@pytest.mark.slow
+def test_a_published_filter_has_its_published_error_on_the_public_benchmark():
+    truth, z, noise = field.manoeuvring_tracks(200, 0)
+    start = Gaussian.from_std([2000.0, 10_000.0, 0.0, -15.0, 0.0, 0.0], [10.0, 10.0, 1.0, 1.0, 0.05, 0.05])
+    estimate = presets.srckf(WhiteJerk(1e-4), Position(100.0))(z, start, dt=10.0, noise=noise)
+    assert field.error_from_the_start(estimate, truth) == pytest.approx(
+        field.PUBLISHED["forward"]["published: constant acceleration"], rel=0.01
+    )
+
+
+@pytest.mark.slow
+def test_the_public_benchmark_has_filtered_and_smoothed_cells(capsys):
+    assert field.main(["--quick", "--jobs", "manoeuvring"]) == 0
+    said = capsys.readouterr().out
+    assert "public benchmark of manoeuvring targets, filtered" in said
+    assert "public benchmark of manoeuvring targets, smoothed" in said
 
 
 def test_what_is_not_linear_is_told_to_other_libraries_as_it_is():
