@@ -122,9 +122,7 @@ def _triangularise(a: Tensor, way: _Way | _Update) -> Tensor:
         return _rotations(way)(a)
     if _by_rows(a):
         return _by_gram_schmidt(a, way)[0]
-    if not is_traced(a):
-        return _reflect(a, way)
-    return -torch.linalg.qr(_columns(a, way), mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
+    return _reflect(a, way, traced=is_traced(a))
 
 
 _SMALL = 16
@@ -297,30 +295,28 @@ def _norms(a: Tensor) -> Tensor:
     return norms
 
 
-def _reflect(a: Tensor, way: _Way | _Update) -> Tensor:
-    """``-torch.linalg.qr(a.mT, mode="r").R.mT`` to the bit, by the call of LAPACK that stands behind it.
+def _reflect(a: Tensor, way: _Way | _Update, *, traced: bool = False) -> Tensor:
+    """``-torch.linalg.qr(a.mT, mode="r").R.mT``, if not ``traced`` to the bit by the call of LAPACK behind it.
 
-    What is left out is a copy and ``triu``, whose threads an eager step of small matrices pays for.  An eager step of
-    SRCKF takes 3.7 +- 0.3 times as long by ``torch.linalg.qr`` for one track and 1.61 +- 0.03 times for 64 tracks with
-    two threads (by the clock 4.4 +- 0.2 and 1.25 +- 0.15); with one thread 1.02 +- 0.02 and 1.00 +- 0.02 times, for
-    1000 tracks 1.06 +- 0.01 (processor time, medians of ratios of turns with standard errors, a busy server).
+    The columns of ``a`` stand behind zeros, but for a diagonal matrix, which serves as they.  The zeros fix two
+    conventions at once.  Every reflection starts from a zero, so the diagonal of R is never positive.  And a row that
+    depends on those above leaves its zero coordinate untouched, so no arbitrary direction enters its column of L.
+    Reflections keep the digits of rows alone: where columns may be of any scale they need more of them.
+
+    What is left out of ``qr`` is a copy and ``triu``, whose threads an eager step of small matrices pays for.  A step
+    of SRCKF takes 3.7 +- 0.3 times as long by ``torch.linalg.qr`` for one track and 1.61 +- 0.03 times for 64 tracks
+    with two threads (by the clock 4.4 +- 0.2 and 1.25 +- 0.15); with one thread 1.02 +- 0.02 and 1.00 +- 0.02 times,
+    for 1000 tracks 1.06 +- 0.01 (processor time, medians of ratios of turns with standard errors, a busy server).
     """
-    n, columns = a.shape[-2], _columns(a, way)
+    n, finer = a.shape[-2], a if way is _Way.EVEN else a.double()
+    if isinstance(way, _Update) and way.unit:
+        columns = _behind_unit(finer, way.measured, n).mT
+    else:
+        columns = (finer if way is _Way.BESIDE else pad(finer, (n, 0))).mT
+    if traced:
+        return -torch.linalg.qr(columns, mode="r").R.mT.to(a)  # type: ignore[no-any-return]  # untyped in torch
     lower: Tensor = torch.geqrf(columns)[0][..., :n, :].mT * _minus_lower(n, columns.dtype, a.device)
     return lower.to(a.dtype)
-
-
-def _columns(a: Tensor, way: _Way | _Update) -> Tensor:
-    """The transpose of ``a`` for Householder reflections, below zeros but for a diagonal matrix, which serves as they.
-
-    The zeros fix two conventions at once.  Every reflection starts from a zero, so the diagonal of R is never positive.
-    And a row that depends on those above leaves its zero coordinate untouched, so no arbitrary direction enters its
-    column of L.  Reflections keep the digits of rows alone: where columns may be of any scale they need more of them.
-    """
-    finer, zeros = a if way is _Way.EVEN else a.double(), 0 if way is _Way.BESIDE else a.shape[-2]
-    if isinstance(way, _Update) and way.unit:
-        return _behind_unit(finer, way.measured, zeros).mT
-    return pad(finer, (zeros, 0)).mT if zeros else finer.mT
 
 
 def _behind_unit(a: Tensor, count: int, zeros: int = 0) -> Tensor:
