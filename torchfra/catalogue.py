@@ -165,7 +165,7 @@ def _as_configured(config: Path, scenario: Scenario, name: str) -> Filter:
         raise ValueError(f"learned: {config}: {expected}") from None
 
 
-def _with_own_models(f: Filter, values: Any) -> dict[str, Any]:
+def _with_own_models(f: Filter, values: object) -> dict[str, Any]:
     """Values of a state dictionary, but those of motion and sensor from the filter itself."""
 
     def of_models(state: Mapping[str, Any]) -> set[str]:

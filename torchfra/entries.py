@@ -26,7 +26,7 @@ class Entries(nn.Module):
 
     fixed: Tensor
 
-    def __init__(self, values: Any, name: str) -> None:
+    def __init__(self, values: object, name: str) -> None:
         super().__init__()
         found: dict[tuple[int, ...], Hyper] = {}
         numbers = as_numbers(_plain(values, (), found), name).double()
@@ -60,7 +60,7 @@ def _label(place: tuple[int, ...]) -> str:
     return ",".join(map(str, place))
 
 
-def _plain(values: Any, place: tuple[int, ...], found: dict[tuple[int, ...], Hyper]) -> Any:
+def _plain(values: object, place: tuple[int, ...], found: dict[tuple[int, ...], Hyper]) -> Any:
     """The values with 0 in the place of each hyperparameter, which goes into ``found``."""
     if isinstance(values, Hyper):
         found[place] = values

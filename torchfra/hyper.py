@@ -228,7 +228,7 @@ class Hyper(nn.Module):
             self.raw = nn.Parameter(raw)
 
     def _load_from_state_dict(
-        self, state_dict: dict[str, Any], prefix: str, local_metadata: Any, strict: bool, missing_keys: list[str],
+        self, state_dict: dict[str, Any], prefix: str, local_metadata: object, strict: bool, missing_keys: list[str],
         unexpected_keys: list[str], error_msgs: list[str],
     ) -> None:  # fmt: skip
         """Loads a value; one that is NaN or out of its range is an error."""
@@ -298,7 +298,7 @@ class Part(nn.Module):
             self._refuse(name, value)
         super().__setattr__(name, value)
 
-    def _refuse(self, name: str, value: Any) -> None:
+    def _refuse(self, name: str, value: object) -> None:
         """Refuses a value for the name of a hyperparameter."""
         paths = [path for path in hypers(self) if path.rpartition(".")[2] == name]
         if paths:

@@ -26,7 +26,7 @@ _PLAIN = b"PK\x05\x06"
 """The last part of an archive begins with this, and takes 22 bytes where there is no comment."""
 
 
-def pack(state: Any) -> bytes:
+def pack(state: object) -> bytes:
     """The bytes of ``torch.save(state)``, followed by a digest."""
     buffer = io.BytesIO()
     torch.save(state, buffer)

@@ -114,7 +114,7 @@ def clean(
     return cleaned
 
 
-def track(data: Any, **settings: Any) -> Any:
+def track(data: object, **settings: Any) -> Any:
     """As ``clean``, on line: every estimate depends on the fixes up to its step only."""
     return clean(data, **{"smooth": False, **settings})
 
@@ -122,13 +122,13 @@ def track(data: Any, **settings: Any) -> Any:
 # ---------------------------------------------------------------- tables
 
 
-def _is_frame(data: Any, library: str = "pandas") -> bool:
+def _is_frame(data: object, library: str = "pandas") -> bool:
     """Whether data is a ``DataFrame`` of pandas, or of another library; does not import it."""
     module = sys.modules.get(library)
     return module is not None and isinstance(data, module.DataFrame)
 
 
-def _points(frame: Any) -> Any:
+def _points(frame: object) -> Any:
     """The points of a ``GeoDataFrame``; None for other tables, without an import of geopandas.
 
     Raises:
@@ -219,7 +219,7 @@ def _joined(frame: Any, several: Sequence[Cleaned]) -> Any:
 # ---------------------------------------------------------------- arrays
 
 
-def _recording_of_arrays(data: Any, max_bytes: int, words: dict[str, Any]) -> Recording:
+def _recording_of_arrays(data: object, max_bytes: int, words: dict[str, Any]) -> Recording:
     """The track of times and positions; where a position is NaN it has a step too, without a fix.
 
     Raises:

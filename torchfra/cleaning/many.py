@@ -161,7 +161,7 @@ def _read(path: Path) -> Any:
         raise ValueError(f"out: expected JSON of this command in {path}, received other text") from error
 
 
-def _difference(one: Any, other: Any) -> str:
+def _difference(one: object, other: object) -> str:
     """The text of one of two values that differ; of two dictionaries, the first entry that does."""
     if isinstance(one, dict) and isinstance(other, dict):
         return next((f"{key} {json.dumps(one[key])}" for key in one if one[key] != other.get(key)), "nothing more")

@@ -171,7 +171,7 @@ def _section(name: str, title: str, of: Chart, *, opened: bool) -> str:
     return _SECTION.format(name=name, opened=" open" if opened else "", title=_text(title), chart=text)
 
 
-def _text(of: Any) -> str:
+def _text(of: object) -> str:
     return html.escape(printable(str(of), 1000))
 
 

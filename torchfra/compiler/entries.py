@@ -62,7 +62,7 @@ class Entries(Tensor):
         values = [0.0] * tensor.numel() if zeros else tensor.detach().cpu().flatten().tolist()
         return from_numbers(book, [book.constant(float(v)) for v in values], tensor.shape, tensor.dtype)
 
-    def __repr__(self, *, tensor_contents: Any = None) -> str:  # type: ignore[override]
+    def __repr__(self, *, tensor_contents: object = None) -> str:  # type: ignore[override]
         return f"Entries({self.ids.tolist()})"
 
     __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]

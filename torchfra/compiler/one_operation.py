@@ -153,7 +153,7 @@ def _values(f: nn.Module) -> dict[str, Tensor]:
     return dict(f.named_parameters()) | dict(f.named_buffers())
 
 
-def _placed(places: Any, tensors: Sequence[Tensor]) -> Any:
+def _placed(places: object, tensors: Sequence[Tensor]) -> Any:
     """A tree with tensors in the places of their numbers."""
     if isinstance(places, int):
         return tensors[places]

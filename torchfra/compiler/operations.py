@@ -34,7 +34,7 @@ def _value(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: d
     raise unsupported(func, "the value of an entry is not known while tracing: choose by torch.where, not by if")
 
 
-def _in_place(functional: Any) -> Rule:
+def _in_place(functional: object) -> Rule:
     """The rule of an operation that writes into its first argument, from that of the one that returns the result."""
 
     def rule(book: Expressions, func: OpOverload, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Entries:
@@ -82,7 +82,7 @@ RULES.update(_in_place_rules())
 
 
 def _of_entries(
-    cls: Any, func: OpOverload, types: Sequence[type], args: tuple[Any, ...], kwargs: dict[str, Any] | None = None
+    cls: object, func: OpOverload, types: Sequence[type], args: tuple[Any, ...], kwargs: dict[str, Any] | None = None
 ) -> Any:
     return Entries.__torch_dispatch__(func, types, args, kwargs)
 

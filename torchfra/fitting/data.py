@@ -152,7 +152,7 @@ def batch_of(f: Filter, data: Source, *, runs: int, seed: int) -> Batch:
     return _as_batch(f, _joined([_fields(item) for item in items], rank))
 
 
-def _fields(item: Any) -> dict[str, Any]:
+def _fields(item: object) -> dict[str, Any]:
     """Tensors by name.
 
     Raises:
@@ -231,7 +231,7 @@ def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
         raise ValueError(f"{name}: expected a shape that broadcasts to {letters}, received {received}") from None
 
 
-def _belief(prior: Any) -> tuple[Tensor, Tensor]:
+def _belief(prior: object) -> tuple[Tensor, Tensor]:
     """Mean and root of a prior.
 
     Raises:

@@ -174,7 +174,7 @@ class Descent:
         self.best, self.scores = state["best"], state["scores"]
 
 
-def _same(a: Any, b: Any) -> bool:
+def _same(a: object, b: object) -> bool:
     """Whether two settings are the same but for rounding, which differs between processors."""
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):
         return len(a) == len(b) and all(map(_same, a, b))

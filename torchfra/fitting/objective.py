@@ -181,7 +181,7 @@ class Objective:
         return -density[self.skip :].sum((0, -1))
 
 
-def _of_tracks(found: Any, batch: Batch) -> Tensor:
+def _of_tracks(found: object, batch: Batch) -> Tensor:
     """Checks the result of a user's loss function.
 
     Raises:

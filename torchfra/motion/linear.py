@@ -212,7 +212,7 @@ class _Variances(nn.Module):
         return torch.stack([variance(like) for variance in self.variances], -1).sqrt().diag_embed()
 
 
-def _part(values: Any, name: str) -> Any:
+def _part(values: object, name: str) -> Any:
     """A matrix that is fixed, of each step, or a function."""
     if callable(values) and not isinstance(values, Tensor):
         return _Function(values, name)
@@ -264,7 +264,7 @@ def _check(name: str, part: Any, shape: tuple[int, int | None]) -> None:
         raise ValueError(f"{name}: expected ({expected}), received {received}")
 
 
-def _steps(part: Any) -> int | None:
+def _steps(part: object) -> int | None:
     """Number of steps of a matrix for each; None for others."""
     return int(part.each.shape[-3]) if isinstance(part, _EachStep) else None
 

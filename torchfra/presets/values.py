@@ -102,14 +102,14 @@ def _contents() -> dict[str, Any]:
     return contents
 
 
-def _argument(value: Any) -> Any:
+def _argument(value: object) -> Any:
     """An argument of a preset from its form in the file: a list is a tensor, a dictionary a gate in metres."""
     if isinstance(value, dict):
         return Euclidean(**value)
     return torch.tensor(value, dtype=torch.float64) if isinstance(value, list) else value
 
 
-def _scaled(kind: str, model: Any, record: dict[str, Any]) -> Any:
+def _scaled(kind: str, model: object, record: dict[str, Any]) -> Any:
     """The motion or sensor, or a copy of it with its values times the factors of the set.
 
     Raises:

@@ -65,12 +65,12 @@ def write_text(path: str | Path, text: str) -> Path:
     return write(path, lambda file: file.write(text.encode()))
 
 
-def write_json(path: str | Path, data: Any) -> Path:
+def write_json(path: str | Path, data: object) -> Path:
     """Writes JSON, completely or not at all; NaN and infinity become null, integers of numpy numbers."""
     return write_text(path, json.dumps(_plain(data), indent=1, allow_nan=False) + "\n")
 
 
-def _plain(data: Any) -> Any:
+def _plain(data: object) -> Any:
     if isinstance(data, dict):
         return {key: _plain(value) for key, value in data.items()}
     if isinstance(data, (list, tuple)):

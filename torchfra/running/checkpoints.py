@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from torchfra import state_files
 from torchfra.running import distributed
@@ -26,7 +25,7 @@ def previous(newest: Path) -> Path:
     return newest.with_stem(f"{newest.stem}-previous")
 
 
-def save(state: Any, newest: Path) -> None:
+def save(state: object, newest: Path) -> None:
     """Writes a checkpoint; the one before stays under another name.
 
     Raises:

@@ -133,7 +133,7 @@ def _pickled(work: Callable[..., object], *part: Any) -> bytes:
 class _Pickler(pickle.Pickler):
     """Sends tensors by their values, as plain ones on the CPU; torch would open a file for each of thousands."""
 
-    def reducer_override(self, x: Any) -> Any:
+    def reducer_override(self, x: object) -> Any:
         import torch
 
         return (torch.from_numpy, (x.detach().numpy(),)) if isinstance(x, torch.Tensor) else NotImplemented

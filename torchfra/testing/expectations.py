@@ -42,7 +42,7 @@ def expect(holds: bool, what: str, expected: object, received: object) -> None:
         raise AssertionError(f"{what}: expected {expected}, received {received}")
 
 
-def expect_same(found: Any, expected: Any, what: str, tolerance: float | None = None) -> None:
+def expect_same(found: object, expected: object, what: str, tolerance: float | None = None) -> None:
     """Expects trees of the same form, shapes, dtypes and, up to rounding, values."""
     if isinstance(expected, Tensor) and isinstance(found, Tensor):
         form, wanted = (tuple(found.shape), found.dtype), (tuple(expected.shape), expected.dtype)

@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -71,9 +70,9 @@ def check_model(
     motion: Motion,
     sensor: Sensor,
     *,
-    state: Any = None,
+    state: object = None,
     dt: float = 1.0,
-    u: Any = None,
+    u: object = None,
     compiled: bool = False,
     seed: int = 0,
 ) -> ModelReport:
