@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -249,13 +250,14 @@ class Regimes(Part):
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)`` but for jumps, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1) / self._sharing(like)
-        odds = torch.where(self._among(self.landed, like), 0.0, odds)
+        odds = torch.where(self._landed_and_settled(like)[0], 0.0, odds)
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
-    def _among(self, some: range, like: Tensor) -> Tensor:
-        """Whether a regime is one of some, ``(R, ...)`` bool, for ``like (R, ...)``."""
-        chosen = torch.tensor([r in some for r in range(len(self.each))], dtype=torch.bool, device=like.device)
-        return chosen.reshape(-1, *(1,) * (like.dim() - 1))
+    @once
+    def _landed_and_settled(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Whether a regime is a jump or settled, and whether it is settled, ``(R, ...)`` bool for ``like (R, ...)``."""
+        number = torch.arange(len(self.each), device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
+        return number >= self.landed.start, number >= self.landed.start + self.jump_count
 
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
@@ -318,15 +320,21 @@ class Regimes(Part):
             that it ends and the regime at the end of the step is this one.  Together they are ``exp(G dt)``.
         """
         rank = like.dim() - 1
+        durations, rates = self._rates(like)
+        lasts = torch.exp(-dt.unsqueeze(-1) / durations)
+        of_kinds = transition_over(rates, dt) - torch.diag_embed(lasts)
+        ended = values_first(of_kinds.clamp_min(0.0).mT, rank, 2)  # [now, was, ...]
+        ended = taken(taken(ended, self.entries, 0), self.entries, 1) / self._sharing(like).unsqueeze(1)
+        return self._by_regime(lasts, rank), ended
+
+    @once
+    def _rates(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean sojourn times ``(..., kinds)`` and the generator of the chain over kinds."""
         durations, restart = self.durations(like), self.restart(like)  # type: ignore[misc]
         if len(self.begins) < restart.shape[-1]:
             present = as_tensor([float(k in self.begins) for k in range(restart.shape[-1])], restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
-        lasts = torch.exp(-dt.unsqueeze(-1) / durations)
-        of_kinds = transition_over(generator(durations, restart.unsqueeze(-2)), dt) - torch.diag_embed(lasts)
-        ended = values_first(of_kinds.clamp_min(0.0).mT, rank, 2)  # [now, was, ...]
-        ended = taken(taken(ended, self.entries, 0), self.entries, 1) / self._sharing(like).unsqueeze(1)
-        return self._by_regime(lasts, rank), ended
+        return durations, generator(durations, restart.unsqueeze(-2))
 
     def switch(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Switching:
         """How regimes with log weights ``(1, R, 2, ...)`` switch between two steps ``dt (...)`` seconds apart.
@@ -366,15 +374,17 @@ class Regimes(Part):
             stay, ended = self.continuous(like, dt)
         if not self.jump_count:
             return stay, ended
-        keeps = (
-            self._stay(like)
-            if self.durations is None
-            else self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
-        )
-        landed, settled = (self._among(x, like) for x in (self.landed, self.landed[self.jump_count :]))
-        keeps = torch.where(measured & settled, keeps, 1.0)
+        landed, settled = self._landed_and_settled(like)
+        keeps = torch.where(measured & settled, self._keeps(like), 1.0)
         begins = self.restart_distribution(like).unsqueeze(1) * (1 - keeps)
         return torch.where(landed, keeps, stay), torch.where(landed, begins, ended)
+
+    @once
+    def _keeps(self, like: Tensor) -> Tensor:
+        """Probabilities ``(R, ...)`` that a settled target is one after a measurement, for ``like (R, ...)``."""
+        if self.durations is None:
+            return self._stay(like)
+        return self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
 
     def _settled(self, x: Tensor, axis: int) -> Tensor:
         """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
@@ -384,7 +394,7 @@ class Regimes(Part):
         total = jumped.sum(axis, keepdim=True)
         shares = [1.0] if self.settled == 1 else [1 - AGILE_AFTER, AGILE_AFTER]
         none = torch.zeros_like(jumped.narrow(axis, 0, self.jump_count))
-        return torch.cat([others, none, *(share * total for share in shares)], axis)
+        return torch.cat([others, none, *map(total.mul, shares)], axis)
 
     def jumped(
         self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, roots: Tensor, frame: Frame,
@@ -461,7 +471,7 @@ class Regimes(Part):
 
         What a prior that is off is given back, a settled target is not: a jump has been given it before.
         """
-        return torch.where(self._among(self.landed, rarity[0]), rarity.clamp_max(0.0), rarity)
+        return torch.where(self._landed_and_settled(rarity[0])[0], rarity.clamp_max(0.0), rarity)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
@@ -480,14 +490,17 @@ class Regimes(Part):
         if not self.jump_count:
             return others
         before, _, settled = others.split(self.counts, MOTION)
-        restart = self._by_regime(self.restart(log_weight[0]), log_weight.dim() - 2)[
-            self.landed.start : self.landed.start + self.jump_count
-        ]
-        share = safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
         unsettled = log_weight.narrow(MOTION, 0, self.landed.start)
-        jumps = log_sum(unsettled, MOTION).unsqueeze(MOTION) + share + surprise.rarity
+        jumps = log_sum(unsettled, MOTION).unsqueeze(MOTION) + self._log_shares(log_weight) + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, -torch.inf, jumps)  # none without a measurement
         return torch.cat([before, jumps, settled], MOTION)
+
+    @once
+    def _log_shares(self, like: Tensor) -> Tensor:
+        """Logs ``(1, J, ...)`` of the shares of jumps in those that begin, for ``like (1, R, ...)``."""
+        restart = self._by_regime(self.restart(like[0]), like.dim() - 2)
+        restart = restart[self.landed.start : self.landed.start + self.jump_count]
+        return safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
 
     # ------------------------------------------------------------ predictions
 
@@ -579,13 +592,13 @@ class Regimes(Part):
         mean, variances = agile.mean, agile.scale_tril.square().sum(-1)
         jump, rows = self._jumps(nis).sqrt(), dict[int, Tensor]()
         for part in filter(None, _derivatives(motion)):
-            size, std = (
-                safe_sqrt(x) for x in (taken(mean, part, -1).square().sum(-1), taken(variances, part, -1).mean(-1))
-            )
+            size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
+            std = safe_sqrt(taken(variances, part, -1).mean(-1))
             rows |= dict.fromkeys(part, torch.minimum(jump, safe_divide(FASTER * size, std).clamp_min(1.0)))
-        each = (rows.get(i, torch.ones_like(jump)) for i in range(motion.size))
+        each = [rows.get(i, torch.ones_like(jump)) for i in range(motion.size)]
         jumps = torch.stack(torch.broadcast_tensors(*each), -1)
-        before, after = (jumps.new_ones(1, n, *jumps.shape[2:]) for n in (self.landed.start, self.settled))
+        before = jumps.new_ones(1, self.landed.start, *jumps.shape[2:])
+        after = jumps.new_ones(1, self.settled, *jumps.shape[2:])
         return torch.cat([before, jumps, after], MOTION).unsqueeze(-1)
 
     def _jumps(self, nis: Tensor) -> Tensor:
@@ -618,7 +631,7 @@ class Regimes(Part):
 
     def by_belief(self, weight: Tensor, axis: int = MOTION) -> Tensor:
         """Weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
-        return self._per_belief(weight, axis, lambda x: x.sum(axis, keepdim=True))
+        return self._per_belief(weight, axis, partial(torch.sum, dim=axis, keepdim=True))
 
     def log_by_belief(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
@@ -659,9 +672,8 @@ class Regimes(Part):
         batch = jumps.shape[2:]
         manoeuvres = manoeuvres.expand(1, self.manoeuvre_count, *batch)
         jumps = jumps.expand(1, self.jump_count, *batch)
-        rest, settled = (
-            jumps.new_full((1, n, *batch), others) for n in (self.landed.start - self.manoeuvre_count, self.settled)
-        )
+        rest = jumps.new_full((1, self.landed.start - self.manoeuvre_count, *batch), others)
+        settled = jumps.new_full((1, self.settled, *batch), others)
         return torch.cat([rest, manoeuvres, jumps, settled], MOTION)
 
 

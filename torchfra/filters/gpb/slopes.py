@@ -99,7 +99,9 @@ def by_points_or_slope(compare: Callable[[Gaussian], Whitened], belief: Gaussian
         belief: ``(..., n)`` predicted.
     """
     wide = compare(belief)
-    slope, rest = (reduce(torch.add, x.square().unbind(-1), x.new_zeros(())) for x in (wide.slope, wide.rest))
+    slope, rest = wide.slope, wide.rest
+    slope = reduce(torch.add, slope.square().unbind(-1), slope.new_zeros(()))
+    rest = reduce(torch.add, rest.square().unbind(-1), rest.new_zeros(()))
     flat = slope < LEAST_SHARE * (slope + rest)
     some = flat.any()  # rarely true; only then are the points nearby computed, in kernels as well
     if not is_traced(some) and not some:
