@@ -49,7 +49,8 @@ def alone(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_filter_of_ones_own_joins_and_has_the_same_errors_where_models_hold(alone, tmp_path, capsys):
+def test_a_filter_of_ones_own_joins_and_has_the_same_errors_where_models_hold(alone, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(field, "ROBUST", ["rsrckf"])
     own, results = tmp_path / "mine.py", tmp_path / "field.json"
     own.write_text(OWN)
     options = ["--quick", "--passes", "1", "--jobs", "gaps,spikes", "--own", str(own), "--json", str(results)]
@@ -90,7 +91,9 @@ def test_a_published_filter_has_its_published_error_on_the_public_benchmark():
 
 
 @pytest.mark.slow
-def test_the_public_benchmark_has_filtered_and_smoothed_cells(capsys):
+def test_the_public_benchmark_has_filtered_and_smoothed_cells(capsys, monkeypatch):
+    truth, z, noise = field.manoeuvring_tracks(2, 0)
+    monkeypatch.setattr(field, "manoeuvring_tracks", lambda *_: (truth[:4], z[:, :4], noise[:, :4]))
     assert field.main(["--quick", "--jobs", "manoeuvring"]) == 0
     said = capsys.readouterr().out
     assert "public benchmark of manoeuvring targets, filtered" in said

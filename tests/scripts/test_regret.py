@@ -320,7 +320,7 @@ def one_of_each_kind(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks", "one_of_each_kind")
-@pytest.mark.parametrize("kind", [[], ["--smooth"]])
+@pytest.mark.parametrize("kind", [["--others", "srckf"], ["--smooth", "--filters", "fra,srckf"]])
 def test_every_cell_is_run_by_default(kind, tmp_path):
     assert regret.main([*kind, "--runs", "2", "--no-compile", "--quiet", "--json", str(tmp_path / "r.json")]) == 0
     found = json.loads((tmp_path / "r.json").read_text())["cells"]

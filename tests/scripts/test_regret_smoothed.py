@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 import regret
+import short_tracks
 import torch
 from regrets import smoothed
 from short_tracks import short
@@ -13,6 +14,14 @@ from torchfra import Gaussian, metrics, presets
 from torchfra.catalogue import make_scenario, scenario_filters
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
+
+
+@pytest.fixture(scope="module", autouse=True)
+def eight_steps():
+    """Simulated tracks are so short."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(short_tracks, "STEPS", 8)
+        yield
 
 
 @pytest.fixture(scope="module")
