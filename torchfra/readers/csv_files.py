@@ -15,7 +15,7 @@ from torchfra.readers.bounded import LONGEST_ROW, Rows
 from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
-from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in
+from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in, plain
 from torchfra.readers.names import unit as unit_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
 from torchfra.readers.sheets import Sheet, repeated
@@ -80,6 +80,10 @@ def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int, encoding: 
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
     longer = Counter[str]()
     place, width = {name: i for i, name in enumerate(names)}, len(names)
+    format = format or (format_of(names) if options is not None else None)
+    if pair := [name for name in names if format is not None and format.pair and plain(name) == format.pair]:
+        said.append(f"latitude, longitude: both in {pair[0]}")
+        place |= dict.fromkeys(("latitude", "longitude"), place.pop(pair[0]))
 
     def mended(row: list[str], before: int) -> list[str]:
         """A row of another length: a comment, or one whose further fields are empty or not asked for."""
@@ -102,11 +106,11 @@ def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int, encoding: 
     def parts() -> Iterator[tuple[int, Cells]]:
         try:
             for cells in rows.parts(width, mended):
-                yield len(cells) // width, partial(_cells, cells, place, width)
+                yield len(cells) // width, partial(_cells, cells, place, width, bool(pair))
         except csv.Error as error:
             raise _no_csv(error) from error
 
-    return Sheet(names, parts(), tuple(said), sign != ",", format, longer=longer)
+    return Sheet([*place], parts(), tuple(said), sign != ",", format, longer=longer)
 
 
 def _begin_of_format(rows: Rows, format: Format) -> str:
@@ -285,9 +289,12 @@ def _no_csv(error: csv.Error) -> ValueError:
     return ValueError(f"expected CSV, received other text ({error})")
 
 
-def _cells(cells: list[str], place: dict[str, int], width: int, name: str) -> list[str]:
-    """The cells of one column, out of the cells of all rows in one list."""
-    return cells[place[name] :: width]
+def _cells(cells: list[str], place: dict[str, int], width: int, pair: bool, name: str) -> list[str]:
+    """The cells of one column, out of the cells of all rows in one list; of a ``pair``, the part before its comma."""
+    column = cells[place[name] :: width]
+    if pair and name in ("latitude", "longitude"):
+        return [cell.partition(",")[2 * (name == "longitude")] for cell in column]
+    return column
 
 
 def _is_number(cell: str) -> bool:

@@ -61,7 +61,7 @@ NAMES = {
     "orientation": "argosorientation errorellipseorientation ellipseorientation eor",
     "rate": "fps framerate",
     "visible": "visible", "by_hand": "manuallymarkedoutlier", "by_import": "importmarkedoutlier",
-    "by_rule": "algorithmmarkedoutlier", "valid": "valid isvalid fixvalid validfix fixquality gpsquality",
+    "by_rule": "algorithmmarkedoutlier", "valid": "valid isvalid fixvalid validfix fixquality gpsquality fix fixtype",
 }  # fmt: skip
 """By what they hold, the best first; in small letters without signs, units and such words as "gps" in front."""
 _RANKS = {role: {name: i for i, name in enumerate(names.split())} for role, names in NAMES.items()}

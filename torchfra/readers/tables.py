@@ -20,10 +20,8 @@ from torchfra.readers.binary_files import fit_sheet, is_workbook, workbook_text
 from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
 from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import csv_sheet
-from torchfra.readers.formats import format_of
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
-from torchfra.readers.names import plain
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import AskError, ReadOptions, named
 from torchfra.readers.sheets import Sheet
@@ -132,7 +130,6 @@ def table_of(
     Raises:
         ValueError: a cell is of another kind, or there are too many.
     """
-    sheet = _with_pair(sheet)
     ids = options.among(sheet.names).get("id", ()) if options and options.id and sheet.names else ()
     together = {" ".join(ids): ids} if len(ids) > 1 else {}
     parts, wanted = iter(sheet.parts), dict[str, Kind | None]()
@@ -165,28 +162,6 @@ def head_of(sheet: Sheet, cells: Cells) -> Head:
     """How a sheet begins, by the cells of its first rows."""
     begin = cache(lambda name: cells(name)[:HEAD])
     return Head(sheet.names, begin, sheet.said, sheet.commas, sheet.format, sheet.word)
-
-
-def _with_pair(sheet: Sheet) -> Sheet:
-    """A sheet with a latitude and a longitude in the place of a column with both, where its format has one."""
-    format = sheet.format or format_of(sheet.names)
-    pair = next((name for name in sheet.names if format and format.pair and plain(name) == format.pair), "")
-    if not pair:
-        return sheet
-
-    def parted(cells: Cells) -> Cells:
-        def of(name: str) -> Any:
-            if name not in ("latitude", "longitude"):
-                return cells(name)
-            return [str(cell or "").partition(",")[2 * (name == "longitude")] for cell in cells(pair)]
-
-        return of
-
-    names = [name for name in sheet.names if name != pair] + ["latitude", "longitude"]
-    said = (*sheet.said, f"latitude, longitude: both in {pair}")
-    return sheet._replace(
-        names=names, parts=((rows, parted(cells)) for rows, cells in sheet.parts), said=said, format=format
-    )
 
 
 @contextmanager

@@ -167,17 +167,15 @@ def seconds_of(text: str, form: str) -> float:
 
 def _of_digits(text: str, form: str) -> float:
     """Seconds of numbers whose digits are a date or a clock, which may lack zeros in front."""
-    words, forms, parted = text.split(), form.split(), []
+    words, forms, whole = text.split(), form.split(), list[str]()
     if len(words) != len(forms) or not all(re.fullmatch(r"[0-9]+(?:\.[0-9]*)?", word) for word in words):
         raise ValueError(f"expected digits of {form}, received {text!r}")
     for word, of in zip(words, forms, strict=True):
-        sizes = [_SIZES.get(letter, 2) for letter in of[1::2]]
-        digits = word.partition(".")[0].zfill(sum(sizes))
-        if len(digits) > sum(sizes):
-            raise ValueError(f"expected {sum(sizes)} digits of {of}, received {word!r}")
-        ends = np.cumsum(sizes).tolist()
-        parted += [digits[end - size : end] for end, size in zip(ends, sizes, strict=True)]
-    moment = datetime.strptime("-".join(parted), "-".join(re.findall("%.", form)))
+        digits = sum(_SIZES.get(letter, 2) for letter in of[1::2])
+        whole.append(word.partition(".")[0].zfill(digits))
+        if len(whole[-1]) > digits:
+            raise ValueError(f"expected {digits} digits of {of}, received {word!r}")
+    moment = datetime.strptime(" ".join(whole), form)
     part = float(f"0.{words[-1].partition('.')[2] or 0}")
     return part + (
         _since_1970(moment) if not is_clock(form) else moment.hour * 3600 + moment.minute * 60 + moment.second
