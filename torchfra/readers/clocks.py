@@ -259,7 +259,8 @@ def _chosen(columns: tuple[str, ...], forms: list[str], texts: list[str], name: 
     if forms[0] == "%H:%M":
         raise AskError(f"column {name}: {texts[0]!r} may be hours and minutes, or minutes and seconds: say ",
                        {"time_format": "%H:%M"}, " or ", {"time_format": STOPWATCH})  # fmt: skip
-    zone = forms[0].rpartition(" ")[2]
+    above = re.search(r"[\[(](?:[A-Z]{2,4}T|MSK)[\])]", name)  # such as (JST) behind the name
+    zone = above[0][1:-1] if above else forms[0].rpartition(" ")[2]
     if zone.isalpha() and zone.isupper() and zone not in ("Z", "UTC", "GMT"):
         raise AskError(f"column {name}: zone {zone} of {texts[0]!r} has several meanings or changes with the season: "
                        "write "
