@@ -12,7 +12,7 @@ X, Y = 100 + 2.0 * np.arange(ROWS), 50 + np.sin(np.arange(ROWS) / 9)
 
 
 def test_other_xml_is_refused_with_what_to_write(write):
-    with pytest.raises(ValueError, match="received other XML: write its points as CSV under time,x,y or"):
+    with pytest.raises(ValueError, match=r"received other XML: .* write points as CSV under time,x,y or"):
         read(write(["<VOTABLE><TR><TD>1</TD></TR></VOTABLE>"], "a.xml"))
 
 

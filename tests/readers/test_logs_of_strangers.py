@@ -154,21 +154,9 @@ def test_seconds_and_what_of_one_has_passed_are_one_time(write, names, count):
 # ---------------------------------------------------------------- watches, cars and phones
 
 
-def test_a_watch_writes_laps_and_pauses(write):
-    points = [
-        f"<Trackpoint><Time>{moment:%Y-%m-%dT%H:%M:%S.000Z}</Time><Position><LatitudeDegrees>{lat}</LatitudeDegrees>"
-        f"<LongitudeDegrees>{lon}</LongitudeDegrees></Position><AltitudeMeters>12.5</AltitudeMeters></Trackpoint>"
-        for moment, (lat, lon) in zip(moments(), PLACES, strict=True)
-    ]
-    pause = "<Trackpoint><Time>2024-06-03T09:00:00.000Z</Time></Trackpoint>"
-    laps = "".join(f"<Lap><Track>{''.join(lap)}</Track></Lap>" for lap in (points[:20], points[20:], [pause]))
-    schema = "http://www.garmin.com/xmlschemas/TrainingCenterDatabase/v2"
-    activity = f'<Activity Sport="Running"><Id>2024-06-03T08:15:00Z</Id>{laps}</Activity>'
-    text = f'<TrainingCenterDatabase xmlns="{schema}"><Activities>{activity}</Activities></TrainingCenterDatabase>'
-    (track,) = read(write(text, "run.tcx"))
-    assert_in_place(track)
-    assert track.origin[2] == 12.5
-    assert track.repairs == {"rows without position dropped": 1}
+def test_laps_of_a_watch_as_tcx_are_asked_for_as_gpx(write):
+    with pytest.raises(ValueError, match="export TCX as GPX"):
+        read(write("<TrainingCenterDatabase><Activities/></TrainingCenterDatabase>", "run.tcx"))
 
 
 def test_objects_within_records_are_columns(write):

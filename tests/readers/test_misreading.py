@@ -382,9 +382,10 @@ def test_numbers_of_frames_beside_their_rate_are_no_seconds(write, of):
     np.testing.assert_allclose(read(path, time_format="50fps")[0].time[-1], 29 / 50, rtol=1e-12)
 
 
-def test_rows_of_fix_quality_0_have_no_position(write):
+@pytest.mark.parametrize("name", ["Fix Quality", "fix", "gps_fix_type"])
+def test_rows_of_fix_quality_0_have_no_position(write, name):
     rows = [(i, 47 + i / 1e4 if i % 5 else 46, 8 + i / 1e4, 4 * (i % 5 > 0)) for i in range(30)]
-    (track,) = read(write(rows_of("time,lat,lon,Fix Quality", rows)))
+    (track,) = read(write(rows_of(f"time,lat,lon,{name}", rows)))
     assert track.repairs == {"rows marked as invalid dropped": 6}
     assert np.abs(track.position).max() < 1e3
 
@@ -402,3 +403,15 @@ def test_platforms_of_argos_are_targets_and_degrees_beside_ecef_are_read(write):
     tracks = read(write(rows_of("Platform ID No.,Loc. date,ECEF_X [m],Latitude,Longitude", rows)))
     assert [track.name for track in tracks] == ["1000", "1001"]
     assert all(len(track.time) == 30 and not track.repairs for track in tracks)
+
+
+def test_a_zone_behind_the_name_of_a_time_is_asked_for(write):
+    text = rows_of("Time (JST),lat,lon", [(f"2024-05-06 10:00:{i:02}", 47 + i / 1e4, 8) for i in range(30)])
+    with pytest.raises(ValueError, match=r"zone JST of .*: write an offset .* which reads the times as UTC"):
+        read(write(text))
+
+
+def test_a_line_of_words_with_a_time_in_front_of_the_header_is_no_header(write):
+    rows = [(i, 47 + i / 1e4, 8 + i / 1e4) for i in range(30)]
+    (track,) = read(write("Reference time : now\n" + rows_of("time,lat,lon", rows)))
+    assert (len(track.time), track.origin[:2]) == (30, (47, 8))

@@ -325,7 +325,7 @@ def test_an_aircraft_without_altitudes_is_flat_beside_others_that_are_not(write:
         ("a.json", "7", "expected a list of records"),
         ("a.json", "[" * 100_000, "expected"),
         ("a.csv", 't,x,y\n0,1,"2\n1,2,3\n', "expected CSV"),
-        ("a.csv", b"t,x,y\n0,1,\xff\n", "no UTF-8, and was read as cp1252"),
+        ("a.csv", b"t,x,y\n0,1,\xff\n", "a number in data row 1, column y, received '\u00ff'"),
         ("a.csv", "t,x\n0,1\n", "such as time='t', x='x', y='Y'; columns: t .0., x .1."),
         ("a.csv", "time,lat\n0,1\n", "expected a position .*such as time='time', lat='lat', lon='LON'"),
         ("a.csv", "hello\nworld\n", f"{HEADERS}; received hello"),

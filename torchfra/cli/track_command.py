@@ -24,7 +24,7 @@ from torchfra.running.progress import progress_bar
 from torchfra.tables import printable
 
 FILES = """FILE holds one or several recorded tracks: CSV with a header and any delimiter, such as of Movebank, Argos,
-AIS and OpenSky, JSON, GPX, KML, TCX, VBOX, IGC, PLT, GeoJSON, NMEA 0183, Parquet or Feather, gzipped or not.
+AIS and OpenSky, JSON, GPX, KML, VBOX, IGC, PLT, GeoJSON, NMEA 0183, Parquet or Feather, gzipped or not.
 Columns are found by their names; the output states which were taken, and the options for reading name others."""
 
 _ABOUT = f"""Clean a recorded track: positions with their standard deviations, wrong fixes, and manoeuvres.

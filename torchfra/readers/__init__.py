@@ -1,8 +1,8 @@
 """Reads tracks from files into local metres, and counts its repairs.
 
 A file is rows of text under a header, JSON (records, columns, GeoJSON, what receivers of aircraft write), GPX, KML,
-TCX, NMEA 0183, IGC, FIT, Parquet, Feather, or a workbook of a spreadsheet; gzipped or not.  The extra
-``formats`` installs what reads some of them.
+NMEA 0183, IGC, FIT, Parquet, Feather, or a workbook of a spreadsheet; gzipped or not.  The extra ``formats``
+installs what reads some of them.
 
 What columns hold is said by a row of the table ``formats.FORMATS``, which knows what devices and services write, or
 else by these rules:

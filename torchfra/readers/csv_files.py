@@ -18,7 +18,7 @@ from torchfra.readers.hints import unclear
 from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in, plain
 from torchfra.readers.names import unit as unit_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
-from torchfra.readers.sheets import Sheet, repeated
+from torchfra.readers.sheets import WINDOWS, Sheet, repeated
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -41,7 +41,7 @@ _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", r
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
-def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int, encoding: str) -> Sheet:
+def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int) -> Sheet:
     """The rows of a file.
 
     Args:
@@ -49,13 +49,14 @@ def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int, encoding: 
         options: of the caller, which may name columns by their numbers, from 1 on; None of a file of ranges, whose
             first line has the names.
         max_bytes: of text.
-        encoding: of its text.
 
     Raises:
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
-    wide = file.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff")  # as spreadsheets write it
-    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else encoding, newline=""), max_bytes)
+    start = file.peek(2)
+    wide = start[:2] in (b"\xff\xfe", b"\xfe\xff")  # as spreadsheets write it
+    windows = not wide and len(start.decode("utf-8", "ignore").encode()) < len(start) - 3
+    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else "utf-8-sig", WINDOWS, newline=""), max_bytes)
     format = format_of_text(rows.head) if options is not None else None
     if format is not None and format.refused:
         raise ValueError(f"{format.name}: {format.refused}")
@@ -78,6 +79,7 @@ def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int, encoding: 
             f"expected every column once, received several named {twice}: give each a name of its own in the header"
         )
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
+    said = ["text is no UTF-8: read as cp1252"] * windows + said
     longer = Counter[str]()
     place, width = {name: i for i, name in enumerate(names)}, len(names)
     format = format or (format_of(names) if options is not None else None)

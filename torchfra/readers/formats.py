@@ -135,7 +135,7 @@ FORMATS = (
     Format("Torque", "gpstime longitude latitude devicetime|speed|horizontaldilutionofprecision",
            columns={"time": "gpstime"}, time=f"{_JAVA}|iso"),
     Format("Traccar", "fixtime devicetime valid", columns={"time": "fixtime", "id": "deviceid"}),
-    Format("Polar", begins="Name,Sport,", refused="it has no positions as CSV: export GPX or TCX"),
+    Format("Polar", begins="Name,Sport,", refused="it has no positions as CSV: export GPX"),
     Format("MapSource or BaseCamp", begins="Grid\t", refused="save the track as GPX"),
     # ---------------------------------------------------------------- robots, players and traffic on video
     Format("days of the year", "doy|dayofyear sod|secondsofday", refused="write whole times instead of days of the "

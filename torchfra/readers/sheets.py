@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -11,6 +12,17 @@ from torchfra.readers.columns import Cells
 
 _WEIGHTS = {"JSON": 24, "XML": 32, "IGC": 16}
 """What a byte counts for: it is read as a whole, and takes up more memory."""
+
+WINDOWS = "torchfra.windows"
+"""Name of what reads bytes that are no UTF-8 as the letters that Windows has for western Europe."""
+
+
+def _letters(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeDecodeError)
+    return error.object[error.start : error.end].decode("cp1252", "replace"), error.end
+
+
+codecs.register_error(WINDOWS, _letters)
 
 
 class Sheet(NamedTuple):
@@ -33,7 +45,7 @@ def repeated(names: Iterable[str]) -> str:
     return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
 
 
-def whole_text(file: Any, max_bytes: int, what: str, encoding: str = "utf-8-sig") -> str:
+def whole_text(file: Any, max_bytes: int, what: str, errors: str = "strict") -> str:
     """All text of a file of ``"JSON"``, ``"XML"`` or ``"IGC"``.
 
     Raises:
@@ -43,7 +55,7 @@ def whole_text(file: Any, max_bytes: int, what: str, encoding: str = "utf-8-sig"
     data = file.read(most + 1)
     if len(data) > most:
         raise too_large(max_bytes, f"of text, of which one of {what} counts for {_WEIGHTS[what]}")
-    return str(data.decode(encoding))
+    return str(data.decode("utf-8-sig", errors))
 
 
 def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:

@@ -23,13 +23,12 @@ from torchfra.readers.csv_files import csv_sheet
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
-from torchfra.readers.options import AskError, ReadOptions, named
+from torchfra.readers.options import ReadOptions, named
 from torchfra.readers.sheets import Sheet
 from torchfra.readers.xml_files import xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
 """The columns to read by their names, and the kind of their numbers; None for text."""
-_UTF_8, _OTHERWISE = "utf-8-sig", "cp1252"
 _NO_TEXT = bytes(range(7))
 """Signs that only machines read."""
 _OTHER_FILE = (
@@ -78,11 +77,11 @@ def read_table(
     check_bound(max_bytes)
     suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
 
-    def sheet_of(file: io.BufferedReader, encoding: str) -> Sheet:
+    def sheet_of(file: io.BufferedReader) -> Sheet:
         """The rows of a file by how it begins, or its ending."""
         start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
         if is_igc(start, suffix):
-            return igc_sheet(file, max_bytes, encoding)
+            return igc_sheet(file, max_bytes)
         if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and start[:1] == b"["):
             return json_sheet(file, max_bytes)
         if is_arrow(start):
@@ -97,29 +96,13 @@ def read_table(
             return nmea_sheet(file, max_bytes)
         elif {*start[:16]} & {*_NO_TEXT} and start[:1] not in b"\xff\xfe":
             raise ValueError(_OTHER_FILE)
-        return csv_sheet(file, options, max_bytes, encoding)
-
-    def read(encoding: str) -> Table:
-        with open_bounded(path, max_bytes) as file:
-            sheet = sheet_of(file, encoding)
-            said = (*([] if encoding == _UTF_8 else [f"text is no UTF-8: read as {encoding}"]), *sheet.said)
-            return table_of(sheet._replace(said=said), choose, max_bytes, options)
+        return csv_sheet(file, options, max_bytes)
 
     try:
-        table = read(_UTF_8)
-    except UnicodeDecodeError as error:
         with open_bounded(path, max_bytes) as file:
-            if {*file.peek(1)} & {*_NO_TEXT}:
-                raise ValueError(_OTHER_FILE) from error
-        try:
-            table = read(_OTHERWISE)
-        except AskError:
-            raise
-        except ValueError as other:
-            raise ValueError(f"{other} (the text is no UTF-8, and was read as {_OTHERWISE})") from other
+            return table_of(sheet_of(file), choose, max_bytes, options)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise ValueError(f"expected a complete gzip file, received none ({error})") from error
-    return table
 
 
 def table_of(

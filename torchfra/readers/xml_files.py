@@ -1,4 +1,4 @@
-"""Tracks in XML: GPX, KML and TCX.
+"""Tracks in XML: GPX and KML.
 
 None needs entities, so that a file that defines some is refused.
 """
@@ -11,7 +11,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from torchfra.readers.columns import DECIMAL, short
-from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, whole_text
+from torchfra.readers.sheets import Sheet, points_sheet, whole_text
 from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
@@ -26,7 +26,7 @@ _DEEPEST = 64
 
 
 def xml_sheet(file: Any, max_bytes: int) -> Sheet:
-    """The points of GPX, KML or TCX.
+    """The points of GPX or KML.
 
     Raises:
         ValueError: none of these, or it defines entities.
@@ -36,15 +36,15 @@ def xml_sheet(file: Any, max_bytes: int) -> Sheet:
     try:
         tree = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Tree()))
     except (ElementTree.ParseError, UnicodeError) as error:
-        raise ValueError(f"expected GPX, KML or TCX, received other text ({error})") from error
+        raise ValueError(f"expected GPX or KML, received other text ({error})") from error
     if _tag(tree) == "gpx":
         return _gpx_sheet(text)
     if _tag(tree) == "kml":
         return _kml_sheet(tree)
-    if _tag(tree) == "TrainingCenterDatabase":
-        return _tcx_sheet(tree)
-    raise ValueError("expected GPX, KML or TCX, received other XML: write its points as CSV under time,x,y or "
-                     "time,lat,lon, as xml2csv.py of SUMO does")  # fmt: skip
+    raise ValueError(
+        "expected GPX or KML, received other XML: export TCX as GPX, or write points as CSV under time,x,y or "
+        "time,lat,lon, as xml2csv.py of SUMO does"
+    )
 
 
 class _Tree(ElementTree.TreeBuilder):
@@ -53,7 +53,7 @@ class _Tree(ElementTree.TreeBuilder):
     depth = 0
 
     def doctype(self, *_: object) -> None:
-        raise ValueError("expected GPX, KML or TCX without <!DOCTYPE>, received one that has it")
+        raise ValueError("expected GPX or KML without <!DOCTYPE>, received one that has it")
 
     def start(self, *of: Any) -> ElementTree.Element:
         self.depth += 1
@@ -64,18 +64,6 @@ class _Tree(ElementTree.TreeBuilder):
     def end(self, tag: str) -> ElementTree.Element:
         self.depth -= 1
         return super().end(tag)
-
-
-def _tcx_sheet(root: ElementTree.Element) -> Sheet:
-    """The points of activities."""
-    names = {"LatitudeDegrees": "latitude", "LongitudeDegrees": "longitude", "AltitudeMeters": "altitude"}
-    activities, records = [one for one in root.iter() if _tag(one) == "Activity"] or [root], list[dict[str, Any]]()
-    for number, activity in enumerate(activities, 1):
-        label = {"id": f"Activity {number}"} if len(activities) > 1 else {}
-        for point in (one for one in activity.iter() if _tag(one) == "Trackpoint"):
-            cells = ((names.get(_tag(part), _tag(part)), (part.text or "").strip()) for part in point.iter())
-            records.append(label | {name: text for name, text in cells if text})
-    return records_sheet(records, ("XML: TrainingCenterDatabase, Trackpoint",))
 
 
 def _gpx_sheet(text: str) -> Sheet:
