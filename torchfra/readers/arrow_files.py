@@ -104,17 +104,11 @@ def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]
 
 def _cells(batch: Any, name: str) -> Any:
     """A column: an array of numbers or moments; or a list of texts, in memory once each."""
-    import pyarrow
     from pyarrow import types
 
     column = batch.column(batch.schema.get_field_index(name))
     if types.is_dictionary(column.type):
         known = [*column.dictionary.to_pylist(), None]
         return [known[-1 if i is None else i] for i in column.indices.to_pylist()]
-    if types.is_timestamp(column.type):
-        return column.cast(pyarrow.timestamp("ns")).to_numpy(zero_copy_only=False)
-    if types.is_integer(column.type) and column.null_count:
-        return column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False)
-    if types.is_integer(column.type) or types.is_floating(column.type):
-        return column.to_numpy(zero_copy_only=False)
-    return column.to_pylist()
+    text = types.is_string(column.type) or types.is_large_string(column.type)
+    return column.to_pylist() if text else column.to_numpy(zero_copy_only=False)

@@ -53,10 +53,6 @@ _NO_UNITS = {"utc", "gmt", "zulu", "local", "unix", "epoch", "elapsed", "relativ
 _LOCAL = {"local", "lmt", "lcl"}
 """Words of names of times that are not UTC."""
 _FRAMES = {"frame", "frameid", "frames", "framenumber", "frameidx", "frameindex", "frameno", "coords"}
-_SAID = {"us": "microseconds", "ns": "nanoseconds", "excel": "days of Excel", "mjd": "modified Julian days",
-         "matlab": "days of Matlab", "jd": "Julian days", "apple": "seconds since 2001, as Apple counts",
-         "fit": "seconds since 1989-12-31, as FIT counts", "gps_seconds": "seconds of GPS since 1980",
-         "gps": "week of GPS and seconds of it", "gps_ms": "week of GPS and ms of it", "iso": "ISO text"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -81,13 +77,13 @@ class Clock:
     @property
     def said(self) -> str:
         """A word or two for a person."""
-        form = "iso" if self.kind.form == "iso" else self.form
-        if form in SPLIT:
-            return "seconds and parts of one" + " since 1970" * self.dated
+        form = self.form
+        if self.kind.form == "iso":
+            return "ISO text"
         if per_second(form) and form not in UNITS:
             return f"frames, {per_second(form):g} a second"
-        since = " since 1970" if self.dated and form in UNITS else ""
-        return ("times of the day" if is_clock(form) else _SAID.get(form, form)) + since
+        since = " since 1970" if self.dated and form in (*UNITS, *SPLIT) else ""
+        return "times of the day" if is_clock(form) else form + since
 
     @property
     def column(self) -> str:
