@@ -396,7 +396,7 @@ def test_phones_may_count_from_2001(write, header):
     (track,) = read(write([header, *rows]))
     assert_in_place(track)
     assert track.time[0] == START.timestamp()
-    assert "seconds since 2001" in " ".join(track.source.notes)
+    assert ", apple" in " ".join(track.source.notes)
     assert written(track.time[:1], track.source.time) == [f"{SINCE_2001:.0f}"]
 
 
