@@ -72,6 +72,10 @@ class Filter(Recursion[S]):
 
     engine: Engine
     """The engine that runs its steps: see ``compile``."""
+    not_smoothed: str | None = None
+    """Why it cannot be smoothed; None where it can."""
+    smooths_one_sensor: str | None = None
+    """Why it cannot be smoothed over several sensors; None where it can."""
 
     def __init__(
         self, motion: Motion | None = None, sensor: Sensor | None = None, rule: Callable[[int], Rule] = third_degree
@@ -102,6 +106,9 @@ class Filter(Recursion[S]):
         Raises:
             NotImplementedError: it cannot, with the reason.
         """
+        reason = self.not_smoothed or (self.smooths_one_sensor if several else None)
+        if reason is not None:
+            raise NotImplementedError(reason)
 
     # ------------------------------------------------------------ to use a filter
 

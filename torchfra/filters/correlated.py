@@ -75,6 +75,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
     def __init__(self, inner: Filter, sensor: Sensor) -> None:
         super().__init__(inner, sensor)
         self.zero_dt = inner.zero_dt
+        self.not_smoothed, self.smooths_one_sensor = inner.not_smoothed, inner.smooths_one_sensor
 
     # ------------------------------------------------------------ the models
 
@@ -138,14 +139,6 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         return self.of_target(beliefs), log_weights
 
     # ------------------------------------------------------------ smoothing
-
-    def check_smooths(self, *, several: bool = False) -> None:
-        """Checks that the inner filter can be smoothed, if ``several`` over several sensors.
-
-        Raises:
-            NotImplementedError: it cannot, with the reason.
-        """
-        self.inner.check_smooths(several=several)
 
     def past(
         self, belief: Gaussian, info: object, state: WithCorrelatedErrorsState, steps: WithCorrelatedErrorsPast

@@ -56,6 +56,10 @@ class ConstantGainFilter(Filter[S]):
             )
         one_of(initiation=(initiation, ("two-point", "prior")))
         super().__init__(motion, sensor)
+        self.not_smoothed = (
+            f"{type(self).__name__}: constant gains have no process noise, which the backward pass needs; smooth with "
+            "presets.srckf, or a bank of motions"
+        )
         self.initiation = initiation
         self.period = None if period is None else Hyper(period, name="period")
 
@@ -83,18 +87,6 @@ class ConstantGainFilter(Filter[S]):
         one = torch.ones_like(frame.z).diag_embed().expand(*mean.shape[:-1], -1)
         whitened = noise.whiten(frame.z.unsqueeze(-1) - mean).squeeze(-1)
         return Gaussian(whitened, tria(hstack(one, noise.whiten(root))))
-
-    def check_smooths(self, *, several: bool = False) -> None:
-        """Refuses to smooth.
-
-        Raises:
-            NotImplementedError: always; the message names filters that can be smoothed.
-        """
-        name = type(self).__name__
-        raise NotImplementedError(
-            f"{name}: constant gains have no process noise, which the backward pass needs; smooth with presets.srckf, "
-            "or a bank of motions"
-        )
 
     def finish(self, state: S, belief: Gaussian, info: T) -> tuple[Gaussian, T]:
         """Beliefs of all steps with full roots; steps keep only the nonzero entries of roots."""

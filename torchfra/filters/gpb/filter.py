@@ -131,6 +131,10 @@ class GPB(Filter[GPBState]):
     """
 
     keeps_past = True
+    smooths_one_sensor = (
+        "GPB: hypotheses of outliers are of one sensor in the backward pass; smooth several as one, "
+        "sensors.Stacked(first, second), with NaN for what was not measured"
+    )
 
     def __init__(
         self,
@@ -555,18 +559,6 @@ class GPB(Filter[GPBState]):
         return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last, noise=before.noise)
 
     # ------------------------------------------------------------ smoothing
-
-    def check_smooths(self, *, several: bool = False) -> None:
-        """Checks that there are not several sensors.
-
-        Raises:
-            NotImplementedError: there are.
-        """
-        if several:
-            raise NotImplementedError(
-                f"{type(self).__name__}: hypotheses of outliers are of one sensor in the backward pass; smooth several "
-                "as one, sensors.Stacked(first, second), with NaN for what was not measured"
-            )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:
         """The hypotheses after each step."""

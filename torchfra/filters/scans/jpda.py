@@ -136,6 +136,12 @@ class JPDA(Soft, Around[JPDAState]):
         inner, gate, clutter = copy.deepcopy((inner, gate, clutter))
         super().__init__(inner)
         self.gate, self.clutter = gate, clutter
+        if not isinstance(inner, SRCKF):
+            name = type(inner).__name__
+            self.not_smoothed = (
+                f"JPDA around {name}: the backward pass of {name} weighs its models by measurements that are known to "
+                "be the target's; smooth a JPDA around an SRCKF"
+            )
         self.scanner = None
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
         if not bool((torch.as_tensor(detection) > 0).all()):
@@ -296,19 +302,6 @@ class JPDA(Soft, Around[JPDAState]):
             return belief, info
         belief, inner = self.inner.finish(state.inner, belief, info.inner)
         return belief, info._replace(inner=inner)
-
-    def check_smooths(self, *, several: bool = False) -> None:
-        """Checks that the inner filter is one of a single model.
-
-        Raises:
-            NotImplementedError: it is one of several models or regimes.
-        """
-        if not isinstance(self.inner, SRCKF):
-            name = type(self.inner).__name__
-            raise NotImplementedError(
-                f"JPDA around {name}: the backward pass of {name} weighs its models by measurements that are known to "
-                "be the target's; smooth a JPDA around an SRCKF"
-            )
 
     def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
         """The past of each target for the backward pass, which keeps the associations of the forward pass."""
