@@ -406,7 +406,7 @@ class Regimes(Part):
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
             agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, with a lower root.
             compared: the measurement compared with it.
-            nis: as in ``widths``.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by that prediction.
             roots: from ``jump_roots``.
             frame: of the step.
             motion: as in ``widths``.
@@ -517,8 +517,9 @@ class Regimes(Part):
         """Roots ``(1, J, 2, ..., n, n)`` of predictions by jumps, from that by the agile level with a lower root."""
         if not self.jump_count:
             return agile.scale_tril[:, :0]
-        _, widths, _ = self.widths(agile, nis, motion).split(self.counts, MOTION)
-        roots: Tensor = widths * tria(hstack(agile.scale_tril, self._offsets(agile, nis, motion)))
+        factors = self._jumps(nis)
+        _, widths, _ = self.widths(agile, factors, motion).split(self.counts, MOTION)
+        roots: Tensor = widths * tria(hstack(agile.scale_tril, self._offsets(agile, factors, motion)))
         return roots
 
     def predictions(self, propagated: Propagated, nis: Tensor, jumps: Tensor) -> Gaussian:
@@ -543,15 +544,15 @@ class Regimes(Part):
 
     def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made."""
-        agile = self.agile_prediction(propagated)
-        widths = self.widths(agile, nis, motion)
-        spread, noise = self.per_regime(propagated.spread), self._noise(propagated, nis)
-        if self.jump_count:
-            offsets = self._offsets(agile, nis, motion)
-            none = torch.zeros_like(offsets[:, :1])
-            before, after = [none] * self.landed.start, [none] * self.settled
-            noise = hstack(noise, torch.cat([*before, offsets, *after], MOTION))
-        return Propagated(self.per_regime(propagated.mean), widths * spread, widths * noise, None)
+        mean, spread = self.per_regime(propagated.mean), self.per_regime(propagated.spread)
+        noise = self._noise(propagated, nis)
+        if not self.jump_count:
+            return Propagated(mean, spread, noise, None)
+        agile, factors = self.agile_prediction(propagated), self._jumps(nis)
+        widths, offsets = self.widths(agile, factors, motion), self._offsets(agile, factors, motion)
+        none = torch.zeros_like(offsets[:, :1])
+        noise = hstack(noise, torch.cat([*[none] * self.landed.start, offsets, *[none] * self.settled], MOTION))
+        return Propagated(mean, widths * spread, widths * noise, None)
 
     def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
         """Roots ``(1, R, 2, ..., n, r)`` of the process noise of every regime."""
@@ -575,7 +576,7 @@ class Regimes(Part):
         levels = torch.cat([levels, torch.ones_like(levels[:1])])
         return taken(levels, [regime.level for regime in self.each], 0).unsqueeze(0)
 
-    def widths(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
+    def widths(self, agile: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
         """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of velocity and acceleration in a jump.
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
@@ -584,13 +585,11 @@ class Regimes(Part):
 
         Args:
             agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, any root.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by that prediction.
+            factors: ``(1, J, 2, ...)`` on the covariance of the position, from ``_jumps``.
             motion: says which components of a state are its position and its velocity.
         """
-        if not self.jump_count:
-            return torch.ones_like(nis)[..., None, None]
         mean, variances = agile.mean, agile.scale_tril.square().sum(-1)
-        jump, rows = self._jumps(nis).sqrt(), dict[int, Tensor]()
+        jump, rows = factors.sqrt(), dict[int, Tensor]()
         for part in filter(None, _derivatives(motion)):
             size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
             std = safe_sqrt(taken(variances, part, -1).mean(-1))
@@ -605,10 +604,10 @@ class Regimes(Part):
         """Factors ``(1, J, 2, ...)`` on the covariance of the position by jumps."""
         return (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTOR)
 
-    def _offsets(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
+    def _offsets(self, agile: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
         """Roots ``(1, J, 2, ..., n, p)`` of what jumps add to the covariance of the position, by any root of it."""
-        place = as_tensor([float(i in range(motion.size)[motion.position]) for i in range(motion.size)], nis)
-        return safe_sqrt(self._jumps(nis) - 1)[..., None, None] * place.unsqueeze(-1) * agile.scale_tril
+        place = as_tensor([float(i in range(motion.size)[motion.position]) for i in range(motion.size)], factors)
+        return safe_sqrt(factors - 1)[..., None, None] * place.unsqueeze(-1) * agile.scale_tril
 
     # ------------------------------------------------------------ regimes and their beliefs
 
