@@ -145,8 +145,7 @@ def _begin(rows: Rows, options: ReadOptions | None) -> tuple[str, list[str]]:
     at = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
     fixed = [options.sign] if options is not None and options.sign else []
     sign = (fixed or _likely("".join(lines[at : at + 1])))[0]
-    likely = _headers(lines, at if options is None else _ABOVE, options)
-    _, at, sign = min(likely, key=lambda one: one[:2], default=(False, at, sign))
+    *_, (at, sign) = (at, sign), *_headers(lines, at if options is None else _ABOVE, options)
     above, names = lines[:at], _split(lines[at].lstrip(_IN_FRONT), sign) if at < len(lines) else []
     if kept := [line for line in above if not _is_comment(line)]:
         said.append(f"lines before the header left out: {len(kept)}")
@@ -169,19 +168,26 @@ def _begin(rows: Rows, options: ReadOptions | None) -> tuple[str, list[str]]:
     return sign, said
 
 
-def _headers(lines: list[str], last: int, options: ReadOptions | None) -> Iterator[tuple[bool, int, str]]:
-    """Which lines up to the last may be the header, and what separates its cells; a comment may be above as many.
+def _headers(lines: list[str], last: int, options: ReadOptions | None) -> Iterator[tuple[int, str]]:
+    """Which lines up to the last may be the header, the likeliest last, and what separates its cells.
 
-    The first of each says whether a line names a time alone: one with places, further down, goes before it.
+    A comment may be one above a row as long.  The first line with places goes before the first with a time alone.
     """
+    found_one = False
     for i, line in enumerate(lines[: last + 1]):
         below = next((other for other in lines[i + 1 :] if not _is_comment(other)), "")
         for sign in [options.sign] if options is not None and options.sign else _likely(line):
             cells = _split(line.lstrip(_IN_FRONT), sign)
-            fits = not _is_comment(line) or len(_split(below, sign)) - len(cells) in (0, 1)
             places = bool(places_in(cells))
-            if fits and _is_header(cells, options) and (places or not _is_row(cells)):
-                yield options is not None and not (places or options.columns or format_of(cells)), i, sign
+            fits = not _is_comment(line) or len(_split(below, sign)) - len(cells) in (0, 1)
+            if not (fits and _is_header(cells, options) and (places or not _is_row(cells))):
+                continue
+            alone = options is not None and not (places or options.columns or format_of(cells))
+            if not (alone and found_one):
+                yield i, sign
+            if not alone:
+                return
+            found_one = True
 
 
 def _check_said(line: str, names: list[str], options: ReadOptions) -> None:

@@ -195,9 +195,6 @@ def _columns_of(names: list[str]) -> _Columns:
     for name in names:
         plain.setdefault(re.sub(r"[^a-z0-9]", "", name.lower()).removeprefix("field"), []).append(name)
     found = {what: plain[name] for what, known in _NAMES.items() for name in reversed(known) if name in plain}
-    longer = [name for name in plain if name.startswith(("range", "distance"))]
-    if "range" not in found and len(longer) == 1:
-        found["range"] = plain[longer[0]]
     for what, same in found.items():
         if len(same) > 1:
             raise ValueError(f"expected one column of {what}, received {listed(same)}")
