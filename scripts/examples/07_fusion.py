@@ -43,7 +43,7 @@ def simulate(seconds: float) -> list[tuple[float, float, str, torch.Tensor]]:
 def main(arguments: list[str] | None = None) -> None:
     """The drone by the radar alone, by both in the order they come, and by both where they belong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=30.0, help="length of the flight (default: 30)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of the flight (default: 20)")
     events = simulate(parser.parse_args(arguments).seconds)
 
     f = presets.gpb(ConstantVelocity(q=4.0, dims=3, continuous=True), RADAR)

@@ -229,19 +229,6 @@ def test_what_torch_does_to_numbers_kernels_do_as_well():
         )
 
 
-def test_what_does_not_fit_is_named_as_without(make, tracks):
-    f = make("srckf").compile()
-    with pytest.raises(ValueError, match="z: expected"):
-        f(tracks.z[..., :1], tracks.prior, u=tracks.u)
-    state = f.init(tracks.prior)
-    f.step(state, tracks.z[:, 0], u=tracks.u[0])
-    for _ in range(2):
-        with pytest.raises(ValueError, match="dt: expected seconds above 0"):
-            f.step(state, tracks.z[:, 0], u=tracks.u[0], dt=-1.0)
-        with pytest.raises(ValueError, match="state: expected one from a prior of batch"):
-            f.step(state, tracks.z[:, 0].expand(3, 4, 2), u=tracks.u[0])
-
-
 class Writing(Position):
     """Writes its measurement in place, part by part."""
 

@@ -13,7 +13,7 @@ from torchfra import Gaussian, presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import biased_copies, considered
 from torchfra.motion import ConstantVelocity, CoordinatedTurn, Odometry
-from torchfra.sensors import Position, Ranges
+from torchfra.sensors import Position
 
 STD = torch.tensor([3.0, 5.0], **F64)
 
@@ -89,19 +89,6 @@ def test_gradients_of_the_size_of_a_bias_are_those_of_finite_differences():
     assert torch.autograd.gradcheck(
         lambda std: considered(f, f(biased_copies(z, std), PRIOR, dt=DT[:2])).covariance, (std,)
     )
-
-
-@pytest.mark.slow
-def test_compiled_it_is_the_same():
-    anchors = torch.tensor([[0.0, 0.0], [30.0, 0.0], [0.0, 30.0]], **F64)
-    z = (torch.stack([torch.arange(5.0, 9.0), torch.full((4,), 5.0)], -1).double()[:, None] - anchors).norm(dim=-1)
-    prior = Gaussian(torch.tensor([5.0, 5, 0, 0], **F64), torch.eye(4, **F64))
-    f, g = (presets.rsrckf(MOTION, Ranges(anchors, 0.3)) for _ in range(2))
-    g.compile()
-    for name in ("forward", "smooth"):
-        one, other = (considered(h, getattr(h, name)(biased_copies(z, 0.5), prior)) for h in (f, g))
-        close(other.mean, one.mean)
-        close(other.covariance, one.covariance)
 
 
 def test_a_track_of_which_a_copy_fails_has_failed():
