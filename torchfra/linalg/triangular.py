@@ -40,15 +40,16 @@ def tria(a: Tensor, *, graded: bool = True) -> Tensor:
         >>> torchfra.linalg.tria(torch.tensor([[3.0, 4.0]]))
         tensor([[5.]])
     """
-    n = a.shape[-2]
+    n, way = a.shape[-2], _Way.GRADED if graded else _Way.EVEN
+    if is_plain(a):
+        return _reflect(a, way)  # the same result, without the overhead of autograd
     if not graded and a.shape[-1] > (_COLUMNS + 1) * n and has_caller():
         first, rest = a[..., : (_COLUMNS - 1) * n], a[..., (_COLUMNS - 1) * n :]
         lower = tria(first, graded=False)
         for columns in rest.split(_COLUMNS * n, -1):
             lower = tria(hstack(lower, columns), graded=False)
         return lower
-    way = _Way.GRADED if graded else _Way.EVEN
-    return _reflect(a, way) if is_plain(a) else _apply(a, way)  # the same result, without the overhead of autograd
+    return _apply(a, way)
 
 
 def tria_of_update(a: Tensor, measured: int, reads: int, *, unit: bool) -> Tensor:
