@@ -19,7 +19,7 @@ def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
     some = list(filter(None, shapes))
     if some and some.count(some[0]) == len(some):
         return torch.Size(some[0])
-    common = [1] * max(map(len, some), default=0)
+    common = [1] * max([0, *map(len, some)])  # ``torch.compile`` knows no default of ``max``
     for shape in some:
         for i in range(-len(shape), 0):
             if shape[i] == 1:
