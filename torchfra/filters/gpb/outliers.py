@@ -14,8 +14,9 @@ from torch.nn.functional import pad
 from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
 from torchfra.filters.gpb.noise import evidence
 from torchfra.filters.gpb.slopes import elements_of
+from torchfra.filters.gpb.updates import small_power, update
 from torchfra.filters.markov import sojourn_times
-from torchfra.gaussian.mixture import log_sum, matched, share_roots, without_failed
+from torchfra.gaussian.mixture import log_sum, share_roots, without_failed
 from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
 from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_log1p
 from torchfra.linalg.tracing import is_traced
@@ -370,31 +371,31 @@ class Outliers(Part):
         """
         (sizes, log_shares, offsets), single, log_ratio = noise, len(self.blocks) == 1, None
         adapted = self.adapted(sizes, residual[-1:], missing, offsets)
-        updated, log_updated = sequential(rows[-1:], residual[-1:], adapted, missing, offsets)
-        none, log_none, as_predicted = _entry(updated, 0), log_updated[0], _standard_normal(updated)
+        updated, log_updated = update(rows[-1:], residual[-1:], adapted, missing, offsets)
+        none, log_none, count = updated.of(0), log_updated[0], len(adapted)
+        inlier = None if single else none
         if not self.outliers_update:
-            updated = Gaussian(*(torch.cat([x[:1], y[1:]]) for x, y in zip(updated, as_predicted, strict=True)))
+            updated = updated.before_prior(1, count - 1)
         if len(rows) > 1:
-            first, log_first = sequential(rows[:1], residual[:1], sizes[:1].sqrt(), missing)
-            none, log_none = _entry(first, 0), log_first[0]
+            first, log_first = update(rows[:1], residual[:1], sizes[:1].sqrt(), missing)
+            none, log_none = first.of(0), log_first[0]
         joint = torch.cat(
             [(log_updated[0] + torch.log1p(-prior)).unsqueeze(0), log_updated[1:] + prior.log() + log_shares]
         )
         start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
         if change is not None:
             probability, whitened = change
-            _, log_same = sequential(
-                whitened.spread, whitened.residual, (2 * sizes[:1]).sqrt(), missing
-            )  # of two steps
+            _, log_same = update(whitened.spread, whitened.residual, (2 * sizes[:1]).sqrt(), missing)  # of two steps
             without, same = joint[start:], log_same + prior.log() + safe_log(probability)
             joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
-            updated = Gaussian(*(torch.cat([x, y[:1]]) for x, y in zip(updated, as_predicted, strict=True)))
+            updated = updated.before_prior(count, 1)
             log_ratio = _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))
         roots, log_some = share_roots(joint[start:])
-        some = matched(Gaussian(updated.mean[start:], updated.scale_tril[start:]), roots)
+        some = updated.merged(roots)
+        more = some.scale_tril.shape[-1] - none.scale_tril.shape[-1]
+        none = none._replace(scale_tril=pad(none.scale_tril, (0, more)))
         both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
         outlier = torch.ones_like(log_some) if single else roots[1:].square().sum(0)
-        inlier = None if single else _entry(updated, 0)
         return both, torch.cat([log_none, log_some]), outlier, log_ratio, inlier
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
@@ -410,69 +411,12 @@ class Outliers(Part):
             return sizes.sqrt()
         if offsets is not None:
             residual = residual - offsets[-1:].unsqueeze(-1) * (1 - missing)
-        fits, small = in_range(4 * residual).all(-1), _small(residual.dtype)
+        fits, small = in_range(4 * residual).all(-1), small_power(residual.dtype)
         scaled = torch.where(fits.unsqueeze(-1), residual, small * residual)
         mean_square = scaled.square().sum(-1) / (1 - missing).sum(-1).clamp_min(1.0)
         last = torch.maximum(torch.where(fits, sizes[-1:], 0.0), mean_square).sqrt()
         last = torch.where(fits, last, last / small)
         return torch.cat([sizes[:-1].sqrt().expand(-1, *last.shape[1:]), last])
-
-
-def sequential(
-    rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor, offsets: Tensor | None = None
-) -> tuple[Gaussian, Tensor]:
-    """Sequential update of unknowns by the elements of a measurement of independent noise, for ``C`` sizes of noise.
-
-    Args:
-        rows: ``(..., m, k)`` measurement matrix of the unknowns, which are ``N(0, I)`` before.
-        residual: ``(..., m)``.
-        noise: ``(C, ...)`` standard deviations of the noise, in units of what the sensor states; their squares may
-            overflow.
-        missing: ``(..., m)`` 1 where missing, 0 where measured.
-        offsets: ``(C, ...)`` mean of the noise, in units of what the sensor states; None for 0.
-
-    Returns:
-        The posterior ``(C, ..., k)`` of the unknowns, with any root, and the log density ``(C, ...)`` of the
-        measurement, constants left out.
-
-    Each row is one more column of the joint root, of length ``noise`` at first, which plane rotations with one column
-    of the unknowns after another make longer until it holds what the row says of all of them.  Each rotation keeps the
-    digits of its two columns, whatever their scales: where little is known beside the noise, the difference of the
-    identity and what a row says would lose them.
-
-    Source: Carlson (1973), "Fast Triangular Formulation of the Square Root Filter".
-    """
-    rows = rows.movedim((-2, -1), (0, 1)).contiguous().unsqueeze(2)  # sums over short first dimensions are fast
-    m, k, rank = rows.shape[0], rows.shape[1], rows.dim() - 2
-    columns = list(torch.eye(k, dtype=rows.dtype, device=rows.device).reshape(k, k, *(1,) * rank).unbind(1))
-    mean, squares, stds = torch.zeros_like(rows[0]), torch.zeros_like(residual[..., 0]), []
-    sizes, small = noise.square(), _small(noise.dtype)
-    far = sizes == torch.inf  # the unknowns vary little beside such noise
-    log_scale = torch.where(far, torch.full_like(noise, math.log(small)), 0.0)
-    for i in range(m):
-        square, std, cross = sizes, noise, torch.zeros_like(mean)
-        for j, column in enumerate(columns):
-            f = (column * rows[i]).sum(0)
-            square = square + f.square()
-            longer = torch.where(far, noise, square.sqrt())
-            cosine, sine = std / longer, f / longer
-            columns[j], cross, std = cosine * column - sine * cross, cosine * cross + sine * column, longer
-        centred = residual[..., i] if offsets is None else residual[..., i] - offsets * (1 - missing[..., i])
-        normalised = (centred - (mean * rows[i]).sum(0)) / std
-        mean = mean + cross * normalised
-        squares = squares + normalised.square()
-        stds.append(torch.where(missing[..., i] > 0, 1.0, torch.where(far, small * std, std)))
-    # The log of two factors at a time: their product does not overflow where their squares do not.
-    log_density = -0.5 * squares + (1 - missing).sum(-1) * log_scale
-    for i in range(0, m, 2):
-        log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
-    root = torch.stack(torch.broadcast_tensors(*columns), -1)
-    return Gaussian(mean.movedim(0, -1), root.movedim(0, -2)), log_density
-
-
-def _small(dtype: torch.dtype) -> float:
-    """A power of two by which numbers whose squares overflow are multiplied, so that they do not."""
-    return 0.25 * math.sqrt(torch.finfo(dtype).tiny)
 
 
 def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
@@ -485,7 +429,7 @@ def _in_space_of(whitened: Whitened, belief: Gaussian) -> tuple[Tensor, Tensor, 
     """
     residual, spread, _, _ = whitened
     m, d = residual.shape[-1], belief.mean.shape[-1]
-    if spread.shape[-1] == d:  # the belief's own unknowns suffice
+    if spread.shape[-1] == d == m:  # the belief's own unknowns suffice
         return spread, belief.scale_tril, None, residual
     own = pad(belief.scale_tril, (spread.shape[-1] - d, 0))
     lower = tria(torch.cat([spread, own], -2))
@@ -521,18 +465,7 @@ def _evidence_of_modes(
     return torch.cat([none, some], 1)
 
 
-def _standard_normal(like: Gaussian) -> Gaussian:
-    """Unknowns of the same shape before any measurement: ``N(0, I)``."""
-    mean, root = like
-    eye = torch.eye(mean.shape[-1], dtype=root.dtype, device=root.device)
-    return Gaussian(torch.zeros_like(mean), eye.expand_as(root))
-
-
 def _log_ratio(numerator: Tensor, denominator: Tensor) -> Tensor:
     """The log of a ratio from two logs; 0 where the denominator is 0."""
     nothing = denominator == -torch.inf
     return torch.where(nothing, 0.0, numerator - torch.where(nothing, 0.0, denominator))
-
-
-def _entry(belief: Gaussian, i: int) -> Gaussian:
-    return Gaussian(belief.mean[i], belief.scale_tril[i])
