@@ -302,8 +302,10 @@ class GPB(Filter[GPBState]):
             factor ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
         """
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
+        # Columns may be of any scale; beside a triangle the noise leaves them so.
+        propagated = propagated._replace(spread=tria(propagated.spread))
         wide = self.regimes.agile_prediction(propagated)
-        agile = wide._replace(scale_tril=tria(wide.scale_tril))
+        agile = wide._replace(scale_tril=tria(wide.scale_tril, graded=False))
         compared = self.compare(read(agile, frame), frame)
         _, normalised = innovation(compared)
         nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)

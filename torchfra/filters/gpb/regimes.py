@@ -530,13 +530,11 @@ class Regimes(Part):
         without bound.
 
         Args:
-            propagated: ``(1, S, 2, ...)``, each belief by its motion.
+            propagated: ``(1, S, 2, ...)``, each belief by its motion, with a lower root as spread.
             nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
             jumps: from ``jump_roots``.
         """
-        # Columns may be of any scale; beside a triangle the noise leaves them so.
-        root = self.per_regime(tria(propagated.spread))
-        root = tria(hstack(root, self._noise(propagated, nis)), graded=False)
+        root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)), graded=False)
         if self.jump_count:
             before, _, settled = root.split(self.counts, MOTION)
             root = torch.cat([before, jumps, settled], MOTION)
