@@ -56,12 +56,23 @@ def matched(beliefs: Gaussian, roots: Tensor, angles: Sequence[int] = (), *, tri
         middle = first + other.square() * between
         of_means = [(one * other * between).unsqueeze(-1)]
     else:
-        middle = (root.square() * mean).sum(0)
+        middle = _mean(mean, roots)
         of_means = list((root * (mean - middle)).unsqueeze(-1).unbind())
     each = roots[..., None, None]
     weighted = each * torch.where(each != 0, beliefs.scale_tril, 0.0)
     spread = torch.cat([*weighted.unbind(), *of_means], -1)
     return Gaussian(middle, tria(spread, graded=False) if triangular else spread)
+
+
+def _mean(means: Tensor, roots: Tensor) -> Tensor:
+    """The mean of means ``(K, ..., n)``, with square roots ``(K, ...)`` of the weights.
+
+    What the sum of the weights differs from one by rounding moves a mean far from the origin: the second term takes it
+    back.
+    """
+    weights = roots.unsqueeze(-1).square()
+    about = (weights * means).sum(0)
+    return about + (weights * (means - about)).sum(0)
 
 
 _TOGETHER = 4
@@ -71,7 +82,7 @@ _TOGETHER = 4
 def _in_turn(beliefs: Gaussian, roots: Tensor) -> Gaussian:
     """``matched`` of many beliefs without angles, none of no weight that is NaN, some after others."""
     mean = beliefs.mean
-    middle = (roots.unsqueeze(-1).square() * mean).sum(0)
+    middle = _mean(mean, roots)
     root = middle.new_zeros(*middle.shape, middle.shape[-1])
     values = (roots, 0), (mean, 1), (beliefs.scale_tril, 2)
     parts = (x.movedim(0, -1 - event).split(_TOGETHER, -1 - event) for x, event in values)
