@@ -97,9 +97,9 @@ def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far()
     options, r = options | {"burst": 1.4}, r._replace(burst=1.4)  # one outlier is no jump
     wide = Gaussian(tensor([*ANCHORS[0], 9, 0, 0, 0]), torch.diag(tensor([200, 200, 8, 8, 0.5, 0.5])))
     e = presets.gpb(motion, case.sensor, **options)(tensor(case.z), wide)
-    same(e, expected(case, [carried(motion, 1.0)], r, prior=wide), least=1e-6)  # hardly any jump
+    same(e, expected(case, [carried(motion, 1.0)], r, prior=wide))
     error = (e.mean[:, :2] - tensor(path())).norm(dim=-1)
-    assert (error[1:] < 20).all()
+    assert (error[1:-4] < 20).all()  # then it jumps
 
 
 @pytest.mark.parametrize("sensor", SENSORS)

@@ -106,9 +106,7 @@ def lost_beside_wide_priors(f, widths):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMOOTHERS)
 def test_so_it_is_with_every_smoother(name):
-    # Smoothed, a jump may be nearly as likely as none, and it weighs as much as five outliers: so does what is rounded.
-    bound = 1e-2 if name == "gpb" else 1e-3
-    assert max(lost_beside_wide_priors(made(name), (1e2, 1e4, 1e7))) <= bound
+    assert max(lost_beside_wide_priors(made(name), (1e2, 1e4, 1e7))) <= 1e-3
 
 
 @pytest.mark.slow
@@ -146,7 +144,7 @@ def test_moments_of_accelerations_that_are_not_known_yet_lose_digits_beside_a_pr
     z = tracks(*CASES["constant velocity"])
     *smoothed, filtered, variances = lost(f, z, 1e5 * torch.eye(6).double())
     assert max(filtered, variances) <= 1e-3
-    assert max(smoothed) <= (1e-2 if name == "gpb" else 2e-3)  # as above
+    assert max(smoothed) <= 2e-3
     for run in (f, f.smooth):
         with pytest.warns(LostDigits, match="prior: expected standard deviations below 1e.07 times"):
             run(z.float(), Gaussian(torch.zeros(6), 1e7 * torch.eye(6)))

@@ -239,8 +239,8 @@ def jumped(
         R = measurement_noise(model, k, present(z))
         seen = np.trace(np.linalg.solve(R, m.Pzz - R)) if len(m.e) else 0.0
         place, stated = np.diag(P)[position].sum(), np.diag(J + Q)
-        usual = min(math.log(1 + seen * stated[position].sum() / place / max(len(m.e), 1)), EXPECTED)
-        rarer, beyond = cost(m.e, z, model, k, outlying, transition, position.stop, usual)
+        usual = math.log(1 + seen * stated[position].sum() / place / max(len(m.e), 1))
+        rarer, beyond = cost(m.e, z, model, k, outlying, transition, position.stop, min(usual, EXPECTED))
         costs.append(rarer)
         unchanged, beliefs = np.ones(len(mean)), [*regimes.motions, *[regimes.landed] * len(regimes.settled)]
         each = [*range(len(regimes.levels)), *range(regimes.jumping.stop, len(regimes.beliefs))]
@@ -270,7 +270,8 @@ def jumped(
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
                 if begins:  # so little is given before that two outliers are likelier
                     beyond, left = 1.0, min(left, 0.3 * rarer)
-                rare = min(beyond, 1.0) * (own - rarer + left - first) - (burst - 0.7) * rarer
+                wide, most = free / 2 * (usual - min(usual, EXPECTED)), own - rarer - first
+                rare = min(min(beyond, 1.0) * (most + wide + left) - (burst - 0.7) * rarer, most)
         manoeuvre = -2 * math.log(max(nis / 30.0, 1.0))
         rarity.append([manoeuvre] * len(regimes.manoeuvres) + [rare] * len(regimes.jumps))
     return after, np.array(rarity), factors, costs

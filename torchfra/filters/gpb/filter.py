@@ -29,7 +29,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, SOONER, Regimes, Surprise, Switching
+from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
@@ -317,10 +317,7 @@ class GPB(Filter[GPBState]):
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
         rarer = self.outliers.first_rarer(frame.measured, relaxation)
-        # A prior that is off is given so little before that two outliers are likelier, whatever it loses.
-        lost = torch.where(first, torch.minimum(jumped.lost, (1 - SOONER) * cost), jumped.lost)
-        beyond = torch.where(first, 1.0, cost - least)
-        rarity = self.regimes.rarity(cost, beyond, rarer, jumped._replace(lost=lost))
+        rarity = self.regimes.rarity(cost, cost - least, rarer, jumped, first)
         surprise = Surprise(nis, rarity, cost)
         mean, root = self.regimes.predictions(propagated, nis, jumps)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)

@@ -79,6 +79,8 @@ class Jumped(NamedTuple):
     """Twice that of an element as stated, beside its noise alone."""
     own: Tensor
     """Of the measurement with which it comes, as a place that is as far off, beside that as stated."""
+    wide: Tensor
+    """Of the measurement as stated, beyond ``expected``: the prediction is as wide as a prior may be."""
     lost: Tensor
     """Of the measurements of the longest burst and the next one, as it knows less of the velocity and of the
     acceleration than was stated, or than they themselves tell."""
@@ -415,9 +417,10 @@ class Regimes(Part):
         stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]).square().sum(-1)
         place, before = (x[..., motion.position].sum(-1) for x in (agile.scale_tril.square().sum(-1), stated))
         seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
-        expected = safe_divide(seen * safe_divide(before, place), count).log1p().clamp(max=EXPECTED)
+        usual = safe_divide(seen * safe_divide(before, place), count).log1p()
+        expected = usual.clamp(max=EXPECTED)
         if not self.jump_count:
-            return Jumped(expected, *[torch.zeros_like(seen)] * 3)
+            return Jumped(expected, *[torch.zeros_like(seen)] * 4)
         # The diagonal of a root: what a component varies by where those before it are known, as after a measurement.
         variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
         longest = torch.where(first, PRIOR_BURST, self.longest_burst(compared.residual))
@@ -430,7 +433,8 @@ class Regimes(Part):
                 lost = lost + torch.where(seen > 0, less.clamp_min(0.0), 0.0)
         free = count.clamp(1.0, motion.dims)
         wider = self._jumps(nis)[:, -1:] * seen / free
-        return Jumped(expected, 0.5 * free * (wider.log1p() - 1 - expected), lost, longest)
+        own = 0.5 * free * (wider.log1p() - 1 - usual)
+        return Jumped(expected, own, 0.5 * free * (usual - expected), lost, longest)
 
     def longest_burst(self, residual: Tensor) -> Tensor:
         """How many equal outliers in a row are no jump ``(...)``, of ``residual (..., m)`` in units of the noise."""
@@ -442,28 +446,32 @@ class Regimes(Part):
         longest: Tensor = near + far * (self.far_burst(near) - near)
         return longest
 
-    def rarity(self, cost: Tensor, beyond: Tensor, first: Tensor, jumped: Jumped) -> Tensor:
+    def rarity(self, cost: Tensor, beyond: Tensor, rarer: Tensor, jumped: Jumped, first: Tensor) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
         A jump and a burst of equal outliers are the same until the burst ends.  With its own density it is as rare as
         ``burst + 1 - SOONER`` outliers: it is less likely than outliers at the last measurement of the longest burst,
         and more likely at the next one, unless the tail of the agile level is likelier than both.  What it will have
         lost by then is given before, where a measurement is beyond the least of outliers (nearer by, the target need
-        not have jumped).
+        not have jumped).  With the first measurement it is given no more than what leaves two outliers likelier.
+        However wide the prediction, it is as rare as an outlier that is the first.
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
                 ``Outliers.cost``.  It is 0 without a measurement.
             beyond: by how much that is above its least, as of the smallest outliers beside which a jump is seen.
-            first: ``(...)`` log of how much rarer the first outlier is: see ``Outliers.first_rarer``.
+            rarer: ``(...)`` log of how much rarer the first outlier is: see ``Outliers.first_rarer``.
             jumped: what the jump costs by itself.
+            first: as in ``jumped``.
         """
         if not self.jump_count:
             return -cost
         held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
         cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
-        burst, given = jumped.burst - SOONER, jumped.own - cost + jumped.lost - first
-        rarity = torch.where(cost > 0, beyond.clamp(0.0, 1.0) * given - cost * burst, 0.0)
+        lost = torch.where(first, torch.minimum(jumped.lost, (1 - SOONER) * cost), jumped.lost)
+        most = jumped.own - cost - rarer
+        given = torch.where(first, 1.0, beyond.clamp(0.0, 1.0)) * (most + jumped.wide + lost)
+        rarity = torch.where(cost > 0, torch.minimum(given - cost * (jumped.burst - SOONER), most), 0.0)
         return torch.where(held, rarity, -torch.inf)
 
     def given_back(self, rarity: Tensor) -> Tensor:
@@ -634,24 +642,44 @@ class Regimes(Part):
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
         return self._per_belief(log_weight, axis, lambda x: log_sum(x, axis).unsqueeze(axis))
 
-    def merged(self, every: Hypotheses, angles: Sequence[int], *, triangular: bool = True) -> Hypotheses:
-        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``.
-
-        If not ``triangular``, their roots are ``(..., n, p)``, as in ``gaussian.mixture.matched``.
-        """
-        parts = [every.of(self.of_first).merged(MOTION, BEFORE, angles=angles, triangular=triangular)]
+    def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
+        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``."""
+        parts = [every.of(self.of_first).merged(MOTION, BEFORE, angles=angles)]
         if self.of_others:
-            parts.append(every.of(self.of_others).merged(BEFORE, angles=angles, triangular=triangular))
+            parts.append(every.of(self.of_others).merged(BEFORE, angles=angles))
         if self.landed:
-            parts.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles, triangular=triangular))
+            parts.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles))
         if len(parts) == 1:
             return parts[0]
-        columns = max(part.belief.scale_tril.shape[-1] for part in parts)
-        roots = [pad(part.belief.scale_tril, (0, columns - part.belief.scale_tril.shape[-1])) for part in parts]
-        mean, log_weight = (
-            torch.cat(x, MOTION) for x in zip(*((p.belief.mean, p.log_weight) for p in parts), strict=True)
-        )
-        return Hypotheses(Gaussian(mean, torch.cat(roots, MOTION)), log_weight)
+        (means, roots), log_weights = zip(*(part.belief for part in parts), strict=True), [p.log_weight for p in parts]
+        return Hypotheses(Gaussian(torch.cat(means, MOTION), torch.cat(roots, MOTION)), torch.cat(log_weights, MOTION))
+
+    def merged_parts(self, parts: Propagated, log_weight: Tensor, angles: Sequence[int]) -> Gaussian:
+        """Predictions ``(2, S, 1, ..., n)``, any root, of ``parts (1, R, 2, ...)``, merged as beliefs are after a step.
+
+        Levels that share a belief differ in their process noise alone.  What they have in common counts once: repeated,
+        with weights whose sum is rounded, it would hide what is known well beside a wide prior.
+
+        Args:
+            parts: from ``predicted_parts``.
+            log_weight: ``(2, R, 2, ...)`` of the hypotheses after the step.
+            angles: as in ``Hypotheses.merged``.
+        """
+        every = Hypotheses(Gaussian(parts.mean, hstack(parts.spread, parts.process_noise)), log_weight)
+        (mean, spread, noise, _), first = parts, self.of_first[0]
+        roots, total = every.of(self.of_first).share_roots(MOTION)
+        noise = (roots[..., None, None] * taken(noise, self.of_first, MOTION)).movedim(MOTION, -2).flatten(-2)
+        root = hstack(spread[:, first : first + 1], noise.unsqueeze(MOTION))
+        levels = Hypotheses(Gaussian(mean[:, first : first + 1], root), total)
+        merged = [levels.merged(BEFORE, angles=angles, triangular=False)]
+        if self.of_others:
+            merged.append(every.of(self.of_others).merged(BEFORE, angles=angles, triangular=False))
+        if self.landed:
+            merged.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles, triangular=False))
+        means, roots_ = zip(*(each.belief for each in merged), strict=True)
+        columns = max(root.shape[-1] for root in roots_)
+        padded = [pad(root, (0, columns - root.shape[-1])) for root in roots_]
+        return Gaussian(torch.cat(means, MOTION), torch.cat(padded, MOTION))
 
     def _per_belief(self, x: Tensor, axis: int, combine: Callable[[Tensor], Tensor]) -> Tensor:
         """Values of regimes along an axis as those of beliefs: all regimes of a belief are combined."""

@@ -67,11 +67,10 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     frame = adapted(frame, for_bank(mixed, len(f.bank)).mean)
     rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
     parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
-    (mean, root), _ = parts.belief(triangular=False)
-    predicted = Gaussian(mean, rows * root)
+    parts = parts._replace(spread=rows * parts.spread, process_noise=rows * parts.process_noise)
+    posterior = step.next.posterior.movedim((-3, -2, -1), (0, 1, 2)).unsqueeze(MOTION_BEFORE)
     # Merged as after the step: what led to a jump and what did not predict different places.
-    to_step = Hypotheses(predicted, step.next.posterior.movedim((-3, -2, -1), (0, 1, 2)).unsqueeze(MOTION_BEFORE))
-    measurement = future(regimes.merged(to_step, f.motion.angles, triangular=False).belief, later.belief, difference)
+    measurement = future(regimes.merged_parts(parts, posterior, f.motion.angles), later.belief, difference)
     measurement = tree.map_tensors(regimes.per_merged, measurement)  # (2, R, 1, 1, ...)
 
     # The belief of every motion before, propagated by every regime, is updated by it.
