@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch.nn.functional import pad
 
 from benchmarks.roof import FILTERS
 from benchmarks.timing import Row, learners, timed
@@ -82,7 +83,9 @@ def plain_qr() -> Iterator[None]:
     class Plain:
         @staticmethod
         def apply(a, way):
-            lower = torch.linalg.qr(triangular._columns(a, way)).R.mT
+            unit = isinstance(way, triangular._Update) and way.unit
+            a = triangular._behind_unit(a, way.measured) if unit else a
+            lower = torch.linalg.qr(pad(a, (a.shape[-2], 0)).mT).R.mT  # square, however few its columns
             return lower * lower.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
 
     before, triangular._Tria = triangular._Tria, Plain

@@ -27,7 +27,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
         return dict.fromkeys(names, Kind())
 
     with naming(path):
-        table = read_table(path, choose, headers=f"expected a header with {', '.join(names)}")
+        table = read_table(path, choose)
         if not table.rows:
             raise ValueError(f"expected rows, received none under the columns {', '.join(table.names)}")
     return {name: table.column(name) for name in names}

@@ -73,3 +73,11 @@ def test_a_residual_whose_square_overflows_is_an_outlier_of_that_size_with_a_fin
     np.testing.assert_allclose(belief.covariance.detach(), np.eye(m), rtol=1e-12)
     (log_density[2] + belief.mean.sum() + belief.scale_tril.sum()).backward()
     assert residual.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_infinite_noise_tells_nothing(m):
+    rows, noise = torch.eye(m, dtype=torch.float64), torch.tensor([1.0, torch.inf], dtype=torch.float64)
+    updated, log_density = update(rows, rows[0], noise, torch.zeros(m, dtype=torch.float64))
+    assert_same(updated.of(1), np.zeros(m), np.eye(m))
+    assert log_density.softmax(0)[1] < 1e-300

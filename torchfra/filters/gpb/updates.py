@@ -71,6 +71,7 @@ def update(
     m, k = rows.shape[-2:]
     if offsets is not None:
         residual = residual - offsets.unsqueeze(-1) * (1 - missing)
+    noise = noise.clamp_max(torch.finfo(noise.dtype).max / 4)  # infinite noise tells nothing, and no quotient is NaN
     return (_together if m == k <= 2 else _sequential)(rows, residual, noise, missing)
 
 
