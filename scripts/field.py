@@ -290,7 +290,7 @@ def nonlinear(options: argparse.Namespace) -> list[Cell]:
         ("ranges and bearings of a passing target", "radar", (motion, sensor), 1.0, passing),
         ("Lorenz's attractor", "lorenz", lorenz.models(setting, 1.0), lorenz.DT, attractor),
     ):
-        scenario = Scenario(model, *models, tracks.prior, dt, tracks.z.shape[1], _drawn_already, {})
+        scenario = Scenario(model, *models, tracks.prior, dt, tracks.z.shape[1], _drawn_already, {})  # type: ignore[call-arg]
         names = ["ekf", "ukf", "srckf", "ghckf"]
         cells += compared(words, scenario, tracks, names, NONLINEAR, options, model=model)
     return cells

@@ -134,7 +134,7 @@ def mutants(path: Path) -> Iterator[Mutant]:
                     here = ((min([part.lineno, *(d.lineno for d in part.decorator_list)]), part.name), *around)
                 for other in variants(part):
                     text = f"{short(part)}  ->  {short(other)}"
-                    yield Mutant(path, part.lineno, text, tree, partial(place, node, field, i, other), here)
+                    yield Mutant(path, part.lineno, text, tree, partial(place, node, field, i, other), here)  # type: ignore[attr-defined]
                 if not isinstance(part, (ast.Raise, ast.Assert, ast.JoinedStr)):
                     yield from within(part, here)
 
@@ -198,10 +198,10 @@ def assign(mutant: Mutant, module: object) -> None:
         for node in owner.body:
             if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.lineno <= mutant.line <= (node.end_lineno or 0):
                 name = node.targets[0] if isinstance(node, ast.Assign) else node.target
-                old = getattr(target, name.id)
+                old = getattr(target, name.id)  # type: ignore[attr-defined]
                 for other in [target, *(m for n, m in list(sys.modules.items()) if n.startswith("torchfra"))]:
-                    if getattr(other, name.id, None) is old:
-                        setattr(other, name.id, value(node.value, module))
+                    if getattr(other, name.id, None) is old:  # type: ignore[attr-defined]
+                        setattr(other, name.id, value(node.value, module))  # type: ignore[attr-defined]
                         done = True
     if not done:
         raise ValueError(f"line {mutant.line}: expected the value of a name, received something else")

@@ -109,7 +109,7 @@ def step(
     chosen, kept = keep(log_weight.flatten(), count, rng)
     c, r, i = torch.unravel_index(chosen, log_weight.shape)
     belief, own = (map_tensors(lambda x: x[r, i], x) for x in (predicted, whitened._replace(reads=0)))
-    own = down_weight(own._replace(reads=whitened.reads), (1 / sizes[c, r, i]).unsqueeze(-1).expand_as(own.residual))
+    own = down_weight(own._replace(reads=whitened.reads), (1 / sizes[c, r, i]).unsqueeze(-1).expand_as(own.residual))  # type: ignore[call-arg]
     return estimate, Particles(correct(belief, own)[0], r, c > 0, kept)
 
 

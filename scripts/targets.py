@@ -258,7 +258,7 @@ def picture(world: World, mean: Tensor) -> Figure:
     for scan in world.scans[::10]:
         left.plot(*(scan / 1e3).T, ".", color="black", markersize=0.6, alpha=0.5, rasterized=True)
     right.set_title(f"{len(mean)} targets found (colours), {len(world.truth)} true ones (grey, below)")
-    colours = matplotlib.colormaps["tab20"].colors
+    colours = matplotlib.colormaps["tab20"].colors  # type: ignore[attr-defined]
     for track in world.truth:
         right.plot(*(track[:, :2] / 1e3).T, color="lightgrey", linewidth=3)
     for i, track in enumerate(mean):

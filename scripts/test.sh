@@ -14,6 +14,7 @@ for argument; do
 done
 arguments=()
 for argument; do [[ $argument = --quick || $argument = --all ]] || arguments+=("$argument"); done
+types() { mypy --strict && mypy --config-file scripts/mypy.ini scripts; }  # scripts: that they call what there is
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh" dev
 ruff check .
 ruff format --check .
@@ -21,9 +22,9 @@ case $what in
   --quick)
     # Square roots and their gradients, and filters against what is written in numpy from their papers alone.
     arguments=(-m "not slow" tests/{linalg/test_tria,filters/test_oracles,filters/test_gpb_oracle,filters/test_imm,motion/test_states}.py "${arguments[@]}") ;;
-  --all) mypy --strict ;;
+  --all) types ;;
   *)
-    mypy --strict
+    types
     arguments=(-m "not slow" "${arguments[@]}") ;;
 esac
 # One worker for each core, which takes over tests of another where it has none left, and one thread for each worker.

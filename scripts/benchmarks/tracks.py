@@ -92,7 +92,7 @@ def in_modes(f: Filter, options: argparse.Namespace) -> Iterator[tuple[str, Filt
 def beside_peers(scenario: Scenario, data: Tracks, options: argparse.Namespace, **labels: Any) -> list[Row]:
     """The filters on these tracks, and with ``--peers`` the others in the same passes; ratios are to the first."""
     systems, count = calls(filter_calls(scenario, data, options), options.device), data.z.shape[:2].numel()
-    with start_peers(scenario, data) if options.peers else nullcontext({}) as peers:
+    with start_peers(scenario, data) if options.peers else nullcontext({}) as peers:  # type: ignore[attr-defined]
         rows = timed({**systems, **peers}, options.passes, count, next(iter(systems)), **labels)
         report_differences(scenario, data, peers)
     return rows
