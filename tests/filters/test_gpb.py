@@ -296,6 +296,23 @@ def test_what_is_given_wins_over_the_word():
     assert f.regimes.noise_levels().tolist() == [2.0]
 
 
+@pytest.mark.slow
+def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
+    line = ConstantVelocity(0.1, dims=1, continuous=True)  # and no bank, for the compiler's time
+    prior = Gaussian(torch.zeros(2).double(), torch.diag(torch.tensor([10, 40]).double()))
+    z, found = turn(0.05)[1][:3, 36:46, 1:], []
+    for compiled in (False, True):
+        values = {"outlier_sizes": (100.0,), "outlier_shares": (1.0,), "adaptive_largest_size": False}
+        learn = ("manoeuvre_factors", "noise_levels")
+        f = presets.gpb(line, Position(STD, dims=1), manoeuvres="hard", learn=learn, **values)
+        f = f.compile() if compiled else f
+        e = f(z - z[:, :1], prior)
+        (e.mean.square().sum() + e.info.filtered.mean.square().sum()).backward()
+        found.append([e.mean, e.covariance, e.info.outlier, *(p.grad for p in f.parameters())])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-7, atol=1e-9 * float(one.detach().abs().max()))
+
+
 def test_an_unknown_word_is_an_error():
     with pytest.raises(ValueError, match="manoeuvres: expected one of none, jumps, some, hard, received 'wild'"):
         gpb("wild")

@@ -1,5 +1,7 @@
 """GPB keeps what the battery does not ask: values of each track, exact gradients, what never happens, named errors."""
 
+import copy
+
 import pytest
 import torch
 from alike import close
@@ -61,6 +63,19 @@ def test_every_value_may_be_one_of_each_track():
 
 
 # ---------------------------------------------------------------- gradients
+
+
+@pytest.mark.slow
+def test_compiled_kernels_of_ranges_give_the_same_and_the_same_gradients():
+    f = presets.gpb(ConstantVelocity(0.5), SOME["two ranges"], **VALUES | SMALL_GPB, learn="all")
+    z, prior = measured("ranges", 3)[:, :9, :2], (PRIOR.mean[:4], PRIOR.scale_tril[:4, :4])
+    found = []
+    for g in (f, copy.deepcopy(f).compile()):
+        x, mean, root = (x.clone().requires_grad_() for x in (z, *prior))
+        e = g(x, Gaussian(mean, root))
+        (e.mean.square().mean() + e.info.lagged.mean.square().mean() + e.log_likelihood.mean()).backward()
+        found.append((e.mean.detach(), e.info, x.grad, mean.grad, root.grad.tril(), [p.grad for p in g.parameters()]))
+    close(*found, 1e-8)
 
 
 @pytest.mark.slow
