@@ -286,11 +286,11 @@ def nonlinear(options: argparse.Namespace) -> list[Cell]:
     setting = lorenz.Setting()
     path, seen, known = lorenz.simulate(setting, 1.0, runs, options.seed)
     attractor = Tracks(path, seen, None, known._replace(scale_tril=1e-3 * torch.eye(3).double()))
-    for words, model, models, dt, tracks in (
+    for words, model, (moves, sees), dt, tracks in (
         ("ranges and bearings of a passing target", "radar", (motion, sensor), 1.0, passing),
         ("Lorenz's attractor", "lorenz", lorenz.models(setting, 1.0), lorenz.DT, attractor),
     ):
-        scenario = Scenario(model, *models, tracks.prior, dt, tracks.z.shape[1], _drawn_already, {})  # type: ignore[call-arg]
+        scenario = Scenario(model, moves, sees, tracks.prior, dt, tracks.z.shape[1], _drawn_already, {})
         names = ["ekf", "ukf", "srckf", "ghckf"]
         cells += compared(words, scenario, tracks, names, NONLINEAR, options, model=model)
     return cells

@@ -108,8 +108,9 @@ def step(
     estimate = (log_weight.exp().unsqueeze(-1) * torch.stack(means)).sum((0, 1, 2))
     chosen, kept = keep(log_weight.flatten(), count, rng)
     c, r, i = torch.unravel_index(chosen, log_weight.shape)
-    belief, own = (map_tensors(lambda x: x[r, i], x) for x in (predicted, whitened._replace(reads=0)))
-    own = down_weight(own._replace(reads=whitened.reads), (1 / sizes[c, r, i]).unsqueeze(-1).expand_as(own.residual))  # type: ignore[call-arg]
+    belief = map_tensors(lambda x: x[r, i], predicted)
+    own = map_tensors(lambda x: x[r, i], whitened._replace(reads=0))._replace(reads=whitened.reads)
+    own = down_weight(own, (1 / sizes[c, r, i]).unsqueeze(-1).expand_as(own.residual))
     return estimate, Particles(correct(belief, own)[0], r, c > 0, kept)
 
 

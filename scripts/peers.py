@@ -465,7 +465,7 @@ def peer(name: str, arrays: dict[str, np.ndarray]) -> Run:
     if not arrays:
         return BEARINGS[name](job)
     weights = tuple(arrays[key] for key in sorted(arrays) if key.startswith("weight"))
-    learning = Learning(*(arrays[field] for field in Learning._fields[:-1]), weights)  # type: ignore[call-arg]
+    learning = Learning(arrays["features"], arrays["truth"], arrays["rate"], weights)
     return descent(LEARNERS[name](job), job, learning)
 
 

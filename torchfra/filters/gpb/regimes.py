@@ -454,7 +454,7 @@ class Regimes(Part):
         and more likely at the next one, unless the tail of the agile level is likelier than both.  What it will have
         lost by then is given before, where a measurement is beyond the least of outliers (nearer by, the target need
         not have jumped).  With the first measurement it is given no more than what leaves two outliers likelier.
-        However wide the prediction, it is as rare as an outlier that is the first.
+        However wide the prediction is, it is at least as rare as a first outlier.
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
@@ -676,10 +676,10 @@ class Regimes(Part):
             merged.append(every.of(self.of_others).merged(BEFORE, angles=angles, triangular=False))
         if self.landed:
             merged.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles, triangular=False))
-        means, roots_ = zip(*(each.belief for each in merged), strict=True)
-        columns = max(root.shape[-1] for root in roots_)
-        padded = [pad(root, (0, columns - root.shape[-1])) for root in roots_]
-        return Gaussian(torch.cat(means, MOTION), torch.cat(padded, MOTION))
+        beliefs = [each.belief for each in merged]
+        columns = max(root.shape[-1] for _, root in beliefs)
+        padded = [pad(root, (0, columns - root.shape[-1])) for _, root in beliefs]
+        return Gaussian(torch.cat([mean for mean, _ in beliefs], MOTION), torch.cat(padded, MOTION))
 
     def _per_belief(self, x: Tensor, axis: int, combine: Callable[[Tensor], Tensor]) -> Tensor:
         """Values of regimes along an axis as those of beliefs: all regimes of a belief are combined."""

@@ -25,7 +25,7 @@ from torchfra.filters.model_smoothing import unwhitened
 from torchfra.gaussian.future import future
 from torchfra.gaussian.inputs import BackwardStep
 from torchfra.gaussian.mixture import log_sum, without_failed
-from torchfra.gaussian.model import adapted
+from torchfra.gaussian.model import Propagated, adapted
 from torchfra.steps.records import Smoothed
 from torchfra.types import Gaussian
 
@@ -66,18 +66,20 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     # Shift and process noise are those of the forward pass.
     frame = adapted(frame, for_bank(mixed, len(f.bank)).mean)
     rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
-    parts = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, mixed, frame), surprise.nis, f.motion)
-    parts = parts._replace(spread=rows * parts.spread, process_noise=rows * parts.process_noise)
+
+    def predicted(belief: Gaussian) -> Propagated:
+        propagated = propagate_motions(f.bank, f.motion_rule, belief, frame)
+        parts: Propagated = regimes.predicted_parts(propagated, surprise.nis, f.motion)
+        return parts._replace(spread=rows * parts.spread, process_noise=rows * parts.process_noise)
+
     posterior = step.next.posterior.movedim((-3, -2, -1), (0, 1, 2)).unsqueeze(MOTION_BEFORE)
     # Merged as after the step: what led to a jump and what did not predict different places.
-    measurement = future(regimes.merged_parts(parts, posterior, f.motion.angles), later.belief, difference)
+    measurement = future(regimes.merged_parts(predicted(mixed), posterior, f.motion.angles), later.belief, difference)
     measurement = tree.map_tensors(regimes.per_merged, measurement)  # (2, R, 1, 1, ...)
 
     # The belief of every motion before, propagated by every regime, is updated by it.
     every = Gaussian(*(x.expand(x.shape[0], regimes.beliefs, *x.shape[2:]) for x in before.belief))
-    by_regime = regimes.predicted_parts(propagate_motions(f.bank, f.motion_rule, every, frame), surprise.nis, f.motion)
-    by_regime = by_regime._replace(spread=rows * by_regime.spread, process_noise=rows * by_regime.process_noise)
-    each, fit = measurement.update(by_regime, difference)  # (2, R, 2, K, ...)
+    each, fit = measurement.update(predicted(every), difference)  # (2, R, 2, K, ...)
     joint = prior + regimes.per_merged(without_failed(fit), MOTION_BEFORE)  # (2, R, 2, R, ...)
     total = log_sum(log_sum(joint, MOTION_BEFORE), BEFORE)[:, :, None, None]
     none = total == -torch.inf  # no hypothesis before leads to this one
