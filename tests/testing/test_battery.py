@@ -4,6 +4,7 @@ import copy
 import math
 
 import pytest
+import refusals  # noqa: F401  the checks of arguments
 import torch
 from gpb_cases import ANCHORS, PRIOR, VALUES, measured
 from short_tracks import SMALL_GPB

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchfra.filters.base import Filter
 from torchfra.gaussian.arguments import LostDigits
 from torchfra.tables import text_table
-from torchfra.testing import derivatives, refusals, results  # noqa: F401  they hold the checks
+from torchfra.testing import derivatives, results  # noqa: F401  they hold the checks
 from torchfra.testing.case import CHECKS, Case, SkipCheck, make_case, registered
 from torchfra.testing.expectations import unexpected
 from torchfra.types import Gaussian

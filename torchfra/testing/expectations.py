@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-import re
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -75,21 +74,6 @@ def expect_finite(tree: dict[str, Tensor], what: str) -> None:
     """Expects tensors without NaN and infinity."""
     for name, x in tree.items():
         expect(bool(x.isfinite().all()), f"{what} of {name}", "finite numbers", f"{int((~x.isfinite()).sum())} others")
-
-
-def refusal(call: Callable[[], Any], argument: str) -> str:
-    """The message of the ``ValueError`` that a call is expected to raise about an argument."""
-    try:
-        call()
-    except ValueError as error:
-        message = str(error)
-        form = rf"(^|, ){re.escape(argument)}.*: expected .*received|^{re.escape(argument)}: "
-        expect(re.search(form, message, re.S) is not None, argument, "an error that names it", repr(message))
-        return message
-    except Exception as error:
-        expect(False, argument, "a ValueError that names it", f"{type(error).__name__}: {error}")
-    expect(False, argument, "a ValueError that names it", "a result")
-    return ""
 
 
 def line_of_error(error: BaseException) -> str:

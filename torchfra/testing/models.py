@@ -18,7 +18,6 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
 from torchfra.sensors.base import Sensor
 from torchfra.steps.models import check_models
-from torchfra.testing import refusals
 from torchfra.testing.battery import Outcome, tried
 from torchfra.testing.case import CHECKS, STEPS, TRACKS, drawn, make_case
 from torchfra.testing.expectations import as_large_as, line_of_error, unexpected, with_line
@@ -150,7 +149,7 @@ def _in_a_filter(
 ) -> tuple[Outcome, ...]:
     """Outcomes of checks of ``check_filter`` on an ``SRCKF`` with both models.
 
-    Not of those of arguments, nor of the comparison with an ``SRCKF``, which it is.
+    Not of the comparison with an ``SRCKF``, which it is.
     """
     try:
         z, prior = _simulated(motion, sensor, belief, dt, u, seed)
@@ -158,10 +157,7 @@ def _in_a_filter(
         case = make_case(_filter(motion, sensor), z, prior, dt, known, seed, thorough=False)
     except Exception as error:
         return (Outcome("a simulated track", "in a filter", "failed", unexpected(error)),)
-    names = [
-        name for name, check in CHECKS.items()
-        if check.function is not compared and check.function.__module__ != refusals.__name__
-    ]  # fmt: skip
+    names = [name for name, check in CHECKS.items() if check.function is not compared]
     way = {"eager": "in a filter", "compiled": "in a compiled filter"}
     without: tuple[Outcome, ...] = ()
     if compiled:

@@ -128,17 +128,6 @@ def memory_layout_does_not_matter(case: Case) -> None:
     expect_same(expanded, repeated, "estimate of expanded tensors")
 
 
-@check("eager", "compiled")
-def lazily_negated_tensors_are_negative(case: Case) -> None:
-    """A tensor whose negation PyTorch has deferred, such as ``x.conj().imag``, is read with its sign."""
-    z = torch.complex(torch.zeros_like(case.z), -case.z).conj().imag
-    mean, root = (torch._neg_view(-x) for x in case.prior)
-    expect_same(case(z=z), case.estimate, "estimate of a lazily negated z")
-    expect_same(case(prior=Gaussian(mean, root)), case.estimate, "estimate from a lazily negated prior")
-    if case.eager is None or case.thorough:
-        expect_same(case(std=torch._neg_view(-case.std)), case(std=case.std), "estimate with a lazily negated std")
-
-
 @check("eager")
 def nothing_that_is_handed_in_changes(case: Case) -> None:
     """Tensors stay as they were, and a second call gives the same bits."""

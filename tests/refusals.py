@@ -1,8 +1,12 @@
-"""Checks of invalid arguments: a ``ValueError`` before any work that names the argument, eager and compiled."""
+"""The part of the battery about arguments, which no filter of one's own checks itself: ``check_filter`` has it here.
+
+Invalid arguments are a ``ValueError`` that names them before any work, eager and compiled.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -10,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchfra.testing.case import STEPS, Case, check
-from torchfra.testing.expectations import expect, expect_same, refusal
+from torchfra.testing.expectations import expect, expect_same
 from torchfra.types import Gaussian
 
 
@@ -150,9 +154,15 @@ def models_keep_the_shapes_that_they_promise(case: Case) -> None:
     _expect_shape(sensor.at_points(points, u), expected, points, type(sensor).__name__, "measurements")
 
 
-def _expect_shape(found: Tensor, shape: tuple[int, ...], like: Tensor, name: str, what: str) -> None:
-    expect(tuple(found.shape) == tuple(shape), f"{name}.forward", f"{what} {tuple(shape)}", tuple(found.shape))
-    expect(found.dtype == like.dtype, f"{name}.forward", f"{what} of {like.dtype}", found.dtype)
+@check("eager", "compiled")
+def lazily_negated_tensors_are_negative(case: Case) -> None:
+    """A tensor whose negation PyTorch has deferred, such as ``x.conj().imag``, is read with its sign."""
+    z = torch.complex(torch.zeros_like(case.z), -case.z).conj().imag
+    mean, root = (torch._neg_view(-x) for x in case.prior)
+    expect_same(case(z=z), case.estimate, "estimate of a lazily negated z")
+    expect_same(case(prior=Gaussian(mean, root)), case.estimate, "estimate from a lazily negated prior")
+    if case.eager is None or case.thorough:
+        expect_same(case(std=torch._neg_view(-case.std)), case(std=case.std), "estimate with a lazily negated std")
 
 
 def _refuse(case: Case, argument: str, **given: Any) -> None:
@@ -171,3 +181,23 @@ def _refuse_call(case: Case, argument: str, call: Callable[[Case], Any]) -> None
     if eager is not None:
         expected = refusal(lambda: call(eager), argument)
         expect(message == expected, f"{argument}, compiled", repr(expected), repr(message))
+
+
+def refusal(call: Callable[[], Any], argument: str) -> str:
+    """The message of the ``ValueError`` that a call is expected to raise about an argument."""
+    try:
+        call()
+    except ValueError as error:
+        message = str(error)
+        form = rf"(^|, ){re.escape(argument)}.*: expected .*received|^{re.escape(argument)}: "
+        expect(re.search(form, message, re.S) is not None, argument, "an error that names it", repr(message))
+        return message
+    except Exception as error:
+        expect(False, argument, "a ValueError that names it", f"{type(error).__name__}: {error}")
+    expect(False, argument, "a ValueError that names it", "a result")
+    return ""
+
+
+def _expect_shape(found: Tensor, shape: tuple[int, ...], like: Tensor, name: str, what: str) -> None:
+    expect(tuple(found.shape) == tuple(shape), f"{name}.forward", f"{what} {tuple(shape)}", tuple(found.shape))
+    expect(found.dtype == like.dtype, f"{name}.forward", f"{what} of {like.dtype}", found.dtype)
