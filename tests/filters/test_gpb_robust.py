@@ -50,17 +50,8 @@ START = torch.diag(tensor([30, 30, 5, 5, 1, 1]))
 COVERED = {"one motion": 0.99, "one that fits": 0.99, "bank": 0.975}
 """Share of steps whose NEES is below the bound, as the values reach it; what is asked of a bank too is a test below."""
 
-COVERS = "test_a_bank_covers_99_percent_of_the_steps"
-CALM = "a bank's calm is so calm that it misses the beginning of some turns"
-OPEN = {f"{COVERS}[{sensor}]": CALM for sensor in SENSORS if sensor != "position"}
-"""What its values do not reach on these five runs, and why; on others, of positions too, they cover 98.7 to 99.2 %."""
-
-
-@pytest.fixture(autouse=True)
-def still_open(request):
-    """Tests of those claims must fail: one that passes is to be taken off the list."""
-    if request.node.name in OPEN:
-        request.applymarker(pytest.mark.xfail(strict=True, reason=OPEN[request.node.name]))
+CALM = pytest.mark.xfail(strict=True, reason="a bank's calm is so calm that it misses the beginning of some turns")
+"""On these five runs; on others, of positions too, its values cover 98.7 to 99.2 %."""
 
 
 PAIRS = [("position", "one motion"), ("position", "one that fits"), *((sensor, "bank") for sensor in SENSORS)]
@@ -214,18 +205,9 @@ def test_nothing_is_wrong(sensor, motion):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("sensor", [pytest.param(s, marks=() if s == "position" else CALM) for s in SENSORS])
 def test_a_bank_covers_99_percent_of_the_steps(sensor):
     truth, _, _, e = estimates("bank", sensor)[nothing]
-    assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
-
-
-@pytest.mark.slow
-def test_a_bank_that_leaves_its_calm_more_easily_does():
-    truth, stay = flight(), (0.98, 0.98, 0.925, 0.969, 0.7, 0.99924, 0.00413)
-    e = presets.gpb(aircraft(), SENSORS["bearings"], self_transition=stay)(
-        measured(SENSORS["bearings"], truth), start(truth)
-    )
     assert (nees(e, truth) < BOUND).double().mean() > COVERED["one motion"]
 
 
@@ -354,18 +336,18 @@ def ways():
 
 
 def errors(truth, z, prior, **options):
-    """Root mean square position errors of each step ``(T,)``, in standard deviations of the measurement noise."""
+    """Root mean square position errors of each step ``(..., T)``, in standard deviations of the measurement noise."""
     estimate = presets.gpb(MOTION, SENSOR, **options)(z, prior)
-    return (estimate.mean - truth)[..., :2].square().sum(-1).mean(0).sqrt().detach() / STD
+    return (estimate.mean - truth)[..., :2].square().sum(-1).mean(-2).sqrt().detach() / STD
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_spikes_of_any_size_cost_what_they_cost_without_manoeuvres(size):
+def test_spikes_of_any_size_cost_what_they_cost_without_manoeuvres():
     truth, z, prior = as_it_believes()
+    z = z.repeat(len(SIZES), 1, 1, 1)
     for step in (6, 7, 15, 20, 22, 30):
-        z[:, step] += size * STD * ways() * (-1) ** step
-    known, some = (errors(truth, z, prior, manoeuvres=m).square().mean().sqrt() for m in ("none", "some"))
-    assert some < 1.02 * known
+        z[:, :, step] += tensor(SIZES)[:, None, None] * STD * ways() * (-1) ** step
+    known, some = (errors(truth, z, prior, manoeuvres=m).square().mean(-1).sqrt() for m in ("none", "some"))
+    assert (some < 1.02 * known).all()
 
 
 def followed(motion, burst, seed):
@@ -422,27 +404,24 @@ def test_after_a_jump_it_is_as_near_as_before():
     assert (errors(truth, z, prior)[MIDDLE + 5 :] < 2.5 * plain[MIDDLE + 5 :]).all()
 
 
-@pytest.mark.parametrize("away", [250.0, 2500.0, 25000.0])
 @pytest.mark.parametrize("confident", [0.05, 1.0])
-def test_a_prior_that_is_off_by_any_distance_is_left_within_three_measurements(away, confident):
+def test_a_prior_that_is_off_by_any_distance_is_left_within_three_measurements(confident):
     truth, z, prior = as_it_believes(confident)
     off = torch.cat([ways(), ways()], -1) @ prior.scale_tril.mT
+    away = tensor([250.0, 2500.0, 25000.0])[:, None, None]
     found = errors(truth, z, Gaussian(prior.mean + away * off, prior.scale_tril))
-    assert (found[2:] < 1.5 * 2**0.5).all()  # of a fix alone it is the root of 2
+    assert (found[:, 2:] < 1.5 * 2**0.5).all()  # of a fix alone it is the root of 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES[:-1])
-@pytest.mark.parametrize("step", [0, 1, 2])
-def test_an_outlier_after_a_confident_prior_costs_no_more_than_one_later(size, step):
+def test_an_outlier_after_a_confident_prior_costs_no_more_than_one_later():
     truth, z, prior = as_it_believes(0.05)
-
-    def cost(at):
-        hit = z.clone()
-        hit[:, at] += size * STD * ways()
-        return (errors(truth, hit, prior)[at] / errors(truth, z, prior)[at]).item()
-
-    assert cost(step) < 1.05 * cost(MIDDLE)
+    sizes, steps = tensor(SIZES[:-1]), (0, 1, 2, MIDDLE)
+    hit = z.repeat(1 + len(steps), len(sizes), 1, 1, 1)
+    for of, step in zip(hit[1:], steps, strict=True):
+        of[:, :, step] += sizes[:, None, None] * STD * ways()
+    plain, *found = errors(truth, hit, prior)
+    *early, later = ((of / plain)[:, step] for of, step in zip(found, steps, strict=True))
+    assert (torch.stack(early) < 1.05 * later).all()
 
 
 @pytest.mark.parametrize("size", [1e3, 1e4])
@@ -539,21 +518,8 @@ def lasting(f, state):
 # ---------------------------------------------------------------- until the next measurement
 
 
-LATE = pytest.mark.xfail(
-    strict=True,
-    reason="20 standard deviations of the stated acceleration: on a finer grid it takes a measurement more",
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("jump", "rows"),
-    [
-        (5.0, 3),
-        (10.0, 1),
-        (20.0, 1),
-    ],
-)
+@pytest.mark.parametrize(("jump", "rows"), [(5.0, 3), (20.0, 1)])
 def test_a_target_that_turns_is_found_again_on_a_finer_grid_of_time_too(jump, rows):
     truth, z, prior = turning(jump)
     f = presets.gpb(CONTINUOUS["one motion"], FIXES)
@@ -605,6 +571,7 @@ def test_a_poor_start_is_not_forgotten_before_the_first_measurement():
 @pytest.mark.slow
 def test_what_is_not_measured_is_no_outlier():
     _, z, prior = turning(20.0)
+    z = z[:, :14]
     z[:, 10] += 300
     z[:, 11] = torch.nan
     f = presets.gpb(CONTINUOUS["one motion"], FIXES)

@@ -35,8 +35,8 @@ FILTERS = {name: (lambda name=name: getattr(presets, name)(MOTION, SENSOR)) for 
 
 def tracks(f, count=2):
     n = f.motion.size
-    z = torch.randn(count, 10, 2, generator=torch.Generator().manual_seed(0)).double()
-    z[:, 6, 0] = 100.0
+    z = torch.randn(count, 6, 2, generator=torch.Generator().manual_seed(0)).double()
+    z[:, 4, 0] = 100.0
     return z, Gaussian(torch.zeros(count, n).double(), torch.eye(n).double())
 
 

@@ -3,7 +3,6 @@
 import functools
 import json
 import re
-import subprocess
 from pathlib import Path
 
 import bearings as bearings_table
@@ -321,52 +320,6 @@ def test_the_benchmark_prints_a_table_of_rows_with_different_labels():
         "system  median us     q1 us  q3 us  first call s",
         "a        0.000331  0.000330   2.00          12.3",
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "own", "receiver"), [("demo.sh", "", "torchfra compare"), ("test.sh", "[--quick | --all] ", "pytest")]
-)
-@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["--seed", "1", "--help"]])
-def test_shell_scripts_answer_for_help_before_they_install(name, own, receiver, arguments, tmp_path):
-    (tmp_path / name).write_text((ROOT / "scripts" / name).read_text())
-    (tmp_path / "setup.sh").write_text("echo installing; exit 3")
-    done = subprocess.run(["bash", tmp_path / name, *arguments], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    usage, *more = done.stdout.splitlines()
-    assert usage == f"usage: bash scripts/{name} {own}[ARGUMENT ...]    arguments go to {receiver}"
-    assert len(more) <= 1
-    assert subprocess.run(["bash", tmp_path / name], capture_output=True, check=False).stdout == b"installing\n"
-
-
-@pytest.mark.parametrize(
-    ("given", "types", "asked"),
-    [
-        ([], True, ["-m", "not slow"]),
-        (["-k", "gpb"], True, ["-m", "not slow", "-k", "gpb"]),
-        (["--all", "-x"], True, ["-x"]),
-        (["--quick"], False, None),
-    ],
-)
-def test_the_tests_are_run_in_three_sizes(given, types, asked, tmp_path):
-    (tmp_path / "test.sh").write_text((ROOT / "scripts/test.sh").read_text())
-    names = ("ruff", "mypy", "pytest")
-    commands = "".join(f'{name}() {{ printf "%s\\n" {name} "$@" >> {tmp_path}/{name}; }}\n' for name in names)
-    (tmp_path / "setup.sh").write_text(f"set -euo pipefail\ncd {ROOT}\n{commands}")  # which write what they get
-    subprocess.run(["bash", tmp_path / "test.sh", *given], check=True)
-    assert (tmp_path / "ruff").exists()
-    assert (tmp_path / "mypy").exists() == types
-    got = (tmp_path / "pytest").read_text().splitlines()[5:]
-    if asked is None:
-        assert got[:2] == ["-m", "not slow"]
-        assert got[2:]
-        assert all((ROOT / file).exists() for file in got[2:])
-    else:
-        assert got == asked
-
-
-def test_the_tests_have_one_size_at_a_time():
-    done = subprocess.run(["bash", ROOT / "scripts/test.sh", "--all", "--quick"], capture_output=True, check=False)
-    assert (done.returncode, done.stdout) == (2, b"")
 
 
 def test_the_benchmark_says_what_is_wrong(capsys):

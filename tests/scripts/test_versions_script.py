@@ -18,6 +18,8 @@ def test_the_tests_that_are_named_are_there():
     (named,) = re.findall(r"^tests=\((.*?)\)", SCRIPT.read_text(), re.M | re.S)
     assert len(named.split()) > 10
     assert [name for name in named.split() if not [*ROOT.glob(f"tests/*/test_{name}.py")]] == []
+    (quick,) = re.findall(r" tests/\{(.*?)\}\.py", (ROOT / "scripts/test.sh").read_text())
+    assert [name for name in quick.split(",") if not (ROOT / "tests" / f"{name}.py").exists()] == []
 
 
 def test_what_is_tried_without_arguments_are_versions_that_the_package_takes():
