@@ -9,14 +9,6 @@ def lines(times, targets):
     return ["id,t,x,y", *(f"{name},{t % DAY},{i}.5,2" for i, (t, name) in enumerate(zip(times, targets, strict=True)))]
 
 
-def test_a_target_that_appears_after_midnight_is_a_day_later(write):
-    times = [DAY - 200 + 10 * i for i in range(60)]
-    targets = ["b" if t > DAY + 50 and i % 2 else "a" for i, t in enumerate(times)]
-    one, two = read(write(lines(times, targets)))
-    assert [one.time[0], two.time[0]] == [DAY - 200, DAY + 70]
-    assert two.repairs == {"times carried on where the count begins anew": len(two.time)}
-
-
 def test_a_target_behind_the_rows_of_another_begins_anew(write):
     times = [600 * i for i in range(144)] * 2
     one, two = read(write(lines(times, ["a"] * 144 + ["b"] * 144)))

@@ -135,6 +135,6 @@ def test_degrees_to_the_south_or_west_without_a_sign_are_refused(write, header, 
 
 def test_numbers_of_days_are_no_seconds(write):
     path = write(["day,lat,lon", *(f"{i},{47 + i / 1e4},8.5" for i in range(40))])
-    with pytest.raises(ValueError, match="time='day', time_format='days'"):
+    with pytest.raises(ValueError, match="time='day', time_format='seconds'"):
         read(path)
     assert read(path, time="day", time_format="days")[0].time[1] == 86_400

@@ -295,14 +295,6 @@ def test_a_form_of_times_can_be_said(write, form, written):
     assert track.source.written(track.time) == [written, later]
 
 
-def test_who_has_times_of_a_stopwatch_is_told_their_form(write):
-    file = write("lap.csv", "time,x,y\n59:58.5,1,2\n59:59.25,2,3\n")
-    with pytest.raises(ValueError, match=r"received '59:58.5': say how they are written, such as time_format='%M:%S'"):
-        read(file)
-    (track,) = read(file, time_format="%M:%S")
-    np.testing.assert_allclose(track.time, [3598.5, 3599.25], rtol=1e-12)
-
-
 # ---------------------------------------------------------------- how good a fix is
 
 

@@ -141,16 +141,6 @@ def test_topics_of_ros_are_read_by_the_comment_that_names_them(write):
     assert track.time[0] == START.timestamp()
 
 
-@pytest.mark.parametrize(("names", "count"), [
-    ("secs,nsecs", 1e9), ("header.stamp.sec,header.stamp.nanosec", 1e9), ("stamp_sec,stamp_usec", 1e6),
-])  # fmt: skip
-def test_seconds_and_what_of_one_has_passed_are_one_time(write, names, count):
-    times = [(1_717_402_500 + i // 10, round(i % 10 / 10 * count)) for i in range(ROWS)]
-    (track,) = read(write([f"{names},x,y", *(f"{s},{part},{i},0" for i, (s, part) in enumerate(times))]))
-    assert np.diff(track.time) == pytest.approx(0.1, rel=1e-5)
-    assert track.source.written(track.time[1:2]) == [f"1717402500 {count / 10:.0f}"]
-
-
 # ---------------------------------------------------------------- watches, cars and phones
 
 
@@ -287,7 +277,7 @@ def test_metres_are_no_degrees_however_fine_they_are(write, step):
 # ---------------------------------------------------------------- dates
 
 
-@pytest.mark.parametrize("form", ["%d-%b-%Y", "%d %B %Y", "%d%b%y"])
+@pytest.mark.parametrize("form", ["%d-%b-%Y", "%d %b %Y"])
 def test_months_may_have_names(write, form):
     rows = [f"{moment:{form}},{moment:%H:%M:%S},{i},0" for i, moment in enumerate(moments(7200))]
     (track,) = read(write(["Date (UTC),Time (UTC),x,y", *rows]))
@@ -354,27 +344,10 @@ def local(form, days=0, minutes=0):
     return moment.strftime(form)
 
 
-def test_dates_whose_day_and_month_a_spreadsheet_exchanged_are_refused(write):
-    forms = ["%m/%d/%Y %H:%M" if i < 22 else "%d/%m/%Y %H:%M" for i in range(ROWS)]  # up to the 12th, and behind it
-    rows = [f"{local(form, i / 8)},{lat},{lon}" for i, (form, (lat, lon)) in enumerate(zip(forms, PLACES, strict=True))]
-    path = write(["Date,lat,lon", *rows])
-    with pytest.raises(ValueError, match="a spreadsheet has turned days and months round"):
-        read(path)
-    (track,) = read(path, time_format="%d/%m/%Y %H:%M")  # who says so has them as they are
-    assert len(track.time) == ROWS
-
-
 def test_dates_of_a_whole_year_are_in_one_order(write):
     rows = [f"{local('%d/%m/%Y %H:%M', 9 * i)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
     (track,) = read(write(["Date,lat,lon", *rows]))
     assert np.diff(track.time) == pytest.approx(9 * 86_400)
-
-
-@pytest.mark.parametrize(("first", "then"), [("13/02/2024", "02/12/2024"), ("2024-12-02", "2024-02-13")])
-def test_two_days_of_a_year_are_as_written_where_times_go_on_or_the_year_is_in_front(write, first, then):
-    rows = [f"{first if i < 30 else then} 10:{i:02},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
-    (track,) = read(write(["Date,lat,lon", *rows]))
-    assert len(track.time) == ROWS
 
 
 def test_one_fix_a_month_is_in_the_order_that_is_written(write):

@@ -75,12 +75,6 @@ def test_targets_of_one_row_each_are_refused_as_such(write):
         read(write(["t,id_of,x,y", *rows]), id="id_of")
 
 
-def test_a_target_that_is_dropped_is_named_with_its_fixes(write):
-    lone = [(i, 1e5 * (i % 2), 0, 0, 2, 9, "C") for i in range(30)]
-    tracks = read(write(table([*fleet((6, 7, 8)) * 2, *lone])), id="number")
-    assert tracks[0].repairs["fixes of target 9 dropped, of impossible speed"] == 30
-
-
 def test_rejected_fixes_along_ways_of_their_own_are_said_to_be_other_targets():
     time = np.arange(150.0)
     place = np.stack([5 * time, np.zeros(150)], 1) + NOISE[:150]

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra.readers import read
-from torchfra.readers.options import AskError
 from torchfra.readers.recording import Source
 from torchfra.readers.times import CLOCK, UNITS, forms_of, iso_written, seconds_of, written
 
@@ -99,22 +98,6 @@ def test_the_clock_of_a_receiver_is_taken_before_that_of_a_computer(tmp_path):
     path.write_text("sys_time,gps_time,x,y\n5,100,0,0\n6,101,1,1\n7,102,2,2\n")
     (track,) = read(path)
     assert track.time.tolist() == [100, 101, 102]
-
-
-@pytest.mark.parametrize(("header", "clock", "options", "step"), [
-    ("date,hour", "%Y-%m-%d,%H", {"time": "date,hour", "time_format": "%Y-%m-%d %H"}, 3600),
-    ("time", "%H%M", {"time": "time", "time_format": "%H%M"}, 60),
-])  # fmt: skip
-def test_a_clock_in_two_columns_or_without_seconds_is_refused_with_the_options_that_read_it(
-    write, header, clock, options, step
-):
-    moments = [datetime(2024, 5, 6, 22, 40) + timedelta(seconds=step * i) for i in range(60)]
-    path = write([f"{header},lat,lon", *(f"{one.strftime(clock)},{47 + i / 1e4},8" for i, one in enumerate(moments))])
-    with pytest.raises(AskError) as refused:
-        read(path)
-    assert options in refused.value.args
-    (track,) = read(path, **options)
-    assert np.diff(track.time).tolist() == [step] * 59
 
 
 def test_an_hour_beside_a_whole_moment_is_no_part_of_the_time(write):

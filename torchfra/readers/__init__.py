@@ -13,7 +13,8 @@ else by these rules:
    latitude, longitude[, altitude]; sigma, accuracy or hdop; lengths without a unit are metres, and degrees are decimal
    ones, or degrees, minutes and seconds.
 3. Times are ISO text, UTC where it names no zone, dates that can be read in one order only, perhaps in a column beside
-   that of the clock, or numbers: s, ms, us or ns since 1970 by their size, or seconds since any start.
+   that of the clock, or numbers: s, ms, us or ns since 1970 by their size, or seconds since any start; rows are in
+   order of time, or have dates.
 4. A column called id, name, mmsi, vehicle and the like says which target a row is of; each is a track.
 5. Empty cells, N/A, null, None, NaN and - are missing, and 0, 0 degrees far from all else; -999 and the like are
    refused until ``missing`` says what they are.

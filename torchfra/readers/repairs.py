@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
 from torchfra.readers.layouts import Layout
-from torchfra.readers.names import MARKS, name_words
+from torchfra.readers.names import MARKS
 from torchfra.readers.options import AskError
 from torchfra.readers.tables import Table
 from torchfra.readers.times import count_of
@@ -24,13 +24,12 @@ _MANY = 0.1
 _HELD, _ONCE, _NEW, _FAR = 25, 0.1, 0.5, 10.0
 """Positions from which on they may be held, the share of them that may come once only, the share that is new at least,
 and how many of the last digits that are written lie between neighbours."""
-_RARELY, _MIXED, _APART = 0.04, 10, 3.0
-"""Share of rows whose time may go back, how often rows change their order for each of these, and how many times as long
-the ways between rows in order of time are as in the file, where a count begins anew or targets are mixed."""
+_RARELY, _APART = 0.1, 3.0
+"""Share of rows whose time may go back where it has no date, and how many times as long ways between rows that are
+neighbours in time alone may be as those in the file."""
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
-_HOUR, _DAYS, _YEAR = 3600.0, 20 * 86_400.0, 366 * 86_400.0
-"""Seconds: by which clocks are put back, once a year; and by which dates leap that are turned round."""
+_HOUR = 3600.0
 _COARSE = (60.0, 1.0)
 """Whole minutes and seconds, in which several rows may be."""
 _NEIGHBOURS = 1.5
@@ -145,7 +144,6 @@ class _Columns:
 
         self.layout, self.table, self.clock = layout, table, layout.clock
         self.time = layout.clock.whole(table.column(layout.clock.column))
-        self.carried = self._carry_on_together(members.values())
         self.first, self.second = column("latitude", "x"), column("longitude", "y")
         self.height, self.spare = column("altitude", "z"), column("second")
         null = (self.first == 0) & (self.second == 0)
@@ -176,18 +174,6 @@ class _Columns:
         """Moments of the updates of positions: seconds since 1970, or milliseconds."""
         return np.where(self.update > 1e11, self.update / 1e3, self.update)
 
-    def _carry_on_together(self, members: Iterable[NDArray[np.intp]]) -> NDArray[np.bool_]:
-        """Carries counts that begin anew on for all targets at once, where rows are in order; returns which rows.
-
-        A target alone may have no row before midnight.  Rows of one target behind those of another begin anew too.
-        """
-        rows, carried = np.flatnonzero(np.isfinite(self.time)), np.zeros(len(self.time), dtype=bool)
-        mixed = any((np.diff(of) != 1).any() for of in members)
-        if mixed and (np.diff(together := self.clock.going_on(self.time[rows])) >= 0).all():
-            carried[rows] = together != self.time[rows]
-            self.time[rows] = together
-        return carried
-
     def _times_of_positions(self) -> NDArray[np.bool_]:
         """Rows ``(rows,)`` whose position is of the moment of its update, as state vectors of OpenSky have it.
 
@@ -209,11 +195,6 @@ class _Columns:
 
         repairs["times taken from the update of the position"] = int(self.sent[rows].sum())
         index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
-        time = self.clock.going_on(self.time[index])
-        changed = self.carried[index] | (time != self.time[index])
-        repairs["times carried on where the count begins anew"] = int(changed.sum())
-        self.time[index] = time
-        self._check_count_down(time)
         index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
                      "rows without position dropped")  # fmt: skip
         index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
@@ -223,11 +204,10 @@ class _Columns:
             index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
         repairs["times within whole seconds spread by the order of rows"] = self._spread(index)
         time = self.time[index]
-        self._check_dates(time, index)
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
         order = np.argsort(time, kind="stable")
+        self._check_order(time, index, order)
         self._check_same_times(index[order])
-        self._check_restart(time, index, order)
         index = index[order]
         again = np.diff(self.time[index], prepend=-math.inf) == 0
         index = keep(index, ~(again & self.sent[index]), "held positions dropped")
@@ -282,54 +262,21 @@ class _Columns:
         finest = unit / 10 ** (digits.index(True) if True in digits else 9)
         return bool(np.median(np.abs(np.diff(places, axis=0)).max(1)) > _FAR * finest)
 
-    def _check_restart(self, time: Array, index: NDArray[np.intp], order: NDArray[np.intp]) -> None:
-        """Refuses times that begin anew while rows go on: ordered, pieces of one track, or several, would be mixed."""
-        back = np.flatnonzero(np.diff(time) < 0)
-        mixed = np.count_nonzero(np.diff(order) != 1)
-        if not 0 < len(back) <= _RARELY * len(time) or mixed <= _MIXED * len(back):
+    def _check_order(self, time: Array, index: NDArray[np.intp], order: NDArray[np.intp]) -> None:
+        """Refuses times that begin anew: in order, the rows would mix pieces of a track, or several."""
+        late, new = time < np.maximum.accumulate(time), np.flatnonzero(np.diff(order) != 1)
+        if not late.any() or (np.diff(time) <= 0).all():
             return
 
-        def usual(rows: NDArray[np.intp]) -> float:
-            return float(np.median(np.hypot(np.diff(self.first[rows]), np.diff(self.second[rows]))))
+        def apart(rows: NDArray[np.intp]) -> Array:
+            return np.asarray(np.hypot(np.diff(self.first[rows]), np.diff(self.second[rows])))
 
-        if usual(index[order]) > (_APART if self.dated else 1) * usual(index):  # the rows are no pieces of one path
-            cause = (
-                "rows of another target, or a clock that is put back"
-                if self.dated
-                else "a logger that was started again"
-            )
-            raise AskError(
-                f"expected times that go on, received ones that begin anew in data row {index[back[0] + 1] + 1}, "
-                f"{self.clock.column}, as of {cause}: name another column, or one that tells pieces apart, such as ",
-                *self.layout.other_ids,
-            )
-
-    def _check_dates(self, time: Array, index: NDArray[np.intp]) -> None:
-        """Refuses times of a clock that is put back by an hour, and dates that a spreadsheet has turned round."""
-        steps = np.diff(time)
-        back = np.flatnonzero(steps < 0)
-        if not len(back) or not self.clock.is_local or self.layout.stated.time_format or not (steps > 0).any():
-            return
-        where, usual = f"in data row {index[back[0] + 1] + 1}, column {self.clock.column}", np.median(steps)
-        if len(back) <= 1 + np.ptp(time) / _YEAR and (np.abs(steps[back] + _HOUR - usual) < usual / 2 + 1).all():
-            raise ValueError(
-                f"expected times that go on, received one of an hour before {where}, as of a clock that is put "
-                "back at the end of summer time: write UTC, or an offset such as +01:00 behind each time"
-            )
-        if not self.clock.sure and (steps > _DAYS).any() and steps.min() < -_DAYS:
-            raise AskError(f"expected days that go on, received leaps to and fro {where}, as where a spreadsheet has "
-                           "turned "
-                           "days and months round: write all such as 2024-05-06 10:31; or they are right: ",
-                           {"time_format": self.clock.form})  # fmt: skip
-
-    def _check_count_down(self, time: Array) -> None:
-        """Refuses the clock of a game, which counts down, as times: velocities would point backwards."""
-        words = {"clock", "remaining", "left", "countdown"} & {*name_words(self.clock.column)}
-        if words and not self.dated and (np.diff(time) < 0).sum() > 2 * (np.diff(time) > 0).sum():
-            raise ValueError(
-                f"column {self.clock.column}: expected times that go on, received a clock that counts down: name "
-                "another column by the option time, or write seconds since the start"
-            )
+        anew = not self.dated and ((late[1:] & late[:-1]).any() or late.sum() > max(1, _RARELY * len(late)))
+        if anew or np.median(apart(index[order])[new]) > _APART * np.median(apart(index)):
+            raise AskError(f"expected times that go on, received earlier ones from data row {index[late.argmax()] + 1} "
+                           f"on, column {self.clock.column}, as of a clock that is put back or begins anew, or of "
+                           "several targets: put the rows in order, or name another column, or one that tells pieces "
+                           "apart, such as ", *self.layout.other_ids)  # fmt: skip
 
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
         """Refuses rows of several targets in one: many have the time of another row and another position."""
@@ -338,7 +285,7 @@ class _Columns:
         for column in (self.first, self.second):
             moved[1:] |= np.diff(column[index]) != 0
         count = int((same & moved).sum())
-        if count > _MANY * len(index) and len(index) > _MIXED:
+        if count > _MANY * len(index) and len(index) > 10:
             if not any(self.layout.unread) and count_of(self.clock.form):
                 return  # nothing else could distinguish them
             raise AskError(

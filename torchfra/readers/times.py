@@ -24,14 +24,15 @@ STARTS = {
 """Other counts: units in a second, and where they begin, s since 1970; those of GPS count leap seconds too."""
 WEEKS = {"gps": 1.0, "gps_ms": 1e3}
 """Weeks of GPS and what of the week has passed: units in a second."""
-SPLIT = {"s ms": 1e3, "s us": 1e6, "s ns": 1e9}
-"""Whole seconds, and parts of one in a column of their own: how many of these a second has."""
 FORMS = (*UNITS, *STARTS, *WEEKS, "iso")
 """What a ``time_format`` may be besides a form of ``datetime.strptime``, or numbers of frames such as ``25fps``."""
 CLOCK = "%H:%M:%S"
 """Times of the day without a date: seconds since midnight, and a day more after each midnight."""
-STOPWATCH = "%M:%S"
-"""Minutes below an hour, and seconds, which may have decimals."""
+_DATES = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%Y/%m/%d",
+          "%Y.%m.%d")  # fmt: skip
+_CLOCKS = (CLOCK, "%H:%M", "%I:%M:%S %p")
+TEXTS = ("iso", *_CLOCKS[::2], *(f"{date} {clock}" for date in _DATES for clock in _CLOCKS), *_DATES)
+"""How text is read without a ``time_format``, where it can be in one of these ways only."""
 _LEAPS = np.array([
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
     "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
@@ -46,13 +47,6 @@ _ISO = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?:(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
     r"(?P<gap> ?)(?P<zone>Z|UTC|GMT|[+-][0-9]{2}(?::?[0-9]{2})?)?)?"
 )
-_TEXT = re.compile(
-    r"(?:(?P<a>[0-9]{1,4})(?P<sign>[-/. ]?)(?P<b>[0-9]{1,2}|[A-Za-z]{3,9})(?P=sign)(?P<c>[0-9]{4}|[0-9]{1,2})"
-    r"(?P<between>[T ]|$))?"
-    r"(?:[0-9]{1,2}:[0-9]{2}(?P<second>:[0-9]{2}(?:[.,][0-9]{1,9})?)?(?P<half> ?[AaPp][Mm])?)?"
-    r"(?P<zone> ?(?:Z|UTC|GMT|[+-][0-9]{2}:?[0-9]{2})| [A-Z]{2,5})?"
-)
-"""A date in another order, a clock, or both."""
 _MONTHS = ("january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
            "december")  # fmt: skip
 _WEEKDAYS = re.compile("(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*", re.IGNORECASE)
@@ -88,34 +82,12 @@ def is_clock(form: str) -> bool:
 
 
 def forms_of(texts: Sequence[str]) -> list[str]:
-    """How to read texts: ``"iso"`` or forms of ``strptime``, those that read all of them.
+    """How to read texts: ``"iso"`` or forms of ``strptime``, those of ``TEXTS`` that read all of them.
 
-    There are several where the first of a date may be the day, the month or the year, and none of other texts.
+    There are several where the first of a date may be the day or the month, and none of other texts.
     """
-    if all(map(_ISO.fullmatch, texts)):
-        return ["iso"]
-    found = [_TEXT.fullmatch(text) for text in texts]
-    first = found[0] if found else None
-    if first is None or not texts[0]:
-        return []
-    clock = ""
-    if ":" in texts[0]:
-        half = first["half"] or ""
-        clock = f"%{'I' if half else 'H'}:%M{':%S' if first['second'] else ''}{half[:-2]}{'%p' if half else ''}"
-    zone = re.sub(r"[+-][0-9:]+", "%z", first["zone"] or "")
-    behind, dates = f"{first['between'] or ''}{clock}{zone}", [""]
-    if first["a"]:
-        sign, year = first["sign"], "%Y" if len(first["c"]) == 4 else "%y"
-        if first["b"].isalpha():
-            dates = [sign.join(("%d", "%b" if len(first["b"]) == 3 else "%B", year))]
-        elif len(first["a"]) == 4:
-            dates = [sign.join(("%Y", "%m", "%d"))] if sign else []
-        elif sign == ".":
-            dates = [sign.join(("%d", "%m", year))]
-        else:
-            orders = [("%d", "%m", year), ("%m", "%d", year)] + [("%y", "%m", "%d")] * (year == "%y")
-            dates = [sign.join(order) for order in orders] if sign else []
-    return [form for date in dates if _reads(form := date + behind, texts)]
+    likely = [form for form in TEXTS if _reads(form, texts[:1])]
+    return [form for form in likely if _reads(form, texts)]
 
 
 def _reads(form: str, texts: Iterable[str]) -> bool:
@@ -129,7 +101,7 @@ def seconds_of(text: str, form: str) -> float:
 
     Args:
         text: the time; it may have parts of a second.
-        form: ``"iso"``, one of ``WEEKS`` or ``SPLIT`` for two numbers, or one of ``strptime``.
+        form: ``"iso"``, one of ``WEEKS`` for two numbers, or one of ``strptime``.
 
     Raises:
         ValueError: it is not of this form, or there is no such moment.
@@ -140,18 +112,10 @@ def seconds_of(text: str, form: str) -> float:
     if form in WEEKS:
         week, passed = map(float, text.split())
         return float(_from_gps(np.array([STARTS["gps_seconds"][1] + _WEEK * week + passed / WEEKS[form]]))[0])
-    if form in SPLIT:
-        whole, part = map(float, text.split())
-        return whole + part / SPLIT[form]
     if _DIGITS.fullmatch(form):
         return _of_digits(text, form)
-    text = re.sub("(?<=:[0-9]{2}),(?=[0-9])", ".", text)
     bare = re.sub("[+-][0-9]{2}:?[0-9]{2}(?= %Y$|$)", "%z", re.sub("(?<=%S)[.,]%f", "", form))
-    last = re.search(r"%S ?(?:%p)? ?(?:%z|Z|UTC|GMT)?$", bare) is not None
-    behind = (
-        r"(?<=[0-9])\.[0-9]+(?= ?(?:[AaPp][Mm])? ?(?:Z|UTC|GMT|[+-][0-9:]+)?$)" if last else r"(?<=:[0-9]{2})\.[0-9]+"
-    )
-    parts = re.search(behind, text) if "%f" not in bare and "%S" in bare else None
+    parts = re.search("(?<=:[0-9]{2})[.,][0-9]+", text) if "%S" in bare else None
     if parts:
         text = text[: parts.start()] + text[parts.end() :]
     if re.search("%[aA]", bare):
@@ -159,7 +123,7 @@ def seconds_of(text: str, form: str) -> float:
     if re.search("%[bB]", bare):  # as numbers: names in ``strptime`` are those of the locale
         text, bare = _WORD.sub(_number_of_month, text, count=1), re.sub("%[bB]", "%m", bare)
     moment = datetime.strptime(re.sub(" +", " ", text), bare)
-    seconds = float(parts[0]) if parts else 0.0
+    seconds = float(parts[0].replace(",", ".")) if parts else 0.0
     if is_clock(form):
         return seconds + (moment - moment.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     return seconds + _since_1970(moment)
@@ -258,9 +222,6 @@ def written(time: NDArray[np.float64], form: str) -> list[str]:
         since = time - STARTS["gps_seconds"][1] + np.searchsorted(_LEAPS, time, side="right")
         of_week = _numbers(since % _WEEK * WEEKS[form], 6, WEEKS[form])
         return [f"{week:.0f} {passed}" for week, passed in zip(since // _WEEK, of_week, strict=True)]
-    if form in SPLIT:
-        halves = zip(*np.divmod(np.rint(time * 1e6), 1e6), strict=True)
-        return [f"{seconds:.0f} {passed * SPLIT[form] / 1e6:.0f}" for seconds, passed in halves]
     micro = np.rint(time * 1e6).astype(np.int64)
     digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
     form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" or "%z" in form else re.sub("(?<=%S)[.,]%f", "", form)
