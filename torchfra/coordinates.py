@@ -2,8 +2,8 @@
 
 A state is ``[omega, elevation rate, d ln(range)/dt, azimuth, elevation, 1 / range]`` in rad/s, rad/s, 1/s, rad, rad,
 1/m with ``omega = azimuth rate * cos(elevation)``; its Cartesian counterpart is ``[x, y, z, vx, vy, vz]``: east, north,
-up. Azimuth counts from north (+y) clockwise, in [0, 2 pi), or from east (+x) counter-clockwise; elevation from the
-horizontal plane up.  Straight above and below the sensor the coordinates do not exist: they are NaN there.
+up. Azimuth counts from north (+y) clockwise, in [0, 2 pi); elevation from the horizontal plane up.  Straight above and
+below the sensor the coordinates do not exist: they are NaN there.
 
 Source: Stallard (1991), "Angle-only tracking filter in modified spherical coordinates"; Mallick et al. (2012), whose
 order this is; Chen, Zou & Wu, eqs. (1)-(2).  The Jacobians are derived here, in the axes of the line of sight.
@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import turned
-from torchfra.hyper import one_of
 from torchfra.linalg.triangular import tria
 from torchfra.types import Gaussian
 
@@ -33,28 +32,26 @@ class _Axes(NamedTuple):
     up: Tensor
 
 
-def to_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
+def to_cartesian(x: Tensor) -> Tensor:
     """``[position, velocity] (..., 6)`` of states ``(..., 6)``, m and m/s.  Source: Chen, Zou & Wu, eq. (1)."""
-    axes, away = _axes(x, azimuth_from), 1 / x[..., INVERSE_RANGE:]
+    axes, away = _axes(x), 1 / x[..., INVERSE_RANGE:]
     omega, climb, opening = x[..., RATES].split(1, -1)
     return torch.cat([away * axes.out, away * (opening * axes.out + omega * axes.across + climb * axes.up)], -1)
 
 
-def from_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
+def from_cartesian(x: Tensor) -> Tensor:
     """States ``(..., 6)`` of ``[position, velocity] (..., 6)``.  Source: Chen, Zou & Wu, eq. (2)."""
-    first, second, z, v_first, v_second, vz = x.unbind(-1)
-    if from_east(azimuth_from):
-        first, second, v_first, v_second = second, first, v_second, v_first
-    ground_squared = first.square() + second.square()
+    east, north, z, v_east, v_north, vz = x.unbind(-1)
+    ground_squared = east.square() + north.square()
     away_squared = ground_squared + z.square()
     ground, away = ground_squared.sqrt(), away_squared.sqrt()
-    along = first * v_first + second * v_second
+    along = east * v_east + north * v_north
     return torch.stack(
         [
-            (second * v_first - first * v_second) / (ground * away),
+            (north * v_east - east * v_north) / (ground * away),
             (vz * ground_squared - z * along) / (away_squared * ground),
             (along + z * vz) / away_squared,
-            turned(torch.atan2(first, second)),
+            turned(torch.atan2(east, north)),
             torch.atan2(z, ground),
             1 / away,
         ],
@@ -62,9 +59,9 @@ def from_cartesian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     )
 
 
-def jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
+def jacobian(x: Tensor) -> Tensor:
     """``(..., 6, 6)`` of ``from_cartesian``, by the state ``(..., 6)`` it leads to."""
-    axes, close = _axes(x, azimuth_from), x[..., INVERSE_RANGE:]
+    axes, close = _axes(x), x[..., INVERSE_RANGE:]
     omega, climb, opening = x[..., RATES].split(1, -1)
     slope = torch.tan(x[..., ELEVATION : ELEVATION + 1])
     nothing = torch.zeros_like(axes.out)
@@ -79,9 +76,9 @@ def jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     return close.unsqueeze(-1) * torch.stack([torch.cat(row, -1) for row in rows], -2)
 
 
-def cartesian_jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
+def cartesian_jacobian(x: Tensor) -> Tensor:
     """``(..., 6, 6)`` of ``to_cartesian`` at the state ``(..., 6)``: the inverse of ``jacobian``."""
-    axes, away = _axes(x, azimuth_from), 1 / x[..., INVERSE_RANGE:]
+    axes, away = _axes(x), 1 / x[..., INVERSE_RANGE:]
     omega, climb, opening = x[..., RATES].split(1, -1)
     elevation = x[..., ELEVATION : ELEVATION + 1]
     level, high = torch.cos(elevation), torch.sin(elevation)
@@ -99,40 +96,25 @@ def cartesian_jacobian(x: Tensor, azimuth_from: str = "north") -> Tensor:
     return away.unsqueeze(-1) * torch.stack([torch.cat(column, -1) for column in columns], -1)
 
 
-def belief_from_cartesian(belief: Gaussian, azimuth_from: str = "north") -> Gaussian:
+def belief_from_cartesian(belief: Gaussian) -> Gaussian:
     """The belief in modified spherical coordinates, to first order, ``J P J^T``.  Source: Chen, Zou & Wu, eq. (10)."""
-    mean = from_cartesian(belief.mean, azimuth_from)
-    return Gaussian(mean, tria(jacobian(mean, azimuth_from) @ belief.scale_tril))
+    mean = from_cartesian(belief.mean)
+    return Gaussian(mean, tria(jacobian(mean) @ belief.scale_tril))
 
 
-def belief_to_cartesian(belief: Gaussian, azimuth_from: str = "north") -> Gaussian:
+def belief_to_cartesian(belief: Gaussian) -> Gaussian:
     """The belief in Cartesian coordinates, to first order."""
-    slope = cartesian_jacobian(belief.mean, azimuth_from)
-    return Gaussian(to_cartesian(belief.mean, azimuth_from), tria(slope @ belief.scale_tril))
+    slope = cartesian_jacobian(belief.mean)
+    return Gaussian(to_cartesian(belief.mean), tria(slope @ belief.scale_tril))
 
 
-def from_east(azimuth_from: str) -> bool:
-    """Whether azimuth counts from east, counter-clockwise, and not from north, clockwise.
-
-    Raises:
-        ValueError: ``azimuth_from`` is neither ``"north"`` nor ``"east"``.
-    """
-    one_of(azimuth_from=(azimuth_from, ("north", "east")))
-    return azimuth_from == "east"
-
-
-def _axes(x: Tensor, azimuth_from: str) -> _Axes:
+def _axes(x: Tensor) -> _Axes:
     """The line of sight to states ``(..., 6)``, and the directions in which azimuth and elevation grow."""
     azimuth, elevation = x[..., AZIMUTH], x[..., ELEVATION]
     sine, cosine, level, high = azimuth.sin(), azimuth.cos(), elevation.cos(), elevation.sin()
     nothing = torch.zeros_like(sine)
-    order = (1, 0, 2) if from_east(azimuth_from) else (0, 1, 2)
-
-    def vector(*parts: Tensor) -> Tensor:
-        return torch.stack([parts[i] for i in order], -1)
-
     return _Axes(
-        vector(level * sine, level * cosine, high),
-        vector(cosine, -sine, nothing),
-        vector(-high * sine, -high * cosine, level),
+        torch.stack([level * sine, level * cosine, high], -1),
+        torch.stack([cosine, -sine, nothing], -1),
+        torch.stack([-high * sine, -high * cosine, level], -1),
     )

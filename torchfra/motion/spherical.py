@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchfra.angles import turned
-from torchfra.coordinates import AZIMUTH, ELEVATION, PLACE, RATES, from_cartesian, from_east, jacobian, to_cartesian
+from torchfra.coordinates import AZIMUTH, ELEVATION, PLACE, RATES, from_cartesian, jacobian, to_cartesian
 from torchfra.motion.base import Motion
 
 COMPONENTS = ("omega", "elevation rate", "range rate / range", "azimuth", "elevation", "inverse range")
@@ -23,32 +23,28 @@ class Spherical(Motion):
     Args:
         motion: in space, of states ``[position, velocity]`` relative to the sensor, such as ``ConstantVelocity(q, 3)``
             or ``CoordinatedTurn(rate, q, 3)``.
-        azimuth_from: ``"north"``, clockwise, or ``"east"``, counter-clockwise.
 
     Raises:
-        ValueError: a motion of other states, or an unknown ``azimuth_from``.
+        ValueError: a motion of other states.
 
     Source: Chen, Zou & Wu, eqs. (3)-(7).  Differs: they add a process noise whose form the text does not show.
     """
 
     angles = (AZIMUTH,)
 
-    def __init__(self, motion: Motion, azimuth_from: str = "north") -> None:
+    def __init__(self, motion: Motion) -> None:
         if (motion.dims, motion.size) != (3, 6) or motion.stacked:
             raise ValueError(f"motion: expected one of 3 positions and 3 velocities, received {motion.describe()}")
-        from_east(azimuth_from)
         super().__init__(3, 2, None, position=PLACE, velocity=RATES, components=COMPONENTS, kinds=KINDS)
-        self.cartesian, self.azimuth_from = motion, azimuth_from
+        self.cartesian = motion
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 6)`` after ``dt (...)`` seconds, without process noise."""
-        moved = self.cartesian(to_cartesian(x, self.azimuth_from), dt, u)
-        return from_cartesian(moved, self.azimuth_from)
+        return from_cartesian(self.cartesian(to_cartesian(x), dt, u))
 
     def at_points(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``forward`` for points ``(p, ..., 6)`` of one step, with one transition for all."""
-        moved = self.cartesian.at_points(to_cartesian(x, self.azimuth_from), dt, u)
-        return from_cartesian(moved, self.azimuth_from)
+        return from_cartesian(self.cartesian.at_points(to_cartesian(x), dt, u))
 
     def process_noise(self, dt: Tensor) -> Tensor:
         """``S_Q (..., 6, r)`` in Cartesian coordinates."""
@@ -57,9 +53,8 @@ class Spherical(Motion):
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """The root in modified spherical coordinates, at a predicted mean ``(..., 6)``: eqs. (4), (15)."""
         if not self.cartesian.linear:
-            at = to_cartesian(mean, self.azimuth_from)
-            process_noise = self.cartesian.process_noise_at(process_noise, at, dt)
-        return jacobian(mean, self.azimuth_from) @ process_noise
+            process_noise = self.cartesian.process_noise_at(process_noise, to_cartesian(mean), dt)
+        return jacobian(mean) @ process_noise
 
     def canonical(self, mean: Tensor) -> Tensor:
         """The state ``(..., 6)`` with its azimuth in [0, 2 pi)."""

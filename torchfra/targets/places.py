@@ -67,17 +67,17 @@ def known_components(motion: Motion) -> Tensor:
 
 def from_cartesian(motion: Motion, belief: Gaussian) -> Gaussian:
     """Beliefs of Cartesian ``[position, velocity, ...]``, in the coordinates of a motion."""
-    return belief_from_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
+    return belief_from_cartesian(belief) if isinstance(motion, Spherical) else belief
 
 
 def positions(motion: Motion, belief: Gaussian) -> Gaussian:
     """Cartesian positions ``(..., dims)`` of beliefs in the coordinates of a motion; roots are ``(..., dims, n)``."""
-    mean, root = belief_to_cartesian(belief, motion.azimuth_from) if isinstance(motion, Spherical) else belief
+    mean, root = belief_to_cartesian(belief) if isinstance(motion, Spherical) else belief
     at = known_components(motion)[: motion.dims]
     return Gaussian(mean[..., at], root[..., at, :])
 
 
 def velocities(motion: Motion, belief: Gaussian) -> Tensor:
     """Cartesian velocities ``(..., dims)``, m/s, of the means of beliefs in the coordinates of a motion."""
-    mean = belief_to_cartesian(belief, motion.azimuth_from).mean if isinstance(motion, Spherical) else belief.mean
+    mean = belief_to_cartesian(belief).mean if isinstance(motion, Spherical) else belief.mean
     return mean[..., known_components(motion)[motion.dims :].to(mean.device)]
