@@ -19,9 +19,9 @@ filter, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a fil
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.
 
-A motion or sensor whose values learn is copied first, so that the argument does not change; one whose values do not
-learn is shared.  A robust update that is an argument is copied if anything learns.  Filters around another one
-(``imm``, ``vsimm_srckf``, ``jpda``) always work on copies.
+A motion, a sensor or a robust update whose values learn is copied first, so that the argument does not change; one
+whose values do not learn is shared.  Filters around another one (``imm``, ``vsimm_srckf``, ``jpda``) always work on
+copies.
 
 A filter around another (``imm``, ``vsimm_srckf``, ``jpda``) takes that other as ``inner``: a preset, or any callable
 ``(motion, sensor) -> Filter``.  Options of the inner filter are bound with ``functools.partial``::

@@ -18,7 +18,6 @@ from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_number, fraction
 from torchfra.presets.feedback import fra
-from torchfra.presets.learning import with_learning
 from torchfra.presets.options import (
     ChainOptions,
     DecisionOptions,
@@ -28,18 +27,16 @@ from torchfra.presets.options import (
     HuberOptions,
     ModelsOptions,
     picked,
-    with_options,
 )
+from torchfra.presets.preset import preset
 from torchfra.presets.single import srckf
-from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
 Models = Sequence[Motion] | Bank
 Inner = Callable[[Motion, Sensor], Filter]
 
 
-@register.filter("imm", words="interacting motions", bank=True, listed=False)
-@with_options(ChainOptions, ModelsOptions)
+@preset("imm", ChainOptions, ModelsOptions, words="interacting motions", bank=True, listed=False)
 def imm(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, learn: Collection[str] = (),
     **options: Unpack[ModelsOptions],
@@ -47,8 +44,6 @@ def imm(
     """Interacting multiple models.
 
     Args:
-        models: motions of one state, or a ``Bank`` of them.
-        sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
         learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.  With ``"transition"`` among them
             the filter has a transition matrix, which starts as that of ``self_transition`` and takes more time.
@@ -61,21 +56,17 @@ def imm(
     """
     bank = _bank(models)
     initial = options.pop("initial", None)
-    return with_learning(IMM(inner(bank, sensor), **_chain(len(bank), options), initial=initial), learn)
+    return IMM(inner(bank, sensor), **_chain(len(bank), options), initial=initial)
 
 
-@register.filter("imm_srckf", words="interacting motions", bank=True)
-@with_options(ChainOptions, ModelsOptions)
+@preset("imm_srckf", ChainOptions, ModelsOptions, words="interacting motions", bank=True)
 def imm_srckf(models: Models, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[ModelsOptions]) -> IMM:
     """``imm`` with ``srckf`` for each model.  Source: Du & Zhang (2020).
 
     Args:
-        models: motions of one state, or a ``Bank`` of them.
-        sensor: what is measured.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
     """
-    return imm(models, sensor, learn=learn, **options)
+    return imm(models, sensor, **options)
 
 
 imm_ckf = register.filter("imm_ckf", words="imm_srckf", bank=True, listed=False)(imm_srckf)
@@ -86,8 +77,8 @@ that the paper reports.  This filter computes with roots too.
 """
 
 
-@register.filter("imm_fra", words="interacting motions, each with fra", bank=True, gated=True)
-@with_options(ChainOptions, ModelsOptions, HuberOptions, FadingOptions, DecisionOptions)
+@preset("imm_fra", ChainOptions, ModelsOptions, HuberOptions, FadingOptions, DecisionOptions,
+        words="interacting motions, each with fra", bank=True, gated=True)  # fmt: skip
 def imm_fra(
     models: Models, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[FeedbackModelsOptions]
 ) -> IMM:
@@ -97,19 +88,14 @@ def imm_fra(
     explains manoeuvres, so the rest are outliers.
 
     Args:
-        models: motions of one state, or a ``Bank`` of them.
-        sensor: what is measured.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
     """
     chain = {"self_transition": 0.99} | picked(options, ModelsOptions)
     inner = partial(fra, **{"preference": 5.0} | picked(options, FeedbackOptions))
-    return imm(models, sensor, inner=inner, learn=learn, **chain)
+    return imm(models, sensor, inner=inner, **chain)
 
 
-@register.filter("vsimm_srckf", words="interacting motions, a few at a time", bank=True, neighbours=True)
-@with_values
-@with_options(ChainOptions)
+@preset("vsimm_srckf", ChainOptions, words="interacting motions, a few at a time", bank=True, neighbours=True)
 def vsimm_srckf(
     models: Models, sensor: Sensor, *, inner: Inner = srckf, neighbours: Sequence[Sequence[int]] | None = None,
     first: Sequence[int] | None = None, unlikely: Value = 0.05, principal: Value = 0.5, values: str | None = None,
@@ -118,15 +104,11 @@ def vsimm_srckf(
     """Interacting models of which a few are active at a time, in the paper three of five.  Source: Du & Zhang (2020).
 
     Args:
-        models: motions of one state, or a ``Bank`` of them.
-        sensor: what is measured.
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
         neighbours: of each model, those that it may activate, see ``filters.LikelyModels``; the bank's if None.
         first: models that are active first; the bank's if None: ``filters.LikelyModels``.
         unlikely: probability below which a model is unlikely: ``filters.LikelyModels``.
         principal: probability above which a model activates its neighbours: ``filters.LikelyModels``.
-        values: name of a set of learned values for what is not given: ``torchfra.values()``.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
 
     Raises:
@@ -140,7 +122,7 @@ def vsimm_srckf(
         raise ValueError("neighbours, first: expected both, or a Bank that has them, received none")
     subset = LikelyModels(neighbours, first, unlikely=unlikely, principal=principal)
     chain = _chain(len(bank), options, matrix=True)
-    return with_learning(IMM(inner(bank, sensor), **chain, subset=subset), learn)
+    return IMM(inner(bank, sensor), **chain, subset=subset)
 
 
 def _bank(models: Models) -> Bank:

@@ -7,13 +7,11 @@ from typing import Any, TypedDict
 
 from typing_extensions import Unpack
 
-from torchfra import register
 from torchfra.filters.alphabeta.bank import AlphaBetaBank
 from torchfra.filters.alphabeta.gains import Gains
 from torchfra.hyper import Value
 from torchfra.motion.base import Motion
-from torchfra.presets.learning import with_learning
-from torchfra.presets.options import with_options
+from torchfra.presets.preset import preset
 from torchfra.sensors.base import Sensor
 
 _PAPER: dict[str, Any] = {"margin": 3.0, "hysteresis": 0.5, "dwell": 3.0, "onset": "shared", "confirm": False}
@@ -70,8 +68,7 @@ class LevelsOptions(TypedDict, total=False):
     confirm: bool | None
 
 
-@register.filter("alphabeta", words="switching constant gains", constant_gains=True)
-@with_options(LevelsOptions)
+@preset("alphabeta", LevelsOptions, words="switching constant gains", constant_gains=True)
 def alphabeta(
     motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[LevelsOptions]
 ) -> AlphaBetaBank:
@@ -85,9 +82,8 @@ def alphabeta(
     Args:
         motion: constant velocity or constant acceleration.
         sensor: a ``Position``.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
     """
     given = {name: value for name, value in options.items() if value is not None}
     defaults = _TUNED if motion.orders == 3 and "gains" not in given else _PAPER
-    return with_learning(AlphaBetaBank(motion, sensor, **defaults | given), learn)
+    return AlphaBetaBank(motion, sensor, **defaults | given)

@@ -6,18 +6,16 @@ from collections.abc import Collection
 
 from typing_extensions import Unpack
 
-from torchfra import register
 from torchfra.filters.fra import FRA
 from torchfra.motion.base import Motion
-from torchfra.presets.learning import with_learning
-from torchfra.presets.options import DecisionOptions, FadingOptions, FeedbackOptions, HuberOptions, picked, with_options
+from torchfra.presets.options import DecisionOptions, FadingOptions, FeedbackOptions, HuberOptions, picked
+from torchfra.presets.preset import preset
 from torchfra.presets.single import robust_and_fading
-from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
 
-@register.filter("fra_srckf", words="robust or adaptive, as published, with two bounds", gated=True, emphasised=True)
-@with_options(HuberOptions, FadingOptions, DecisionOptions)
+@preset("fra_srckf", HuberOptions, FadingOptions, DecisionOptions, gated=True, emphasised=True,
+        words="robust or adaptive, as published, with two bounds")  # fmt: skip
 def fra_srckf(
     motion: Motion, sensor: Sensor, *, learn: Collection[str] = (), **options: Unpack[FeedbackOptions]
 ) -> FRA:
@@ -26,18 +24,13 @@ def fra_srckf(
     Decisions are by the normalised innovation, memory is plain, and patience is 0 if not given.
 
     Args:
-        motion: how targets move.
-        sensor: what is measured.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
     """
-    update, fading = robust_and_fading(sensor, learn, options)
-    return with_learning(FRA(motion, sensor, robust=update, fading=fading, **picked(options, DecisionOptions)), learn)
+    return FRA(motion, sensor, **robust_and_fading(sensor, options), **picked(options, DecisionOptions))
 
 
-@register.filter("fra", words="robust or adaptive, by the likelihood of the next", gated=True, emphasised=True)
-@with_values
-@with_options(HuberOptions, FadingOptions, DecisionOptions)
+@preset("fra", HuberOptions, FadingOptions, DecisionOptions, gated=True, emphasised=True,
+        words="robust or adaptive, by the likelihood of the next")  # fmt: skip
 def fra(
     motion: Motion, sensor: Sensor, *, values: str | None = None, learn: Collection[str] = (),
     **options: Unpack[FeedbackOptions],
@@ -45,11 +38,7 @@ def fra(
     """This package's filter: ``fra_srckf`` with ``decision="likelihood", memory="weighted", patience=4, rcond=0.2``.
 
     Args:
-        motion: how targets move.
-        sensor: what is measured.
-        values: name of a set of learned values for what is not given: ``torchfra.values()``.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
     """
     own: FeedbackOptions = {"decision": "likelihood", "memory": "weighted", "patience": 4.0, "rcond": 0.2, **options}
-    return fra_srckf(motion, sensor, learn=learn, **own)
+    return fra_srckf(motion, sensor, **own)

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
-from typing import Any, ParamSpec, TypedDict, TypeVar
+from typing import Any, TypedDict
 
 from torchfra.association.gates import Gate
 from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.robust.base import Robust
-
-P = ParamSpec("P")
-F = TypeVar("F")
 
 
 class HuberOptions(TypedDict, total=False):
@@ -175,32 +169,6 @@ class ScansOptions(TypedDict, total=False):
 
 class NoiseScansOptions(NoiseOptions, ScansOptions, total=False):
     """Those of the estimated measurement noise and of data association."""
-
-
-def with_options(*groups: Any) -> Callable[[Callable[P, F]], Callable[P, F]]:
-    """Of a preset that takes the keywords of these groups as ``**options``: their lines stand in its docstring.
-
-    Raises:
-        TypeError: at a call, a keyword that neither the preset nor a group has, as of any function.
-    """
-    names = {name for group in groups for name in group.__optional_keys__}
-    parts = [inspect.cleandoc(group.__doc__ or "").partition("\n\n")[2] for group in groups]
-    lines = textwrap.indent("\n".join(parts), "    ")
-
-    def decorate(preset: Callable[P, F]) -> Callable[P, F]:
-        known = names | inspect.signature(preset).parameters.keys()
-
-        @wraps(preset)
-        def checked(*arguments: P.args, **options: P.kwargs) -> F:
-            for name in options.keys() - known:
-                raise TypeError(f"{preset.__name__}() got an unexpected keyword argument {name!r}")
-            return preset(*arguments, **options)
-
-        if preset.__doc__:  # python -OO has none
-            checked.__doc__ = inspect.cleandoc(preset.__doc__).replace("    **options", lines)
-        return checked
-
-    return decorate
 
 
 def picked(options: Mapping[str, Any], group: Any) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-from torchfra import register
 from torchfra.filters.gpb import GPB, LearnedNoise, Outliers, Regimes
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.rules import Rule
@@ -13,7 +12,7 @@ from torchfra.hyper import Value, Values, one_of
 from torchfra.motion.bank import Bank
 from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
-from torchfra.presets.learning import with_learning
+from torchfra.presets.preset import preset
 from torchfra.sensors.base import Sensor
 from torchfra.steps.models import check_models, of_a_module
 from torchfra.suggestions import meant
@@ -72,7 +71,7 @@ is as without jumps.  From 400 on it is ``BURST``: with 200, positions that are 
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
-@register.filter("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
+@preset("gpb", words="outliers and manoeuvres as hypotheses", either=True, emphasised=True)
 def gpb(
     motion: Motion | Sequence[Motion],
     sensor: Sensor,
@@ -162,7 +161,7 @@ def gpb(
         noise_memory: if learned, number of measurements after which what was learned has fallen to 37 %.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``Estimate.info``.
         rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
+        **options
 
     Raises:
         ValueError: motions of different states, an unknown word for ``manoeuvres`` or ``noise``, probabilities that do
@@ -230,4 +229,4 @@ def gpb(
         lag=lag,
         rule=rule,
     )
-    return with_learning(f, learn)
+    return f

@@ -8,21 +8,18 @@ from typing import Any
 
 from typing_extensions import Unpack
 
-from torchfra import register
 from torchfra.association.clutter import Clutter
 from torchfra.association.gates import ChiSquare, Euclidean
 from torchfra.filters.base import Filter
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.motion.base import Motion
-from torchfra.presets.learning import with_learning
-from torchfra.presets.options import NoiseOptions, NoiseScansOptions, ScansOptions, picked, with_options
+from torchfra.presets.options import NoiseOptions, NoiseScansOptions, ScansOptions, picked
+from torchfra.presets.preset import preset
 from torchfra.presets.single import iaukf, srckf, ukf
-from torchfra.presets.values import with_values
 from torchfra.sensors.base import Sensor
 
 
-@register.filter("jpda", words="joint probabilistic data association", scans=True, listed=False)
-@with_options(ScansOptions)
+@preset("jpda", ScansOptions, words="joint probabilistic data association", scans=True, listed=False)
 def jpda(
     motion: Motion | Sequence[Motion], sensor: Sensor, *, clutter: Clutter,
     inner: Callable[[Any, Sensor], Filter] = srckf, learn: Collection[str] = (), **options: Unpack[ScansOptions],
@@ -37,16 +34,14 @@ def jpda(
         clutter: density of false measurements: ``association.Clutter``.
         inner: the filter of each target, ``(motion, sensor) -> Filter``: a preset (one of ``srckf``'s kind, ``gpb``, or
             an interacting one), or a ``functools.partial`` of one.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
     """
     scans: dict[str, Any] = {**options}
     scans["gate"] = scans.get("gate") or ChiSquare()
-    return with_learning(JPDA(inner(motion, sensor), clutter=clutter, **scans), learn)
+    return JPDA(inner(motion, sensor), clutter=clutter, **scans)
 
 
-@register.filter("ukf_jpda", words="ukf with data association", scans=True)
-@with_options(ScansOptions)
+@preset("ukf_jpda", ScansOptions, words="ukf with data association", scans=True)
 def ukf_jpda(
     motion: Motion, sensor: Sensor, *, clutter: Clutter, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0,
     learn: Collection[str] = (), **options: Unpack[ScansOptions],
@@ -57,25 +52,19 @@ def ukf_jpda(
     probability=0.9999), lost=1e-3`` are the safeguards of ``iaukf_jpda``.
 
     Args:
-        motion: how targets move.
-        sensor: what is measured.
-        clutter: density of false measurements: ``association.Clutter``.
         alpha: spread of the points: ``cubature.unscented``.
         beta: added to the centre's weight in the covariance: ``cubature.unscented``.
         kappa: moves points from the centre outwards: ``cubature.unscented``.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
 
     Source: the filter with which Chen, Zou & Wu compare theirs.
     """
     options["gate"] = options.get("gate") or Euclidean(100.0)
     inner = partial(ukf, alpha=alpha, beta=beta, kappa=kappa)
-    return jpda(motion, sensor, clutter=clutter, inner=inner, learn=learn, **options)
+    return jpda(motion, sensor, clutter=clutter, inner=inner, **options)
 
 
-@register.filter("iaukf_jpda", words="iaukf with data association", scans=True)
-@with_values
-@with_options(NoiseOptions, ScansOptions)
+@preset("iaukf_jpda", NoiseOptions, ScansOptions, words="iaukf with data association", scans=True)
 def iaukf_jpda(
     motion: Motion, sensor: Sensor, *, clutter: Clutter, values: str | None = None, learn: Collection[str] = (),
     **options: Unpack[NoiseScansOptions],
@@ -85,11 +74,6 @@ def iaukf_jpda(
     The gate is ``Euclidean(100.0, probability=0.9999)``, in m, and ``lost`` is 1e-3 if not given.
 
     Args:
-        motion: how targets move.
-        sensor: what is measured.
-        clutter: density of false measurements: ``association.Clutter``.
-        values: name of a set of learned values for what is not given: ``torchfra.values()``.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.
         **options
 
     Source: Chen, Zou & Wu.  Differs: the gate is never smaller than the uncertainty of the prediction requires, and the
@@ -100,4 +84,4 @@ def iaukf_jpda(
     scans = {"lost": 1e-3} | picked(options, ScansOptions)
     scans["gate"] = scans.get("gate") or Euclidean(100.0, probability=0.9999)
     inner = partial(iaukf, **picked(options, NoiseOptions))
-    return jpda(motion, sensor, clutter=clutter, inner=inner, learn=learn, **scans)
+    return jpda(motion, sensor, clutter=clutter, inner=inner, **scans)
