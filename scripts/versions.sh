@@ -4,11 +4,12 @@
 # no failure.
 set -euo pipefail
 tried=(3.10:2.4.1 3.12:2.7.1 3.13:2.13.0 3.11:newest)
-# Those that together come through most lines of the package per second, and compiled filters.
+# What hangs on Python and torch, and says most per second: imports, square roots, beliefs, models, filters, compiled ones.
+# Readers but for times, of which each Python reads other forms, cleaning, commands, scripts, training, figures and documents
+# are tested once, by test.sh.
 tests=(
-  private_names import presets hessian states losses tria smoothing ready_tracks autocast failures predict adapters
-  statistics outliers camera composed_sensors clutter_many targets_learning jpda_gates jpda_promises formats range_readers reader_numbers
-  track_tables track_maps track_command
+  import layering presets hessian tria mixture states camera composed_sensors oracles failures autocast predict smoothing
+  ready_tracks jpda_gates jpda_promises times
 )
 gigabytes=8 # of one environment, with what is unpacked on the way
 patience=180 # seconds for one, of which it takes twenty where the registry is quick; who is slow once is not asked again

@@ -38,9 +38,6 @@ DOCUMENTS = [
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 RUN_ELSEWHERE = {"README.md": "test_scripts.py, which reads what it prints", "scripts/docs/layer.md": "test_layer.py"}
 """Documents whose code runs in another file, which looks at what it leaves."""
-WORDS = 1200
-"""The most that README.md may have."""
-
 STARTS = ("python scripts/", "python -m train.", "python -m torchfra", "torchfra ", "torchrun ", "bash scripts/")
 SETUP = (
     "pip install ", "python -m pip install ", "pre-commit install", "git clone ", "cd ", "python3 -m venv ", "source ",
@@ -150,11 +147,7 @@ def test_every_block_of_code_runs(name, tmp_path, monkeypatch, request):
 
 def anchors(path):
     """The anchors of a document's headings, as GitHub makes them."""
-    return anchors_of(path.read_text(encoding="utf-8"))
-
-
-def anchors_of(text):
-    headings = re.findall(r"^#+ (.*)$", blocks_of(text)[1], re.M)
+    headings = re.findall(r"^#+ (.*)$", blocks_of(path.read_text(encoding="utf-8"))[1], re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
@@ -190,10 +183,6 @@ def test_every_picture_of_the_results_is_shown():
     assert set((ROOT / "scripts/results").glob("*.png")) <= shown
 
 
-def test_the_readme_is_one_page():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= WORDS
-
-
 # ---------------------------------------------------------------- docstrings
 
 
@@ -222,14 +211,6 @@ def test_paths_in_docstrings_lead_to_what_is_there():
     for module in sorted((ROOT / "torchfra").rglob("*.py")):
         paths = {path for text in strings_that_stand_alone(module) for path in paths_of(text)}
         assert not (broken := sorted(path for path in paths if not resolves(path))), f"{module}: {broken}"
-
-
-def test_paths_in_docstrings_are_found_and_wrong_ones_are_told():
-    paths = paths_of(
-        "``torchfra.losses``, torchfra.no, ``torchfra.gains.levels`` and ``torchfra.summary(f)``; ``torch.nn``"
-    )
-    assert paths == ["torchfra.losses", "torchfra.gains.levels", "torchfra.summary"]
-    assert [resolves(path) for path in paths] == [True, False, True]
 
 
 # ---------------------------------------------------------------- command lines
@@ -422,64 +403,6 @@ def test_command_lines_are_read_from_blocks_and_sentences():
         "bash scripts/demo.sh", "make all", "python scripts/reproduce.py growth --runs 3",
         "torchfra compare --scenario growth",
     ]  # fmt: skip
-
-
-def test_arguments_are_made_small():
-    known = "--runs M --filters A,B --no-compile"
-    words = ["compare", "--scenario", "growth", "--runs", "500"]
-    assert small("torchfra compare --scenario growth", None, words, known) == [
-        "compare", "--scenario", "growth", "--runs", "2", "--filters", "srckf,fra", "--no-compile"
-    ]  # fmt: skip
-
-
-DOCS = ROOT / "scripts" / "docs"
-
-
-def includes(page):
-    """The texts that a page of the documentation includes, each with what it starts after and ends before."""
-    for file, options in re.findall(r"```\{include\} (\S+)\n((?::.*\n)*)```", page.read_text(encoding="utf-8")):
-        markers = dict(re.findall(r'^:(start-after|end-before): "(.*)"$', options, re.MULTILINE))
-        yield (
-            (page.parent / file).read_text(encoding="utf-8"),
-            {name: x.replace("\\n", "\n") for name, x in markers.items()},
-        )
-
-
-def included(text, markers):
-    """The part of a text between its markers."""
-    start, end = markers.get("start-after"), markers.get("end-before")
-    text = text if start is None else text.split(start, 1)[1]
-    return text if end is None else text.split(end, 1)[0]
-
-
-def test_pages_include_from_and_to_words_that_are_there():
-    for page in sorted(DOCS.glob("*.md")):
-        for text, markers in includes(page):
-            for marker in markers.values():
-                assert marker in text, f"{page.name}: {marker}"
-
-
-def test_links_to_headings_lead_to_the_page_of_the_documentation_that_has_them():
-    """A file may be cut into pages: a link to a heading outside the file's main page needs its line in ``SECTIONS``."""
-    constants = {}
-    for statement in ast.parse((DOCS / "builder.py").read_text(encoding="utf-8")).body:
-        if isinstance(statement, ast.Assign) and statement.targets[0].id in ("PAGES", "SECTIONS"):
-            constants[statement.targets[0].id] = ast.literal_eval(statement.value)
-    pages, sections = constants["PAGES"], constants["SECTIONS"]
-    shown = dict.fromkeys(pages.values(), "")
-    for page in DOCS.glob("*.md"):
-        shown[page.stem] = page.read_text(encoding="utf-8")
-        for text, markers in includes(page):
-            shown[page.stem] += included(text, markers)
-    lost = []
-    for source in DOCUMENTS:
-        for link in re.findall(r"\]\(([^)\s:]*#[^)\s]+)\)", blocks_of(source.read_text(encoding="utf-8"))[1]):
-            file, _, anchor = link.partition("#")
-            path = str(((source.parent / file).resolve() if file else source).relative_to(ROOT))
-            moved = path == "torchfra/filters/README.md" and f"#{anchor}" in sections
-            if path in pages and not moved and anchor not in anchors_of(shown[pages[path]]):
-                lost.append((str(source.relative_to(ROOT)), link))
-    assert not lost
 
 
 def test_the_values_of_gpb_in_its_table_are_what_it_takes_and_its_own():

@@ -43,24 +43,3 @@ def test_it_maps_over_hyperparameters_and_takes_a_batch_of_them(name, make, trac
         lambda raw: torch.func.functional_call(f, {path: raw}, (tracks.z, tracks.prior), {"u": tracks.u}).mean
     )
     same(mapped(q.log())[1], f(tracks.z, tracks.prior, u=tracks.u).mean, 1e-7)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"z": torch.zeros(4, STEPS, 3)}, r"z: expected \(\.\.\., T, 2\), received \(4, 8, 3\)"),
-        ({"prior": Gaussian(torch.zeros(6), torch.eye(6))}, r"prior.mean: expected \(\.\.\., 4\), received \(6,\)"),
-        ({"u": torch.zeros(5, 4)}, r"u: expected \(\.\.\., 8, k\), received \(5, 4\)"),
-        ({"u": None}, "u: expected the positions of 2 stations"),
-        ({"dt": torch.ones(5)}, "dt: expected a number"),
-    ],
-)
-def test_what_does_not_fit_is_named_with_its_shape(make, tracks, change, said):
-    given = {"z": tracks.z, "prior": tracks.prior, "u": tracks.u} | change
-    with pytest.raises(ValueError, match=said):
-        make("srckf")(given.pop("z"), given.pop("prior"), **given)
-
-
-def test_an_unknown_name_to_learn_is_answered_with_the_known_ones(make):
-    with pytest.raises(ValueError, match=r"'q'.*received 'gamma'"):
-        make("srckf", learn=("gamma",))

@@ -22,7 +22,7 @@ from torchfra.motion import (
     Embedded,
     Motion,
 )
-from torchfra.sensors import Position, RangeBearing
+from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 DT, SIGMA, STEPS = 2.0, 30.0, 10
@@ -142,16 +142,6 @@ def test_an_outlier_says_much_less_of_the_model_of_a_robust_filter():
 
 
 # ---------------------------------------------------------------- how it behaves
-
-
-def test_steps_of_time_may_differ_and_sensors_may_bend():
-    f = presets.imm(bank(), RangeBearing(torch.tensor([10.0, 0.01], dtype=torch.float64)))
-    z = measured(2)
-    z = torch.stack([z.norm(dim=-1), torch.atan2(z[..., 0], z[..., 1])], -1)
-    dt = torch.linspace(1.5, 2.5, STEPS, dtype=torch.float64)
-    station = torch.zeros(STEPS, 2, dtype=torch.float64)
-    many = f(z, PRIOR, dt=torch.stack([dt, dt.flip(0)]), u=station)
-    same(many.mean[1], f(z[1], PRIOR, dt=dt.flip(0), u=station).mean)
 
 
 @pytest.mark.slow

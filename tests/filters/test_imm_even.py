@@ -123,14 +123,6 @@ def test_a_stay_for_each_track():
         same(whole.mean[i], presets.imm(bank(), SENSOR, self_transition=stay)(z[i], PRIOR, dt=times()).mean, 1e-12)
 
 
-def test_in_single_precision_too():
-    even, rows = both(bank(), self_transition=0.99)
-    single = Gaussian(*(x.float() for x in PRIOR))
-    a, b = (f(measured(3).float(), single, dt=times().float()) for f in (even, rows))
-    assert a.mean.dtype == torch.float32
-    equal(a, b, 2e-3)
-
-
 # ---------------------------------------------------------------- gradients and kernels
 
 
@@ -148,12 +140,6 @@ def test_its_gradient_is_exact():
 
     start = (*PRIOR, *f.parameters())
     assert torch.autograd.gradcheck(score, [x.detach().clone().requires_grad_() for x in start], fast_mode=True)
-
-
-def test_under_vmap_it_is_the_batch():
-    f, z = presets.imm(bank(), SENSOR), measured(3)
-    one = torch.func.vmap(lambda x: f(x, PRIOR, dt=DT).mean)(z)
-    same(one, f(z, PRIOR, dt=DT).mean, 1e-12)
 
 
 # ---------------------------------------------------------------- which one a filter has

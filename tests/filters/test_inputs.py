@@ -51,11 +51,6 @@ def test_too_few_numbers_for_the_stations_are_named():
         f(Z, PRIOR, u=torch.zeros(6, 2).double())
 
 
-def test_a_belief_from_a_covariance_has_that_covariance():
-    covariance = torch.tensor([[4.0, 1.0], [1.0, 9.0]])
-    torch.testing.assert_close(Gaussian.from_covariance(torch.zeros(2), covariance).covariance, covariance)
-
-
 def test_a_measurement_of_another_dtype_is_taken_in_that_of_the_state():
     f = presets.srckf(MOTION, SENSOR)
     state, _ = f.step(f.init(PRIOR), torch.ones(2))
@@ -83,11 +78,6 @@ class Unchanging(Motion):
 
     def process_noise(self, dt):
         return torch.eye(4, dtype=dt.dtype).expand(*dt.shape, 4, 4)
-
-
-def test_models_without_any_hyperparameter_filter():
-    estimate = presets.srckf(Unchanging(), Position(noise=torch.eye(2).double()))(Z, PRIOR)
-    assert estimate.mean.isfinite().all()
 
 
 class Constant(Unchanging):

@@ -55,11 +55,3 @@ def test_cleaning_takes_what_is_masked_for_missing():
     plain = torchfra.clean((time, np.where(gone, np.nan, path)))
     found = torchfra.clean((time, np.ma.masked_array(np.where(gone, ABSURD, path), gone)))
     np.testing.assert_array_equal(found.position, plain.position)
-
-
-@pytest.mark.parametrize("whole", [False, True])
-def test_a_filter_takes_what_is_masked_for_missing(whole):
-    f = srckf()
-    plain = f(torch.from_numpy(np.where(MASK, np.nan, Z)), PRIOR)
-    assert torch.equal(f(masked(whole), PRIOR).mean, plain.mean)
-    assert not plain.failed

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from papers import clutter
 
-from torchfra import Gaussian, presets, scenarios
+from torchfra import Gaussian, presets
 from torchfra.association import Clutter, Euclidean
 from torchfra.filters import SRCKF
 from torchfra.motion import ConstantVelocity, CoordinatedTurn
@@ -84,13 +83,3 @@ def test_what_needs_new_points_is_refused():
                      inner=lambda m, s: presets.ukf(m, s, redraw=False))  # fmt: skip
     with pytest.raises(ValueError, match="takes a mix"):
         presets.imm([MOTION, ConstantVelocity(q=1.0)], SENSOR, inner=lambda m, s: presets.ukf(m, s, redraw=False))
-
-
-def test_the_papers_experiments_have_such_filters_alone_and_in_clutter():
-    alone = clutter.filters(scenarios.noise_change(), ["iaukf", "iaukf_same_points", "ukf_same_points"])
-    assert [f.redraw for f in alone.values()] == [True, False, False]
-    both = clutter.filters(scenarios.clutter_crossing(), ["iaukf_jpda_paper_same_points"])
-    assert [f.inner.redraw for f in both.values()] == [False, False]
-    assert all(f.inner.noise is not None for f in both.values())
-    with pytest.raises(ValueError, match="filters: expected ukf or iaukf before _same_points, received 'iaukf_same"):
-        clutter.filters(scenarios.clutter_crossing(), ["iaukf_same_points"])

@@ -511,18 +511,6 @@ def test_time_steps_may_differ_by_step_and_by_track(tracks, lag):
         near([x[b] for x in together[:2]], f.smooth(z[b], PRIOR, dt=dt[b], lag=lag))
 
 
-def test_float32_is_float64_to_its_rounding(make, tracks):
-    single = [x.float() for x in (tracks.z, *tracks.prior, tracks.u)]
-    for name in NAMES[:3]:
-        double = make(name).smooth(tracks.z, tracks.prior, u=tracks.u)
-        z, mean, root, u = single
-        low = make(name).smooth(z, Gaussian(mean, root), u=u)
-        assert low.mean.dtype == torch.float32
-        size = double.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
-        assert ((low.mean - double.mean) / size).abs().max() < 0.02
-        assert (low.covariance.diagonal(dim1=-2, dim2=-1).sqrt() / size - 1).abs().max() < 0.02
-
-
 @pytest.mark.parametrize("lag", LAGS)
 @pytest.mark.parametrize(("name", "learn"), [("srckf", ("q",)), ("rsrckf", ("threshold",)), ("asrckf", ("weakening",))])
 def test_gradients_are_exact(make, tracks, name, learn, lag):

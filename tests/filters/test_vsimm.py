@@ -93,26 +93,6 @@ def test_the_whole_bank_as_set_is_an_imm():
     same(whole.info.probabilities, plain.info.probabilities)
 
 
-@pytest.mark.parametrize("inner", ["srckf", "rsrckf"])
-def test_every_track_has_a_set_of_its_own(inner):
-    scenario = adsb_turns()
-    z = torch.stack([scenario.simulate(1, 0).z[0, k : k + 30] for k in (0, 190, 300)])
-    prior = PRIOR._replace(mean=torch.cat([z[:, 0], torch.zeros(3, 4, dtype=torch.float64)], -1))
-    f = presets.vsimm_srckf(adsb_models(), SENSOR, inner=getattr(presets, inner))
-    whole = f(z, prior, dt=DT)
-    assert len({tuple(sets.flatten().tolist()) for sets in whole.info.active}) > 1
-    assert (whole.info.active.sum(-1) == 3).all()
-    same(whole.info.probabilities.sum(-1), torch.ones(3, 30, dtype=torch.float64))
-    for i in range(3):
-        one = f(z[i], prior._replace(mean=prior.mean[i]), dt=DT)
-        assert torch.equal(one.info.active, whole.info.active[i])
-        same(one.mean, whole.mean[i])
-    state = f.init(prior)
-    for k in range(30):
-        state, _ = f.step(state, z[:, k], dt=DT)
-    same(state.belief.mean, whole.mean[:, -1])
-
-
 @pytest.mark.slow
 def test_compiled_it_gives_the_same_and_gradients_reach_transition_and_noise():
     f = presets.vsimm_srckf(adsb_models(), SENSOR, learn=("transition", "q", "std"))

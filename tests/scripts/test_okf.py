@@ -12,7 +12,6 @@ from learned import lidar, radar
 from learned.okf import LEAST, OKF, AnyNoise, Tracks, mse, optimised, prior, sampled
 
 from torchfra import presets
-from torchfra.sensors import RangeBearing
 
 SMALL = ["--draws", "1", "--tracks", "24", "--iterations", "1"]
 
@@ -91,10 +90,6 @@ def test_ranges_and_bearings_have_the_noise_that_is_stated():
     missed[1] = torch.remainder(missed[1] + math.pi, 2 * math.pi) - math.pi
     assert missed[0][far].std() == pytest.approx(lidar.RANGE, rel=0.03)
     assert missed[1][far].std() == pytest.approx(lidar.BEARING, rel=0.03)
-
-
-def test_ranges_and_bearings_are_those_of_the_sensor(tracks):
-    torch.testing.assert_close(RangeBearing(std=torch.ones(2)).locate(lidar.polar(tracks.z)), tracks.z, equal_nan=True)
 
 
 def test_targets_of_the_radar_go_straight_but_for_the_kind_that_turns():
@@ -201,19 +196,6 @@ def test_a_converted_measurement_has_noise_along_and_across_the_line_of_sight():
     torch.testing.assert_close(root @ root.mT, torch.tensor(stds).double().square().diag())
 
 
-def test_log_normal_numbers_have_the_mean_and_the_standard_deviation():
-    normal = torch.randn(200_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    numbers = radar.log_normal(30.0, torch.tensor(8.0), normal)
-    assert numbers.mean() == pytest.approx(30.0, rel=0.01)
-    assert numbers.std() == pytest.approx(8.0, rel=0.02)
-
-
-def test_some_tracks_are_as_long_as_the_longest_of_them(tracks):
-    lengths = tracks.lasts.sum(1)
-    shortest = int(lengths.argmin())
-    assert tracks.rows(slice(shortest, shortest + 1)).z.shape[1] == lengths[shortest]
-
-
 def test_sample_covariances_are_those_of_what_models_are_off(tracks):
     off, missed = [], []
     for truth, z in zip(tracks.truth, tracks.z, strict=True):
@@ -289,19 +271,6 @@ def test_the_table_and_the_json_have_a_line_for_each_filter(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "| fit lidar" in printed
     assert "| OKF, published, KF 808 | 674 | 0.834 |" in printed
-
-
-@pytest.mark.slow
-def test_each_problem_has_a_table(tmp_path, capsys):
-    out = tmp_path / "r.json"
-    options = [*SMALL, "--problems", "close,toy", "--filters", "fit radar", "--iterations", "0", "--json", str(out)]
-    assert okf.main(options) == 0
-    found = json.loads(out.read_text())["found"]
-    assert {name: list(ways) for name, ways in found.items()} == {
-        "close": ["KF", "fit radar"],
-        "toy": ["KF", "fit radar"],
-    }
-    assert "published" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("options", "said"), [

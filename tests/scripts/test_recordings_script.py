@@ -108,13 +108,6 @@ def test_a_day_that_cannot_be_right_is_refused_by_file_and_column(tmp_path, repl
         nclt.read(day(tmp_path, replaced=replaced))
 
 
-def test_a_file_without_a_column_is_refused_by_its_name(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("time,gps_x\n0,1\n1,2\n")
-    with pytest.raises(ValueError, match=r"a.csv: expected the columns time, .*received none called gps_y, wheel_left"):
-        nclt.read(path)
-
-
 # ---------------------------------------------------------------- a heading that the wheels steady
 
 
@@ -275,17 +268,6 @@ def told(day):
     return first._replace(mean=first.mean.nan_to_num()), second
 
 
-def test_signals_are_averaged_over_their_last_steps():
-    x = torch.arange(1.0, 6.0).double()
-    assert campus.averaged(x, 2).tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
-    assert campus.averaged(x, 9).tolist() == [n / 9 for n in (1.0, 3.0, 6.0, 10.0, 15.0)]
-
-
-def test_a_network_that_has_learned_nothing_weighs_both_alike():
-    heard = torch.rand(40, 11, generator=torch.Generator().manual_seed(0)).double()
-    assert campus.Weight(heard)(heard).eq(0.5).all()
-
-
 @pytest.mark.slow
 def test_a_mixture_has_the_moments_of_both_estimates_and_their_mean_level(tmp_path, small):
     small("ITERATIONS", 0)  # weights of a half
@@ -416,11 +398,6 @@ def test_errors_of_ranges_are_of_the_distance_in_the_plane(tmp_path):
     assert found.figures["rmse_2d"] == pytest.approx(by_hand)
 
 
-def test_ranges_that_are_no_folder_are_refused_by_name(tmp_path):
-    with pytest.raises(ValueError, match=r"nowhere: expected a folder with the ranges of a run"):
-        uwb.read(tmp_path / "nowhere")
-
-
 # ---------------------------------------------------------------- the command
 
 
@@ -469,11 +446,6 @@ def test_a_filter_that_is_unknown_is_refused_with_those_that_are_known(tmp_path,
     with pytest.raises(SystemExit):
         recordings.main(["nclt", str(day(tmp_path)), "--filters", "kalman"])
     assert "--filters: expected some of" in capsys.readouterr().err
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
-    assert recordings.main(["nclt", str(tmp_path / "none.csv")]) == 2
-    assert "file not found" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- boats in a harbour

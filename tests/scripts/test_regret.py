@@ -297,14 +297,6 @@ def test_a_wrong_argument_is_one_line_that_names_it(arguments, message, capsys):
     assert error.count("\n") == 1
 
 
-@pytest.mark.usefixtures("short_tracks")
-def test_of_all_others_those_that_are_named_compete(tmp_path):
-    file = tmp_path / "r.json"
-    assert regret.main(["--filters", "fra", "--others", "srckf,imm_srckf", *FEW, "--quiet", "--json", str(file)]) == 0
-    filters = json.loads(file.read_text())["cells"]["2-std"]["filtered"]["filters"]
-    assert filters.keys() == {"fra", "srckf", "imm_srckf"}
-
-
 @pytest.fixture
 def one_of_each_kind(monkeypatch):
     """Cells that differ in their models: two steps, no outliers, one index, a short flight; seven resamples."""
@@ -360,13 +352,6 @@ def test_the_picture_has_every_ratio_in_its_place_and_leaves_what_is_missing_emp
     assert [text.get_text() for text in lagged.texts] == [r"$\infty$", "$10^{7}$"]
     assert [label.get_text() for label in filtered.get_yticklabels()] == ["first", "second"]
     assert [label.get_text() for label in filtered.get_xticklabels()] == ["a", "b"]
-
-
-def test_learned_values_are_called_by_their_folder_and_large_numbers_are_short():
-    assert ratios.label("out/train/fra_bearings/state_dict.pt") == "fra_bearings"
-    assert ratios.label("fra") == "fra"
-    assert [ratios.metres(x) for x in (0.5123, 59.23, 3e8)] == ["0.512", "59.2", "3e+08"]
-    assert [ratios.regret(x) for x in (0.9, 1.0, 3.5, 4e5)] == ["-10.0%", "+0.0%", "+250.0%", "+4e+07%"]
 
 
 @pytest.mark.slow

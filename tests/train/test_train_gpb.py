@@ -260,22 +260,6 @@ def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, mon
     assert resumed["values"] == run[0]["values"]
 
 
-def test_the_named_run_has_several_sensors_bursts_recorded_flights_and_both_kinds_of_models():
-    config = configured("gpb")
-    counted = [task for task in config.tasks if task.weight > 0]
-    assert {task.models for task in counted} == {"motion", "any"}
-    assert {task.options.get("sensor") for task in counted if task.scenario == "recorded"} == {
-        "bearings", "position", "radar",
-    }  # fmt: skip
-    assert {"none", "covariance", "std", "bursts"} < {task.options["outliers"] for task in counted}
-    cases = {"bearings-outliers", "bearings-manoeuvre", "ranges-outliers", "as-stated"}
-    assert {task.scenario for task in counted} >= cases
-    stated = [task for task in counted if task.scenario == "as-stated"]
-    assert any("q" in task.options for task in stated)
-    assert any("std" in task.options for task in stated)
-    assert any(task.weight == 0 for task in config.tasks)
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ('tasks=[{"scenario":"bearings-outliers","models":"house"}]', "models: expected one of"),
     ('tasks=[{"scenario":"growth","models":"bank"}]', "models: expected 'motion'"),
