@@ -11,8 +11,8 @@ than ten times as slow, and to compile it takes an optional package and, the fir
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -75,11 +75,6 @@ class OutlierModel(NamedTuple):
     def share(self, like: Tensor) -> Tensor:
         """The long-run share of fixes that are outliers, for tracks ``like (B,)``."""
         return torch.zeros_like(like) + self.after_inlier / (self.after_inlier + 1 - self.after_outlier)
-
-    def of_rows(self, rows: Callable[[Tensor], Tensor]) -> OutlierModel:
-        """The same model for other tracks, which ``rows`` takes from values ``(B,)``."""
-        of_rows: dict[str, Any] = {name: rows(x) for name, x in self._asdict().items() if isinstance(x, Tensor)}
-        return self._replace(**of_rows)
 
 
 DEFAULT = OutlierModel()

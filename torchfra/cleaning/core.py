@@ -37,6 +37,9 @@ _FEW = 10
 """Number of fixes below which sigma is unsure."""
 _LITTLE_GAIN = 0.75
 """Share of the standard deviation of a fix above which its estimate is hardly more certain than the fix."""
+_RETURNS, _HARDLY_MOVES = 15.0, 2.5
+"""Seconds between fixes in which a target may go and come back; and the usual way between fixes, in standard
+deviations, below which that is not told from noise: of noise alone it is 1.7."""
 _OPEN = 0.5
 """Sigma is unsure if one below this share of it is not ruled out."""
 _REPEATED = 0.5
@@ -307,12 +310,14 @@ def _fast(steps: Steps, mean: Array) -> str:
 
 
 def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
-    """Why sigma is unsure; "" if it is not: then estimates are more certain than their own fixes."""
+    """Why sigma is unsure; "" if estimates are more certain than their fixes, and these farther apart than noise."""
     fixes, at = steps.at(steps.measured), covariance[steps.measured]
     if len(fixes.time) < _FEW:
         return f"{len(fixes.time)} fixes are too few to estimate sigma"
     ratio = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * fixes.std[:, 0])
-    if np.median(ratio) < _LITTLE_GAIN:
+    moved = np.linalg.norm(np.diff(fixes.raw[:, :2], axis=0), axis=1) / (sigma * fixes.std[1:, 0])
+    returns = period_of(fixes) >= _RETURNS and np.median(moved) < _HARDLY_MOVES
+    if np.median(ratio) < _LITTLE_GAIN and not returns:
         return ""
     return _unsure(fixes)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT, Belief
 from torchfra.cleaning.parts import Part, summed
-from torchfra.cleaning.sigma import as_rough_as_noise, finer_sigma, little_gained, lowest_sigma
+from torchfra.cleaning.sigma import finer_sigma, little_gained, lowest_sigma
 from torchfra.cleaning.two_filters import Smoothed, filtered, two_filters
 
 _ROUNDS = 2
@@ -52,18 +52,15 @@ def fitted(parts: list[Part], owner: Tensor, *, find_sigma: bool, find_q: bool) 
     parts = [part._replace(sigma=finer_sigma(part, owner).maximum(part.least)) for part in parts]
     # With the prior levels: the estimated ones fit the motion that the estimated sigma left.
     asked = [part._replace(levels=levels) for part, levels in zip(parts, before, strict=True)]
-    rough = [
-        as_rough_as_noise(part, owner, of.outlier, rows) for part, of, rows in zip(asked, smoothed, unsure, strict=True)
-    ]
-    lowest = [_lowest_of(part, rows, owner, of) for part, rows, of in zip(asked, unsure, rough, strict=True)]
+    lowest = [_lowest_of(part, rows, owner) for part, rows in zip(asked, unsure, strict=True)]
     return [part._replace(lowest=sigma) for part, sigma in zip(parts, lowest, strict=True)]
 
 
-def _lowest_of(part: Part, unsure: Tensor, owner: Tensor, rough: Tensor) -> Tensor:
-    """The lowest sigma ``(B,)`` that is not ruled out, of ``unsure`` or ``rough (B,)`` rows; NaN of the others."""
-    rows = (unsure | rough).nonzero()[:, 0]
+def _lowest_of(part: Part, unsure: Tensor, owner: Tensor) -> Tensor:
+    """The lowest sigma ``(B,)`` that is not ruled out, of ``unsure (B,)`` rows; NaN of the others."""
+    rows = unsure.nonzero()[:, 0]
     lowest = torch.full_like(part.sigma, math.nan)
-    return lowest.index_copy(0, rows, lowest_sigma(part.at(rows), owner[rows], rough[rows])) if len(rows) else lowest
+    return lowest.index_copy(0, rows, lowest_sigma(part.at(rows), owner[rows])) if len(rows) else lowest
 
 
 def _with_shares(part: Part, smoothed: Smoothed, owner: Tensor) -> Part:
@@ -124,12 +121,8 @@ def _rates(
 
 
 def estimated(parts: Sequence[Part], *, smooth: bool) -> tuple[list[Smoothed], Tensor]:
-    """Estimates of each part, smoothed or filtered; and ``(T, B)`` probabilities of outliers."""
-    if not smooth:  # the evidence of other axes and the probabilities of outliers are those of all fixes
-        parts = [
-            part._replace(fixes=part.fixes._replace(log_odds=torch.zeros_like(part.fixes.log_odds))) for part in parts
-        ]
-        parts = [part.on_line for part in parts]
+    """Estimates of each part, smoothed or, of parts ``on_line``, filtered; and ``(T, B)`` probabilities of outliers."""
+    if not smooth:
         smoothed = [filtered(part.scaled, part.levels, part.model) for part in parts]
         return smoothed, _outlier(parts, smoothed)
     smoothed = [two_filters(part.scaled, part.levels, part.model) for part in parts]

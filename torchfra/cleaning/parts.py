@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
+from torchfra.tree import map_tensors
 
 SHORT = 0
 """Owner of the rows of all tracks that are too short to have values of their own."""
@@ -34,18 +36,13 @@ class Part(NamedTuple):
 
     def at(self, rows: Tensor) -> Part:
         """The part of some rows."""
-        return Part(
-            Fixes(*(x[..., rows] for x in self.fixes)), Levels(*(x[:, rows] for x in self.levels)),
-            self.sigma[rows], self.least[rows], self.most[rows], self.lowest[rows], self.stops[rows],
-            self.model.of_rows(lambda x: x[rows]),
-        )  # fmt: skip
+        return map_tensors(lambda x: x[..., rows], self)
 
     @property
     def on_line(self) -> Part:
-        """The part with prior probabilities of outliers, for a filter on line."""
-        return self._replace(
-            model=DEFAULT._replace(least_offset=self.model.least_offset, same_offset=self.model.same_offset)
-        )
+        """The part for a filter on line: outliers are as likely as they are by default, whatever other axes say."""
+        model = DEFAULT._replace(least_offset=self.model.least_offset, same_offset=self.model.same_offset)
+        return self._replace(fixes=self.fixes._replace(log_odds=torch.zeros_like(self.fixes.log_odds)), model=model)
 
     @property
     def scaled(self) -> Fixes:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import FilterParameters
-from torchfra.cleaning.closed_form import DEFAULT, Fixes, Levels, OutlierModel
+from torchfra.cleaning.closed_form import DEFAULT, Fixes, OutlierModel
 from torchfra.cleaning.kinds import USUAL, Kind
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
@@ -22,6 +22,7 @@ from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
 from torchfra.cleaning.sigma import first_sigma, most_by_shapes
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
+from torchfra.tree import map_tensors
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
 """Axes with one variance, their bound in ``Kind``, and the number of levels."""
@@ -125,9 +126,9 @@ def _answers(
     parts = fitted(parts, _owners(rows, measured), find_sigma=settings.sigma is None, find_q=settings.q is None)
     if any(len(some.time) < len(every.time) for some, every in zip(measured, tracks, strict=True)):
         rows, parts = _between(tracks, rows, parts)
-    known, outlier = estimated(parts, smooth=settings.smooth)
-    if not settings.smooth:
+    if not settings.smooth:  # the evidence of other axes and the probabilities of outliers are those of all fixes
         parts = [part.on_line for part in parts]
+    known, outlier = estimated(parts, smooth=settings.smooth)
     calm = [_CALM * kinds[row.track].acceleration for row in rows]
     return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
 
@@ -208,12 +209,7 @@ def _between(tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part]
             log_odds[track][steps.measured] = _of_track(part.fixes.log_odds, rows, track)
         for b, row in enumerate(every):
             fixes.log_odds[: len(row.chosen), b] = torch.from_numpy(log_odds[row.track][row.chosen])
-        levels = Levels(*(x[:, first] for x in part.levels))
-        model = part.model.of_rows(lambda x: x[first])
-        sigma, least, most, lowest, stops = (
-            x[first] for x in (part.sigma, part.least, part.most, part.lowest, part.stops)
-        )
-        more.append(Part(fixes, levels, sigma, least, most, lowest, stops, model))
+        more.append(part.at(first)._replace(fixes=fixes))
     return every, more
 
 
@@ -300,7 +296,7 @@ def _parameters(part: Part, row: int) -> FilterParameters:
     stated = torch.where(part.fixes.missing, torch.nan, part.fixes.variance)[:, one].nanquantile(0.5, dim=0).sqrt()
     sigma = part.sigma[one] * stated
     with torch.inference_mode(False):  # so that gradients may flow through the clones
-        levels, model = Levels(*(x[:, one].clone() for x in part.levels)), part.model.of_rows(lambda x: x[one].clone())
+        levels, model = map_tensors(lambda x: x[..., one].clone(), (part.levels, part.model))
         return FilterParameters(part.fixes.z.shape[1], levels, sigma.clone(), model)
 
 

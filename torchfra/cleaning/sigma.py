@@ -9,11 +9,11 @@ from torch import Tensor
 
 from torchfra.cleaning.circles import IN_A_ROW, off_circles, off_lines
 from torchfra.cleaning.closed_form import Fixes, Levels, steps
-from torchfra.cleaning.homes import log_odds_of_roughness
 from torchfra.cleaning.parts import SHORT, Part, summed
 from torchfra.cleaning.process_noise import LONGEST, with_levels_of_walks
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.numbers import as_tensor
+from torchfra.tree import map_tensors
 
 _LEAST_SIGMA = 1e-4
 """Least standard deviation that is tried, m: fixes that repeat have none."""
@@ -43,8 +43,6 @@ _CHANGED = 18000.0
 """Seconds between fixes from which on a track with levels of a random walk hardly determines these."""
 _HOME = 43200.0
 """Seconds between fixes from which on targets may have returned: then motion is as white as noise."""
-_ONE_SIZE = 0.75
-"""Least median size of third differences in units of their root mean square, if all have one size; 0.83 if normal."""
 _STEPS, _ROWS = 200, 2
 """Steps of a row, and rows of a track, from which sigma is estimated."""
 _OVER_CIRCLES, _OVER_LINES, _STRETCHES = 1.3, 4.0, 20
@@ -101,7 +99,7 @@ def little_gained(part: Part, known: Smoothed, owner: Tensor) -> Tensor:
     return (several > 0.5 * every) | (pauses > _PAUSES * every) | (part.fixes.period > LONGEST)
 
 
-def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
+def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
     """The lowest standard deviations ``(B,)`` that tracks do not rule out.
 
     Where noise and motion can hardly be distinguished, too large a sigma costs far more than too small a one: with the
@@ -111,7 +109,6 @@ def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
     Args:
         part: with the prior levels.
         owner: ``(B,)`` numbers; rows of the same one have one standard deviation.
-        rough: ``(B,)`` whether motion is as rough as noise, so that no sigma is ruled out.
     """
     tried = part.sigma / 2.0 ** as_tensor(_HALVINGS, part.sigma).unsqueeze(1)
     several, asked = [part.levels], [torch.ones_like(part.fixes.period, dtype=torch.bool)]
@@ -126,36 +123,8 @@ def lowest_sigma(part: Part, owner: Tensor, rough: Tensor) -> Tensor:
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
     open_ = (fit >= fit.amax((0, 1)) + torch.stack(least)).any(0)
-    open_[-1] |= rough
     last = (open_ * torch.arange(len(tried)).unsqueeze(1)).amax(0)
     return tried.gather(0, last.unsqueeze(0))[0].maximum(part.least)
-
-
-def as_rough_as_noise(part: Part, owner: Tensor, outlier: Tensor, unsure: Tensor) -> Tensor:
-    """Whether a motion without noise ``(B,)`` that is as rough as noise is about as likely as noise.
-
-    It is asked where sigma is ``unsure (B,)``, and where targets may stop between two fixes; but where fixes are not
-    rare, not of those whose motion has no one size, who rest and move: their rests tell the noise.
-
-    Args:
-        part: the axes.
-        owner: ``(B,)`` numbers; rows of the same one are of one track.
-        outlier: ``(T, B)`` probabilities of outliers.
-        unsure: ``(B,)``.
-    """
-    rows = _rows_for_sigma(part.fixes, owner)
-    rows = rows[(unsure | part.stops)[rows]]
-    rough = torch.zeros_like(unsure)
-    if len(rows):
-        fixes = Fixes(*(x[:_STEPS, ..., rows] for x in part.fixes))
-        inliers = torch.where((outlier[:_STEPS, rows] > 0.5).unsqueeze(1), math.nan, fixes.z)
-        third = _third_differences(inliers, fixes.gap).square().mean(1)
-        sums = summed(torch.stack([third.nan_to_num().sum(0), (~third.isnan()).sum(0).to(third)]), owner[rows])
-        one_size = _quantile(third, owner[rows]) > _ONE_SIZE**2 * sums[0] / sums[1]
-        likely = log_odds_of_roughness(fixes._replace(z=inliers), owner[rows], one_size) > -_OPEN
-        for i in owner[rows][likely].unique():
-            rough[owner == i] = True
-    return rough
 
 
 def _misfit(levels: Levels, part: Part) -> Tensor:
@@ -170,16 +139,15 @@ def _misfit(levels: Levels, part: Part) -> Tensor:
 def _likelihoods(part: Part, levels: Levels, owner: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Log-likelihoods, expected outliers and numbers of fixes ``(G, B)`` for standard deviations ``(G, B)``."""
     count, chosen = len(sigma), _rows_for_sigma(part.fixes, owner)
-    fixes = Fixes(*(x[:_STEPS, ..., chosen] for x in part.fixes))
-    variance = sigma[:, chosen].square() * fixes.variance.unsqueeze(1)
 
     def repeated(x: Tensor) -> Tensor:
         """Values ``(..., B)`` for each of the standard deviations, ``(..., G B)``."""
-        return x.unsqueeze(-2).expand(*x.shape[:-1], count, x.shape[-1]).flatten(-2)
+        return x[..., chosen].unsqueeze(-2).expand(*x.shape[:-1], count, len(chosen)).flatten(-2)
 
-    tried = Fixes(repeated(fixes.z), repeated(fixes.gap), variance.flatten(1), repeated(fixes.log_odds))
-    model = part.model.independent_offsets.of_rows(lambda x: repeated(x[chosen]))
-    every = steps(tried, Levels(*(repeated(x[:, chosen]) for x in levels)), model)
+    first = map_tensors(lambda x: x[:_STEPS], part.fixes)
+    tried, levels, model = map_tensors(repeated, (first, levels, part.model.independent_offsets))
+    tried = tried._replace(variance=tried.variance * sigma[:, chosen].flatten().square())
+    every = steps(tried, levels, model)
     log_likelihood, outlier = (
         torch.stack(x) for x in zip(*((s.log_likelihood, s.outlier) for s in every), strict=True)
     )

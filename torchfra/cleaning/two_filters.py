@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -11,7 +10,6 @@ from torch import Tensor
 from torchfra.cleaning.closed_form import (
     DEFAULT,
     Belief,
-    Chain,
     Fixes,
     Levels,
     OutlierModel,
@@ -23,9 +21,8 @@ from torchfra.cleaning.closed_form import (
     steps,
     switched,
 )
+from torchfra.tree import map_tensors
 
-_TOGETHER = 16
-"""Steps that are smoothed together: few enough for a cache to hold their hypotheses."""
 _BEGUN = 3
 """Fixes after which a filter is sure of where a target is and where it goes."""
 _ENOUGH = 8
@@ -49,19 +46,6 @@ class Smoothed(NamedTuple):
     """``(T, B)`` log likelihood ratio of outlier and inlier, for this fix."""
 
 
-class _Combined(NamedTuple):
-    """Predictions of both filters for some steps, alone and combined."""
-
-    predictions: Predictions
-    """From the fixes before each step."""
-    later: Predictions
-    """From the fixes after it."""
-    both: Predictions
-    """From all fixes but its own."""
-    difference: Belief
-    """``(T, B)`` the second minus the first, each merged over the levels."""
-
-
 def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Smoothed:
     """Smoothed estimates: the filter runs forward and, on the same fixes in reverse, backward, in one batch.
 
@@ -71,56 +55,26 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
 
     Source: Fraser & Potter (1969) for two filters; Helmick, Blair & Hoffman (1995) for those of interacting models.
     """
-    doubled = Levels(*(torch.cat([x, x], -1) for x in levels))
-    every = filter_forward(
-        Fixes(*(torch.cat(x, -1) for x in zip(fixes, fixes.backwards(), strict=True))),
-        doubled,
-        model.of_rows(lambda x: torch.cat([x, x])),
-    )
-    count = fixes.z.shape[-1]
-    forward, backward = _rows(every, slice(count)), _in_order_of_time(_rows(every, slice(count, None)))
+    reverse, chain, count = fixes.backwards(), levels.chain, fixes.z.shape[-1]
+    doubled = map_tensors(lambda x, y: torch.cat([x, y], -1), (fixes, levels, model), (reverse, levels, model))
+    every = filter_forward(*doubled)
+    forward = map_tensors(lambda x: x[..., :count], every)
+    backward = _in_order_of_time(map_tensors(lambda x: x[..., count:], every))
     # The levels before and after a step change in the shorter of its two gaps: over a long one all become one Gaussian.
-    reverse, chain = fixes.backwards(), levels.chain
     gap = torch.minimum(fixes.elapsed, reverse.elapsed.flip(0))
-    pauses = fixes.after_pause & _begun(reverse).flip(0), reverse.after_pause.flip(0) & _begun(fixes)
-    pieces = [slice(first, first + _TOGETHER) for first in range(0, len(fixes.gap), _TOGETHER)]
-    combined = [
-        _combined(_steps(forward, some), _steps(backward, some), gap[some], [of[some] for of in pauses], levels, chain)
-        for some in pieces
-    ]
-    difference = _joined_beliefs([of.difference for of in combined], -2)
-    agree = torch.cat([of.both.log_weights.logsumexp(1) for of in combined])
-    lost, lost_later = _lost(difference, agree, forward, backward, fixes, model)
-    done = []
-    for some, (predictions, later, both, _) in zip(pieces, combined, strict=True):
-        both = _where(lost[some], later, _where(lost_later[some], predictions, both))
-        first, here = _where(lost[some], later, predictions), Fixes(*(x[some] for x in fixes))
-        done.append(updated(both.belief, both.log_weights, here, model, first))
-    return _in_a_row(done)
-
-
-def _combined(
-    predictions: Predictions, later: Predictions, gap: Tensor, pauses: Sequence[Tensor], levels: Levels, chain: Chain
-) -> _Combined:
-    """The predictions of both filters for some steps, and their product.
-
-    Args:
-        predictions: from the fixes before each step.
-        later: from the fixes after it, with the levels of the step after.
-        gap: ``(T, B)`` seconds in which levels change at a step.
-        pauses: ``(T, B)`` whether a fix comes after a pause, and whether one comes before a pause; not in short bursts.
-        levels: of the process noise.
-        chain: of these.
-    """
-    switched_later = Predictions(*switched(later.belief, later.log_weights, chain, *chain.shares(gap)), *later[2:])
-    belief, log_fit = _product(predictions.belief, switched_later.belief)
-    log_weights = predictions.log_weights + switched_later.log_weights - levels.log_share + log_fit
-    both = Predictions(belief, log_weights, *predictions[2:])
-    for pause, over, beside in zip(pauses, (predictions, later), (later, predictions), strict=True):
+    belief, log_weights = switched(backward.belief, backward.log_weights, chain, *chain.shares(gap))
+    later = Predictions(belief, log_weights, *backward[2:])
+    belief, log_fit = _product(forward.belief, later.belief)
+    both = Predictions(belief, forward.log_weights + log_weights - levels.log_share + log_fit, *forward[2:])
+    after_pause = fixes.after_pause & _begun(reverse).flip(0)
+    before_pause = reverse.after_pause.flip(0) & _begun(fixes)
+    for pause, over, beside in ((after_pause, forward, backward), (before_pause, backward, forward)):
         if pause.any():
             both = _where(pause, _beside_pause(over, beside), both)
-    difference = _difference(*(merged(of.log_weights, of.belief, 1)[0] for of in (predictions, switched_later)))
-    return _Combined(predictions, switched_later, both, difference)
+    difference = _difference(*(merged(of.log_weights, of.belief, 1)[0] for of in (forward, later)))
+    lost, lost_later = _lost(difference, both.log_weights.logsumexp(1), forward, backward, fixes, model)
+    both = _where(lost, later, _where(lost_later, forward, both))
+    return updated(both.belief, both.log_weights, fixes, model, _where(lost, later, forward))
 
 
 def _beside_pause(over: Predictions, beside: Predictions) -> Predictions:
@@ -312,41 +266,16 @@ def _believed(gain: Tensor, lost: Tensor, rare: Tensor) -> Tensor:
     return step <= _largest(torch.where((likelier == most) & (most >= 0), step, -1), stretch)
 
 
-def _rows(x: Predictions, rows: slice) -> Predictions:
-    """The predictions of some tracks."""
-    return Predictions(Belief(*(part[..., rows] for part in x.belief)), *(part[..., rows] for part in x[1:]))
-
-
-def _steps(x: Predictions, some: slice) -> Predictions:
-    """The predictions of some steps."""
-    return Predictions(Belief(*(part[..., some, :, :] for part in x.belief)), *(part[some] for part in x[1:]))
-
-
-def _in_a_row(several: Sequence[Smoothed]) -> Smoothed:
-    """The estimates of all steps, from those of some at a time."""
-    belief, levels, outlier, predictions, evidence = zip(*several, strict=True)
-    rest = (torch.cat(x) for x in zip(*(of[1:] for of in predictions), strict=True))
-    every = Predictions(_joined_beliefs([of.belief for of in predictions], -3), *rest)
-    return Smoothed(_joined_beliefs(belief, -2), torch.cat(levels), torch.cat(outlier), every, torch.cat(evidence))
-
-
-def _joined_beliefs(several: Sequence[Belief], time: int) -> Belief:
-    """Beliefs of all steps, which are the dimension ``time``, counted from the last."""
-    return Belief(*(torch.cat(x, time) for x in zip(*several, strict=True)))
-
-
 def _in_order_of_time(x: Predictions) -> Predictions:
     """Predictions of a filter that ran backward, in the order of time."""
-    position, velocity, pp, pv, vv = (part.flip(-3) for part in x.belief)
-    return Predictions(Belief(position, -velocity, pp, -pv, vv), *(part.flip(0) for part in x[1:]))
+    (position, velocity, pp, pv, vv), *rest = map_tensors(lambda x: x.flip(-3 if x.dim() > 2 else 0), x)
+    return Predictions(Belief(position, -velocity, pp, -pv, vv), *rest)
 
 
 def _where(chosen: Tensor, one: Predictions, other: Predictions) -> Predictions:
     """Those of one filter at some steps ``(T, B)``, and of the other elsewhere."""
     level = chosen.unsqueeze(1)
-    belief = Belief(*(torch.where(level, x, y) for x, y in zip(one.belief, other.belief, strict=True)))
-    rest = (torch.where(chosen, x, y) for x, y in zip(one[2:], other[2:], strict=True))
-    return Predictions(belief, torch.where(level, one.log_weights, other.log_weights), *rest)
+    return map_tensors(lambda x, y: torch.where(chosen if x.dim() == 2 else level, x, y), one, other)
 
 
 def _difference(a: Belief, b: Belief) -> Belief:
