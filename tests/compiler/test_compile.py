@@ -50,14 +50,6 @@ def test_what_a_filter_begins_with_may_differ_between_tracks(make, tracks, scena
         close(*both(f, tracks.z, tracks.prior, u=tracks.u))
 
 
-def test_tracks_do_not_depend_on_their_company(make, tracks):
-    fast = make("fra").compile()
-    whole = fast(tracks.z, tracks.prior, u=tracks.u)
-    for i in range(4):
-        one = fast(tracks.z[i], Gaussian(tracks.prior.mean[i], tracks.prior.scale_tril), u=tracks.u)
-        assert torch.equal(one.mean, whole.mean[i])
-
-
 class Curved(Sensor):
     """A sensor of one's own, with a parameter in it."""
 
@@ -123,14 +115,6 @@ def test_what_is_too_much_to_remember_is_computed_anew_for_the_gradient(make, tr
         monkeypatch.setattr(run, "_REMEMBERED", most)
         slopes.append(torch.autograd.grad(f(**data).mean.square().sum(), list(f.parameters())))
     close(*slopes)
-
-
-def test_a_gradient_of_a_gradient_is_refused(make, tracks):
-    f = make("srckf", learn=("q",)).compile()
-    mean = f(tracks.z, tracks.prior, u=tracks.u).mean
-    (g,) = torch.autograd.grad(mean.square().sum(), f.motion.q.raw, create_graph=True)
-    with pytest.raises(RuntimeError, match="gradients of first order, and none of second"):
-        g.backward()
 
 
 # ---------------------------------------------------------------- what is made anew, and what is not
@@ -498,13 +482,6 @@ def test_a_state_of_ones_own_may_be_shared_by_the_batch(make, tracks):
     state = state._replace(belief=Gaussian(state.belief.mean, 3 * torch.eye(4, dtype=torch.float64)))
     slow = f.step(state, tracks.z[:, 0], u=tracks.u[0])
     close(slow, f.compile().step(state, tracks.z[:, 0], u=tracks.u[0]))
-
-
-def test_a_copy_has_a_temperature_of_its_own(make):
-    f = make("fra", temperature=1.0)
-    g = copy.copy(f)
-    g.temperature = 0.0
-    assert (f.temperature, f.soft, g.soft) == (1.0, True, False)
 
 
 def test_estimates_may_be_changed_in_place(make, tracks):

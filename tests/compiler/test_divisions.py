@@ -3,8 +3,6 @@
 import pytest
 import torch
 
-from torchfra.compiler.expressions import Expressions
-from torchfra.compiler.rewrites import with_quotients
 from torchfra.compiler.run import Kernels
 from torchfra.compiler.step import Input, Step
 
@@ -32,18 +30,3 @@ def test_quotients_and_gradients_of_tiny_numbers_are_those_of_torch(tracks):
     assert all(x.isfinite().all() for x in expected)
     for a, b in zip(expected, found, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-13, atol=0.0)
-
-
-def test_an_inverse_that_several_share_or_that_stays_is_computed_once():
-    book = Expressions()
-    a, b, c, d = (book.input() for _ in range(4))
-    alone, twice, other = book.apply("div", a, b), book.apply("div", a, c), book.apply("div", b, c)
-    stays = book.apply("div", a, d)
-    ends = [alone, twice, other, stays]
-    every = list(range(len(book.nodes)))
-    varying = {i for i in every if i not in (d, book.apply("div", book.constant(1.0), d))}
-    new, live = with_quotients(book, every, varying, ends)
-    assert new.nodes[alone] == ("div", (a, b))
-    assert all(new.nodes[i] == book.nodes[i] for i in (twice, other, stays))
-    assert set(every) - set(live) == {book.apply("div", book.constant(1.0), b)}
-    assert book.nodes[alone][0] == "mul"

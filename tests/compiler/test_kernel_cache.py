@@ -326,8 +326,3 @@ def test_a_long_module_is_compiled_in_parts_by_threads(folder, monkeypatch, thre
         jit.load(source)(0, 0, 0, None, addressof(out))
         assert out.value == 9
         assert only(folder).exists()
-
-
-def test_a_short_module_has_one_part(monkeypatch):
-    monkeypatch.setattr(sharing, "_LINES", 8000)
-    assert sharing.PART not in sharing.module(["define internal void @f() {\nret void\n}\n"] * 3, [])

@@ -1,7 +1,6 @@
 """What kernels write for many tracks lies in large pages, where the system has some to give."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,23 +15,6 @@ SMAPS = Path("/proc/self/smaps")
 @pytest.mark.skipif(not SMAPS.exists() or not ENABLED.exists(), reason="this system gives none, or does not say")
 def test_the_memory_of_a_large_tensor_is_marked_for_large_pages():
     assert "hg" in flags(pages.in_large_pages(torch.empty(1 << 23, dtype=torch.float64)))
-
-
-def test_small_tensors_and_other_systems_are_left_alone(monkeypatch):
-    asked = []
-    monkeypatch.setattr(pages, "_advise", lambda: lambda *given: asked.append(given))
-    if sys.platform != "linux":
-        monkeypatch.setattr(pages.mmap, "MADV_HUGEPAGE", 14, raising=False)
-    pages.in_large_pages(torch.empty(1000))
-    assert not asked
-    x = torch.empty(pages.LEAST // 4 + 3)
-    assert pages.in_large_pages(x) is x
-    ((first, size, _),) = asked
-    assert first % pages.mmap.PAGESIZE == 0
-    assert x.data_ptr() <= first
-    assert first + size == x.data_ptr() + x.numel() * 4
-    monkeypatch.setattr(pages, "_advise", lambda: None)
-    assert pages.in_large_pages(x) is x
 
 
 def flags(x):

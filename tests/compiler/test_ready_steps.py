@@ -7,7 +7,6 @@ import torch
 
 from torchfra.compiler import forms
 from torchfra.compiler.engine import Compiled
-from torchfra.compiler.forms import flattener, unflattener
 from torchfra.steps.engine import INTERPRETED
 from torchfra.tree import flatten
 from torchfra.types import Gaussian
@@ -160,14 +159,6 @@ def test_a_step_of_inference_mode_does_not_spoil_a_later_gradient(make, tracks):
     state, innovation = f.step(f.init(belief), **given)
     (slope,) = torch.autograd.grad(state.belief.mean.sum() + innovation.nis, f.robust.threshold.raw)
     assert slope.isfinite()
-
-
-def test_fast_trees_are_the_trees():
-    tree = (Gaussian(torch.zeros(2), torch.ones(2, 2)), None, (torch.zeros(1), 3))
-    assert [x.data_ptr() for x in flattener(tree)(tree)] == [x.data_ptr() for x in flatten(tree)]
-    made = unflattener(tree)(flatten(tree))
-    assert (type(made[0]), made[1], type(made[2]), made[2][1]) == (Gaussian, None, tuple, 3)
-    assert flattener(tree)((tree[0], torch.zeros(1), tree[2])) is None
 
 
 @pytest.mark.parametrize("private", [True, False], ids=["by torch", "by ourselves"])

@@ -16,7 +16,7 @@ from torchfra.compiler.expressions import ZERO, Expressions, Routine
 from torchfra.compiler.plan import Plan, frame, needs
 from torchfra.compiler.program import Program
 from torchfra.compiler.rewrites import with_masked, with_merged
-from torchfra.compiler.schedule import Piece, cut, pieces
+from torchfra.compiler.schedule import cut, pieces
 from torchfra.compiler.source import Port, Scan
 
 OPERATORS = {
@@ -142,34 +142,6 @@ def test_pieces_and_places_lose_nothing_that_a_track_needs(seed, inputs):
         assert memory[at[old]] == expected[new]
 
 
-def test_what_one_side_of_a_choice_uses_is_guarded_and_what_both_use_is_not(small):
-    book = Expressions()
-    x, y = book.input(), book.input()
-    mask = book.apply("lt", x, y)
-    shared, yes = book.apply("mul", x, y), book.apply("mul", x, x)
-    chosen = book.apply("select", mask, book.apply("add", yes, shared), shared)
-    guards = {i: part.guard for part in pieces(book, [x, y, mask, shared, yes, yes + 1, chosen], [chosen])
-              for i in part.numbers}  # fmt: skip
-    assert guards[yes] == guards[yes + 1] == (mask, True)
-    assert {guards[i] for i in (x, y, mask, shared, chosen)} == {None}
-
-
-def test_a_choice_is_the_other_value_until_a_region_puts_its_result_there(small):
-    book = Expressions()
-    x, y = book.input(), book.input()
-    mask, other = book.apply("lt", x, y), book.apply("mul", x, y)
-    yes = book.apply("mul", x, x)
-    chosen = book.apply("select", mask, yes, other)
-    after = book.apply("sub", chosen, other)
-    new, parts, merged = with_merged(book, pieces(book, [x, y, mask, other, yes, chosen, after], [after]))
-    assert merged == {yes: chosen}
-    assert new.nodes[chosen] == ("same", (other,))
-    made = {i: k for k, part in enumerate(parts) for i in part.numbers}
-    assert made[other] == made[chosen] < made[yes] < made[after]
-    layout = frame(new, [], parts, {}, [after], merged)
-    assert layout.places[yes] == layout.places[chosen]
-
-
 def a_masked_step(value):
     """A step whose product is 0 unless the condition has this value: the book, its inputs, mask, product and end."""
     book = Expressions()
@@ -179,26 +151,6 @@ def a_masked_step(value):
     product = book.apply("mul", book.apply("neg", gradient), book.apply("mul", y, y))
     total = book.apply("add", book.apply("sub", product, gradient), y)
     return book, (x, y), mask, product, total
-
-
-@pytest.mark.parametrize("value", [True, False])
-def test_what_is_zero_unless_a_condition_holds_is_guarded(small, value):
-    book, inputs, mask, product, total = a_masked_step(value)
-    live = book.needed([total])
-    assert all(part.guard is None for part in pieces(book, live, [total]))
-    new, order = with_masked(book, live, [(mask, value)], [total])
-    guards = {i: part.guard for part in pieces(new, order, [total]) for i in part.numbers}
-    assert guards[product] == (mask, value)
-    assert guards[total] is None
-    for numbers in ((0.5, 2.0), (2.0, 0.5)):
-        values = dict(zip(inputs, numbers, strict=True))
-        assert evaluated(new, {**values}, order)[total] == evaluated(book, {**values}, live)[total]
-
-
-def test_what_is_zero_unless_a_common_condition_holds_stays_as_it_is():
-    book, _, _, _, total = a_masked_step(True)
-    live = book.needed([total])
-    assert with_masked(book, live, [], [total]) == (book, live)
 
 
 @settings(max_examples=100, deadline=None)
@@ -297,13 +249,3 @@ def test_a_track_that_fails_in_its_branch_leaves_its_neighbours_alone(make, scen
     assert (expected.failure.step >= 0).tolist() == (found.failure.step >= 0).tolist() == [i == 3 for i in range(16)]
     close(expected.mean[others], found.mean[others])
     close(expected.scale_tril[others], found.scale_tril[others])
-
-
-def test_nothing_is_guarded_where_no_choice_saves_much(make):
-    book = Expressions()
-    x = book.input()
-    square = book.apply("mul", x, x)
-    chosen = book.apply("select", book.apply("lt", x, ZERO), square, x)
-    live = [x, square, *range(square + 1, chosen + 1)]
-    assert [part.guard for part in pieces(book, live, [chosen])] == [None]
-    assert isinstance(pieces(book, live, [chosen])[0], Piece)

@@ -11,13 +11,9 @@ from torch.autograd import forward_ad
 
 from torchfra import Gaussian, presets
 from torchfra.compiler import step
-from torchfra.compiler.entries import Entries, entry_ids
 from torchfra.compiler.expressions import Expressions, Routine
-from torchfra.compiler.routines import called_for_each
 from torchfra.compiler.schedule import cut
 from torchfra.compiler.source import Scan
-from torchfra.linalg.tracing import elementary
-from torchfra.linalg.triangular import _orthogonalise
 from torchfra.motion import Bank, ConstantVelocity
 from torchfra.sensors import Position
 
@@ -86,36 +82,6 @@ def test_derivatives_forwards_are_the_same(written):
             for g in (f, copy.deepcopy(f).compile())
         ]
     close(*rates)
-
-
-def test_what_is_zero_for_all_is_not_computed_and_what_is_not_has_a_routine_of_its_own():
-    book = Expressions()
-    full = Entries.inputs(book, (3, 4, 8), torch.float64)
-    lower = torch.where(torch.ones(4, 8).tril(4) > 0, full.ids, 0)
-    matrices = Entries(book, torch.cat([full.ids, lower]), torch.float64)
-    with elementary(called_for_each):
-        (roots, _), (again, _) = _orthogonalise(matrices), _orthogonalise(matrices)
-    routines = [made[0] for made in book.routines.values()]
-    assert [len(routine.inputs) for routine in routines] == [4 * 8, 4 * 8 - 6]
-    assert routines[0].cost > routines[1].cost
-    assert len(book.calls) == 6
-    assert entry_ids(roots[0]) != entry_ids(roots[1])
-    assert entry_ids(again) == entry_ids(roots)
-
-
-def test_what_is_too_short_for_a_call_is_written_out_in_its_place_beside_the_others():
-    book = Expressions()
-    ids = Entries.inputs(book, (4, 4, 8), torch.float64).ids.clone()
-    first = int(ids[2, 0, 0])
-    ids[1:3] = 0
-    ids[2, 0, 0] = first
-    matrices, empty = (Entries(book, x, torch.float64) for x in (ids, ids[..., :0]))
-    products = called_for_each(lambda a, _: a @ a.mT, (2, 2), (matrices, empty))
-    assert products.shape == (4, 4, 4)
-    assert len(book.calls) == 2
-    assert (products.ids[[0, 3]] != 0).all()
-    assert (products.ids[1] == 0).all()
-    assert (products.ids[2] != 0).nonzero().tolist() == [[0, 0]]
 
 
 def test_a_step_at_the_limit_can_still_be_simplified_and_differentiated(monkeypatch):

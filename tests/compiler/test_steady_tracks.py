@@ -34,7 +34,7 @@ def stretches(monkeypatch):
     return ran
 
 
-@pytest.mark.parametrize("name", ["srckf", "ukf", "ekf", "ghckf"])
+@pytest.mark.parametrize("name", ["srckf", "ukf", "ekf"])
 def test_a_steady_track_is_filtered_and_smoothed_as_one_of_a_batch_is(name, stretches):
     f, z = getattr(presets, name)(MOTION, SENSOR).compile(), track(STEPS)
     z[3000:3010], z[5000, 1] = torch.nan, torch.nan

@@ -64,7 +64,7 @@ def test_they_are_the_maximum_of_the_likelihood_by_whole_covariances():
 
 @pytest.mark.slow
 def test_intervals_hold_nine_times_of_ten_or_more():
-    rng, time = np.random.default_rng(2), np.arange(800.0)
+    rng, time = np.random.default_rng(2), np.arange(500.0)
     inside = []
     for _ in range(25):
         ends = torchfra.correlation(errors(rng, time, TRUE[:1]), time).intervals[:, 0]

@@ -204,6 +204,6 @@ def coverage(sets, runs, steps, seed):
 
 
 @pytest.mark.slow
-def test_intervals_cover_the_true_values_in_95_of_100_of_200_fits():
-    for share in coverage(sets=200, runs=25, steps=20, seed=12):
+def test_intervals_cover_the_true_values_in_95_of_100_fits():
+    for share in coverage(sets=100, runs=25, steps=20, seed=12):
         assert 0.90 <= share <= 0.98

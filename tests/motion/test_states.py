@@ -1,7 +1,5 @@
 """A motion says what its state holds, and states are put together from those of others."""
 
-import copy
-
 import pytest
 import torch
 
@@ -193,13 +191,12 @@ def test_a_bias_beside_a_target_leaves_its_motion_as_it_is_also_where_that_follo
     torch.testing.assert_close(both.mean[..., 6:], torch.zeros(3, 12, 2).double())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "motion",
     [UnknownTurn(0.1, 0.01, continuous=True), Augmented(Bicycle(2.7, 0.1, 0.01), RandomWalk(0.1, 1, kind="bias"))],
     ids=["turn", "bicycle with a bias"],
 )
-def test_motions_learn_and_compile(motion):
+def test_motions_learn(motion):
     rng = torch.Generator().manual_seed(0)
     truth = [tensor(0, 0, 3, 1, 0.1, 0.0)[: motion.size].expand(4, -1)]
     for _ in range(12):
@@ -210,10 +207,6 @@ def test_motions_learn_and_compile(motion):
     z = z + 0.3 * torch.randn(z.shape, generator=rng, dtype=torch.float64)
     prior = Gaussian(truth[0][0], 0.5 * torch.eye(motion.size).double())
     f = presets.srckf(motion, sensor, learn="all")
-    slow = f(z, prior, dt=0.5).mean
-    slow.square().sum().backward()
+    f(z, prior, dt=0.5).mean.square().sum().backward()
     assert all(p.grad.isfinite().all() for p in f.parameters())
     assert all(p.grad.abs().sum() > 0 for p in f.parameters())
-    with torch.no_grad():
-        fast = copy.deepcopy(f).compile()(z, prior, dt=0.5).mean
-    torch.testing.assert_close(fast, slow.detach(), rtol=0, atol=1e-10)

@@ -154,22 +154,6 @@ def test_an_import_upwards_is_seen_however_it_is_written(package, source):
     assert complaint.startswith("tiny.low imports tiny")
 
 
-def test_neighbours_of_one_level_do_not_import_each_other(package):
-    root = package(low="", middle="from tiny.low import x")
-    assert list(upward_imports(root, [{"low", "middle"}, {"high"}, {"__init__"}])) == ["tiny.middle imports tiny.low"]
-
-
-def test_parts_kept_apart_and_packages_from_outside_are_seen(package):
-    root = package(**{"high/a": "import plots.lines", "high/b": "from tiny.low import x"})
-    assert list(upward_imports(root, TINY, {("high", "low")})) == ["tiny.high.b imports tiny.low"]
-    assert list(upward_imports(root, TINY, (), {"plots": ("middle",)})) == ["tiny.high.a imports plots.lines"]
-    assert list(upward_imports(root, TINY, (), {"plots": ("high",)})) == []
-
-
-def test_a_part_without_a_level_is_named(package):
-    assert "tiny.low has no level" in upward_imports(package(), TINY[1:])
-
-
 @pytest.mark.parametrize(("files", "modules"), [
     ({"high/a": "from tiny.high.b import x"}, {"tiny.high.a", "tiny.high.b"}),
     ({"high/a": "from . import b"}, {"tiny.high.a", "tiny.high.b"}),

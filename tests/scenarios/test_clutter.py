@@ -1,6 +1,5 @@
 """The scenarios of several targets in clutter have their documented properties, and the commands run them."""
 
-import json
 import math
 
 import pytest
@@ -9,7 +8,6 @@ from short_tracks import STEPS
 
 from torchfra import scenarios
 from torchfra.catalogue import filters_for, learned_filter, scan_filters, scenario_filters
-from torchfra.cli.main import main
 from torchfra.coordinates import from_cartesian
 from torchfra.evaluation import evaluate, table
 
@@ -95,13 +93,3 @@ def test_learned_values_load_into_a_filter_for_scans(tmp_path):
     torch.save(f.state_dict(), tmp_path / "state_dict.pt")
     assert learned_filter(tmp_path / "state_dict.pt", s, "iaukf_jpda").detection().item() == pytest.approx(0.8)
     assert s.detection == 0.95
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("short_tracks")
-def test_the_command_compares_filters_on_them(tmp_path):
-    arguments = ["compare", "--scenario", "clutter-crossing", "--runs", "3", "--json", str(tmp_path / "r.json")]
-    assert main([*arguments, "--figure", str(tmp_path / "r.png"), "--quiet"]) == 0
-    written = json.loads((tmp_path / "r.json").read_text())
-    assert list(written["filters"]) == scan_filters()
-    assert written["settings"]["clutter"] == 6

@@ -6,7 +6,7 @@ import math
 import clean_check
 import numpy as np
 import pytest
-from cleaning import bounds, figures, measured, picture, simulated, truths
+from cleaning import bounds, figures, measured, truths
 from cleaning.constant_velocity import best, smoothed
 from cleaning.figures import Counts, lasting, turn_rates
 from cleaning.measured import Case, Measured
@@ -160,17 +160,6 @@ def test_a_case_is_the_same_whichever_others_run_beside_it():
     assert not np.array_equal(first.recording().position, other.recording().position)
 
 
-def test_ships_and_drones_move_as_such():
-    for make, slow, fast, hard in ((simulated.ship, 2.0, 13.0, 1.0), (simulated.drone, 3.0, 17.0, 7.0)):
-        path = make(np.random.default_rng(3), 2000)
-        velocity = np.gradient(path, axis=0)
-        speed = np.linalg.norm(velocity[:, :2], axis=1)
-        assert slow < speed.min()
-        assert speed.max() < fast
-        assert np.linalg.norm(np.gradient(velocity, axis=0), axis=1).max() < hard
-        assert (np.abs(turn_rates(path, 1.0, 1.0)) > 1.5).any()
-
-
 @pytest.mark.parametrize("kind", truths.HARDER)
 def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
     truth = truths.truths([kind], 1)[-1]
@@ -207,15 +196,6 @@ def test_harder_kinds_have_the_errors_that_they_are_named_for(kind):
     if kind == "gaps":
         assert len(run.time) == 200
         np.testing.assert_allclose(np.diff(run.time)[:40], [*[3.0] * 39, 3483.0])
-
-
-def test_who_goes_along_streets_moves_as_such():
-    for name, manner in simulated.MANNERS.items():
-        velocity = np.gradient(simulated.along_streets(np.random.default_rng(3), 1000, manner), axis=0)
-        speed = np.linalg.norm(velocity, axis=1)
-        low, high = manner.speeds
-        assert low / 2 < np.median(speed) < 1.2 * high, name
-        assert (np.abs(turn_rates(np.cumsum(velocity, 0), 1.0, 0.1)) > manner.rate[0]).any(), name
 
 
 def test_slow_errors_are_those_of_every_target_at_every_time_and_size():
@@ -268,14 +248,6 @@ def test_a_bound_holds_in_as_many_cases_as_are_within_it():
     assert found["error over the best constant velocity's"]["passed"]
     assert not found["the same, median"]["passed"]
     assert (turns["held"], turns["all"], turns["passed"]) == (2, pytest.approx(280 / 300), True)
-
-
-def test_the_picture_marks_what_lies_beyond_its_axes():
-    case = dict.fromkeys(picture.PANELS, 0.9) | {"period": 5.0, "noise": 3.0, "kind": "ships"}
-    drawn = picture.picture([case, case | {"of_raw": 40.0}], "two cases")
-    first = drawn.axes[0]
-    assert [offset for dots in first.collections for offset in dots.get_offsets()[:, 1]] == pytest.approx([0.9, 1.6])
-    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["ships"]
 
 
 @pytest.mark.parametrize(("arguments", "message"), [

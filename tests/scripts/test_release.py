@@ -104,7 +104,3 @@ def test_a_version_that_cannot_be_prepared_is_refused_and_files_stay(clone, word
     commit(clone)
     assert message in refusal(clone, *words)
     git(clone, "diff", "--exit-code")
-
-
-def test_an_unknown_argument_is_refused(clone):
-    assert "received --upload" in refusal(clone, "--upload")

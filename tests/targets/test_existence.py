@@ -11,7 +11,7 @@ from oracles.events import joint_existence
 from torchfra import presets, tree
 from torchfra.association import ChiSquare, Clutter, associate
 from torchfra.filters.scans.scan import associate_uncertain
-from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint, collect
+from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint
 
 FALSE, WIDTH, COUNT = 12, 200.0, 3
 
@@ -175,21 +175,6 @@ def test_existence_alone_needs_no_other_rule_of_deletion():
     assert manager(Existence()).deletion is None
     assert isinstance(manager(SPRT()).deletion, Deletion)
     assert manager(Existence(), deletion=Deletion(3)).deletion.misses == 3
-
-
-def test_single_precision_stays_single():
-    estimate = manager(Existence())(dense(1, 8, 4).float())
-    assert estimate.mean.dtype == torch.float32
-    assert estimate.confirmed[..., -1].sum() >= COUNT
-
-
-@pytest.mark.slow
-def test_a_compiled_filter_leaves_the_same_targets():
-    scans = dense(1, 8, 5)[:, :, : COUNT + 4]
-    slow, fast = (run(manager(Existence(), compile=compile), scans) for compile in (False, True))
-    assert len(slow[-1].identity) == COUNT
-    torch.testing.assert_close(collect(fast), collect(slow), rtol=1e-9, atol=1e-9, equal_nan=True)
-    torch.testing.assert_close(fast[-1].track.score, slow[-1].track.score, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("make", "message"), [

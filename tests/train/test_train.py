@@ -325,11 +325,6 @@ def test_a_filter_for_other_measurements_is_refused():
         prepare("noise", "filter=iaukf_jpda")
 
 
-def test_all_learns_all():
-    training = prepare("fra_bearings", *SMALL, "learn=all", "compile=false")
-    assert len(training.parameters) == 8
-
-
 # ---------------------------------------------------------------- several processes
 
 
