@@ -87,12 +87,12 @@ def test_smoothed_results_and_gradients_are_those_of_the_eager_filter(lag, monke
 
 @pytest.mark.slow
 def test_elements_may_be_missing_and_a_target_that_fails_leaves_the_others_alone(crossing):
-    """All safeguards at once: gates in metres, estimated noise that is shared, tracks that seem lost."""
+    """All safeguards at once: gates in metres, estimated noise, tracks that seem lost."""
     tracks = crossing.simulate(3, 3)
     z, mean = tracks.z[:, :6, :3].clone(), tracks.prior.mean.clone()
     z[0, 2, 1, 0] = z[1, 3, 0, 2] = z[2, :3] = math.nan
     mean[1, 0, 0] = math.nan
-    f = make("iaukf_jpda", crossing, share_noise=True, lost=0.2, gate=Euclidean(300.0, probability=0.99))
+    f = make("iaukf_jpda", crossing, lost=0.2, gate=Euclidean(300.0, probability=0.99))
     slow, fast = both(f, z, Gaussian(mean, tracks.prior.scale_tril))
     assert slow.failed.tolist() == fast.failed.tolist() == [[False] * 2, [True, False], [False] * 2]
     close(slow.failure, fast.failure)

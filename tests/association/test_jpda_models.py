@@ -332,8 +332,6 @@ def test_what_cannot_be_followed_is_named_with_its_reason():
     for refused in (lambda: f.smooth(crowd(), start("gpb")), lambda: FixedLag(f, 2)):
         with pytest.raises(NotImplementedError, match="JPDA around GPB"):
             refused()
-    with pytest.raises(ValueError, match="share_noise: expected an inner filter that estimates"):
-        around("imm", share_noise=True)
     ranges = presets.jpda(
         ConstantVelocity(1.0), Ranges(tensor([[0.0, 0.0], [9.0, 0.0]]), 1.0), inner=presets.gpb,
         clutter=Clutter(extent=[1.0, 1.0]),

@@ -97,13 +97,6 @@ def test_torch_compile_sees_a_step_as_it_is(crossing, scans):
     torch.testing.assert_close(fast(state, scans.z[:, 0])[0].belief.mean, f.step(state, scans.z[:, 0])[0].belief.mean)
 
 
-def test_shared_noise_is_one_for_all_targets(crossing, scans):
-    apart = make("iaukf_jpda", crossing)(scans.z, scans.prior).info.noise
-    shared = make("iaukf_jpda", crossing, share_noise=True)(scans.z, scans.prior).info.noise
-    assert (apart[:, 0] != apart[:, 1]).any()
-    assert torch.equal(shared[:, 0], shared[:, 1])
-
-
 def test_residuals_may_tell_the_noise(crossing, scans):
     z = crossing.simulate(3, 3).z[:, :25]  # until the noise has grown
     estimate = make("iaukf_jpda", crossing, adapt="residual")(z, scans.prior)

@@ -118,9 +118,7 @@ def with_outliers(seed, steps=80, outliers=6):
     return z
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"flag_on_reject": "hold"}, {"votes": 4}, {"warmup": 3}]
-)
+@pytest.mark.parametrize("options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"votes": 4}, {"warmup": 3}])
 def test_it_decides_as_the_paper_describes(options):
     several = [with_outliers(seed) for seed in range(2)]  # of which the first jumps for good
     f = presets.alphabeta(LINE, SENSOR, **OPTIONS, **options)

@@ -20,7 +20,6 @@ from torchfra.motion import (
     Singer,
     UnknownTurn,
 )
-from torchfra.scenarios.reentry import Reentry
 
 STEP = 1.5
 
@@ -122,15 +121,6 @@ def test_the_noise_of_a_bicycle_is_its_integral_along_the_arc(rear, steering, co
 def test_states_follow_the_differential_equation(motion, speeds, x):
     expected = [float(v) for v in flow(speeds, [mpf(float(v)) for v in x], STEP)]
     torch.testing.assert_close(motion(x, torch.tensor(STEP).double()), tensor(*expected), rtol=0, atol=1e-10)
-
-
-def test_a_reentry_by_the_method_of_runge_and_kutta_needs_no_finer_steps_and_one_by_eulers_does():
-    rough, fine = Reentry(), Reentry(method="rk4")
-    start = exact_end = tensor(6500.4e3, 349.14e3, -1809.3, -6796.7, 0.6932)
-    for _ in range(64):
-        exact_end = fine(exact_end, tensor(1 / 64).squeeze())
-    torch.testing.assert_close(fine(start, tensor(1.0).squeeze()), exact_end, rtol=0, atol=1e-5)
-    assert (rough(start, tensor(1.0).squeeze()) - exact_end).abs().max() > 0.1
 
 
 @pytest.mark.parametrize("motion", [

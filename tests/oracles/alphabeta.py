@@ -24,7 +24,6 @@ def alphabeta_bank(
     n: int = 2,
     patience: int = 5,
     warmup: int = 5,
-    flag_on_reject: str = "raw",
     confirm: bool = False,
     speed: float = 1.0,
 ) -> dict[str, list[Any]]:
@@ -80,7 +79,7 @@ def alphabeta_bank(
                 count, rej, hist, quiet, last, new = 2, 0, [], 0, 0, False
             else:
                 x = xp
-                hist.append(raw if flag_on_reject == "raw" else vote)
+                hist.append(raw)
         else:
             level = 0
             if conv:

@@ -11,15 +11,11 @@ from oracles.robust import huber
 
 
 def huber_score(
-    P: Array, H: Array, R: Array, s: Array, threshold: float, eps: float, whitening: str, cov_mode: str
+    P: Array, H: Array, R: Array, s: Array, threshold: float, eps: float, cov_mode: str
 ) -> tuple[Array, Array]:
     """Mean and covariance after an innovation s (m,), Qin et al. (2018), eqs. (53)-(59), from mean 0."""
     Pzz, Pxz = H @ P @ H.T + R, P @ H.T
-    if whitening == "symmetric":
-        power, V = np.linalg.eigh(Pzz)
-        L = V @ np.diag(np.sqrt(power)) @ V.T
-    else:
-        L = np.linalg.cholesky(Pzz)
+    L = np.linalg.cholesky(Pzz)
     eta = np.linalg.inv(L) @ s
     theta = np.diag(huber(eta, threshold))
     W = Pxz @ np.linalg.inv(L).T
@@ -30,16 +26,14 @@ def huber_score(
     return W @ theta @ eta, P - W @ lost @ W.T
 
 
-def huber_regression(
-    P: Array, H: Array, R: Array, s: Array, threshold: float, iterations: int, first_iterate: str
-) -> tuple[Array, Array]:
+def huber_regression(P: Array, H: Array, R: Array, s: Array, threshold: float, iterations: int) -> tuple[Array, Array]:
     """Mean and covariance by iteratively reweighted regression on measurement and prediction, from mean 0."""
     m, n = H.shape
     T = np.zeros((m + n, m + n))
     T[:m, :m], T[m:, m:] = np.linalg.cholesky(R), np.linalg.cholesky(P)
     y = np.linalg.inv(T) @ np.concatenate([s, np.zeros(n)])
     M = np.linalg.inv(T) @ np.concatenate([H, np.eye(n)])
-    delta = P @ H.T @ np.linalg.inv(H @ P @ H.T + R) @ s if first_iterate == "posterior" else np.zeros(n)
+    delta = P @ H.T @ np.linalg.inv(H @ P @ H.T + R) @ s
     for _ in range(iterations):
         psi = np.diag(huber(M @ delta - y, threshold))
         delta = np.linalg.inv(M.T @ psi @ M) @ M.T @ psi @ y

@@ -20,7 +20,6 @@ class Tuned(NamedTuple):
 
     b: float = 0.96
     confidence: tuple[float, float] = (0.5, 0.5)  # of infrared (elements 0, 1) and laser (2)
-    measured: bool = False  # confidence in what is measured, not in what is known
     lowest: float = 0.25
     highest: float = 1e4
     warmup: int = 5
@@ -42,7 +41,7 @@ def sage_husa(noise: MeasurementNoise, R0: Array, target: Array, weight: Array, 
             continue
         d = (1 - how.b) / (1 - how.b ** (count[i] + 2)) if how.b < 1 else 1 / (count[i] + 2)
         W = how.confidence[0 if i < 2 else 1]
-        g = (W if how.measured else 1 - W) * weight[i]
+        g = (1 - W) * weight[i]
         if count[i] >= how.warmup:
             R[i] = np.clip((1 - g * d) * R[i] + g * d * target[i], how.lowest * R0[i], how.highest * R0[i])
         count[i] += 1

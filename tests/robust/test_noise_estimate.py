@@ -15,10 +15,6 @@ SETTINGS = [
     ({}, oracles.Tuned()),
     ({"forgetting": 0.9, "confidence": (0.3, 0.8)}, oracles.Tuned(b=0.9, confidence=(0.3, 0.8))),
     ({"forgetting": 1.0, "warmup": 0}, oracles.Tuned(b=1.0, warmup=0)),
-    (
-        {"confidence": (0.3, 0.8), "confidence_in": "measured"},
-        oracles.Tuned(confidence=(0.3, 0.8), measured=True),
-    ),
     ({"adapt": "residual", "lowest": 0.5}, oracles.Tuned(residual=True, lowest=0.5)),
     ({"lowest": 0.9, "highest": 1.2}, oracles.Tuned(lowest=0.9, highest=1.2)),
 ]
@@ -59,14 +55,6 @@ def test_the_filter_agrees_with_an_oracle_of_plain_loops(scenario, tracks, optio
     scale = scale[:, :, None] * scale[:, None, :]
     np.testing.assert_allclose(estimate.covariance[0].numpy() / scale, truth["P"] / scale, atol=1e-8)
     np.testing.assert_allclose(estimate.info.noise[0].numpy() * R, truth["R"], rtol=1e-9)
-
-
-def test_with_the_default_confidence_both_readings_are_the_same(scenario, tracks):
-    a, b = (
-        presets.iaukf(scenario.motion, scenario.sensor, confidence_in=reading)(tracks.z, tracks.prior)
-        for reading in ("nominal", "measured")
-    )
-    assert torch.equal(a.mean, b.mean)
 
 
 def test_the_weight_of_an_innovation_is_that_of_the_paper():
@@ -183,7 +171,6 @@ def test_an_argument_out_of_range_is_named(scenario):
     for options, message in (
         ({"forgetting": 1.5}, "forgetting"),
         ({"confidence": (0.1, 0.2, 0.3)}, "confidence: expected"),
-        ({"confidence_in": "me"}, "confidence_in: expected one of"),
         ({"adapt": "never"}, "adapt: expected one of"),
         ({"lowest": 2.0}, "lowest, highest, warmup"),
         ({"warmup": -1}, "lowest, highest, warmup"),

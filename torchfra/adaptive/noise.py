@@ -35,14 +35,13 @@ class SageHusa(Part):
 
         R <- (1 - g d) R + g d (e e^T - H P H^T),   d = (1 - b) / (1 - b^(k + 2)),
 
-    on the diagonal and in units of the nominal noise; ``g`` is ``1 - confidence`` of the sensor, or ``confidence``.
+    on the diagonal and in units of the nominal noise; ``g`` is ``1 - confidence`` of the sensor.
 
     Args:
         blocks: elements of a measurement that belong to one sensor, ``Sensor.blocks``.
         forgetting: b; the memory is that of 1 / (1 - b) innovations.
-        confidence: one for each block, ``(..., blocks)``, or one for all.
-        confidence_in: ``"nominal"``: in the current estimate, so that a high confidence changes it slowly;
-            ``"measured"``: in the new innovation.  At 0.5 both are equal.
+        confidence: in the current estimate, which a high confidence changes slowly; one for each block, ``(...,
+            blocks)``, or one for all.
         lowest: lower bound of the estimate, as a share of the nominal variance.
         highest: upper bound of the estimate, as a multiple of the nominal variance.
         warmup: number of first innovations that do not change the estimate: after a prior that is far off they reflect
@@ -66,17 +65,13 @@ class SageHusa(Part):
         *,
         forgetting: Value = 0.96,
         confidence: Value | Sequence[float] = 0.5,
-        confidence_in: str = "nominal",
         lowest: float = 0.25,
         highest: float = 1e4,
         warmup: int = 5,
         adapt: str = "innovation",
     ) -> None:
         super().__init__()
-        one_of(
-            confidence_in=(confidence_in, ("nominal", "measured")),
-            adapt=(adapt, ("innovation", "residual")),
-        )
+        one_of(adapt=(adapt, ("innovation", "residual")))
         if not (0 < as_number(lowest) <= 1 <= as_number(highest) and is_integer(warmup, 0)):
             raise ValueError(
                 "lowest, highest, warmup: expected 0 < lowest <= 1 <= highest, and warmup of 0 or more, received "
@@ -88,7 +83,7 @@ class SageHusa(Part):
             raise ValueError(f"confidence: expected (..., {len(blocks)}), received {tuple(confidence.shape)}")
         self.forgetting = Hyper(forgetting, constraints.interval(0.0, 1.0), name="forgetting")
         self.confidence = Hyper(confidence, constraints.interval(0.0, 1.0), event_dim=1, name="confidence")
-        self.confidence_in, self.warmup, self.adapt = confidence_in, warmup, adapt
+        self.warmup, self.adapt = warmup, adapt
         self.lowest, self.highest = lowest, highest
         number_of = {i: number for number, block in enumerate(blocks) for i in block}
         numbers = torch.tensor([number_of[i] for i in sorted(number_of)])
@@ -126,8 +121,7 @@ class SageHusa(Part):
         """
         used = (weight >= 0.5).to(excess)
         total = memory.total * self.forgetting.elements(excess) + 1
-        confidence = self.confidence(excess).index_select(-1, self.block_of)
-        gain = confidence if self.confidence_in == "measured" else 1 - confidence
+        gain = 1 - self.confidence(excess).index_select(-1, self.block_of)
         rate = gain * weight / total
         scale = (memory.scale + rate * (excess - memory.scale)).clamp(self.lowest, self.highest)
         changed = used * (memory.updates >= self.warmup)

@@ -14,7 +14,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.model import add_counts, canonical, predict_and_compare, repairs
+from torchfra.gaussian.model import canonical, predict_and_compare, repairs
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, innovation
 from torchfra.motion.base import Motion
@@ -45,7 +45,7 @@ class Info(NamedTuple):
     """``(..., T)`` of a robust update that iterates; the maximum where it did not converge."""
     repaired: Tensor | None = None
     """``(..., T)`` number of covariances that were not positive definite and were repaired; for rules with negative
-    weights, or a robust update that may subtract too much."""
+    weights."""
     noise: Tensor | None = None
     """``(..., T, m)`` estimated variances of the measurement noise, as multiples of the nominal ones."""
 
@@ -192,7 +192,7 @@ class SRCKF(Filter[State]):
         else:
             corrected = self.robust.correct(predicted.belief, compared, weights, frame.measurement_noise)  # (26)
         belief = canonical(self.motion, corrected.belief)
-        repaired = add_counts(repairs(prediction, whitened, self.motion_rule), corrected.repaired)
+        repaired = repairs(prediction, whitened, self.motion_rule)
         info = Info(corrected.weights, factor, corrected.iterations, repaired)
         record = Record(belief, whitened.residual, root, normalised, info, evidence=corrected.evidence)
         return State(belief, memory, None), record

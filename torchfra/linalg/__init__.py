@@ -16,7 +16,7 @@ the orthogonal factor and full rank.
 """
 
 from torchfra.linalg.covariance import covariance_root
-from torchfra.linalg.gram import downdate, gram_information, gram_pinv, gram_sqrt
+from torchfra.linalg.gram import downdate, gram_information, gram_pinv
 from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_sqrt, safe_square
 from torchfra.linalg.tracing import elementary, is_elementary, is_traced
 from torchfra.linalg.triangular import apply, hstack, tria, tria_beside, whiten
@@ -28,7 +28,6 @@ __all__ = [
     "elementary",
     "gram_information",
     "gram_pinv",
-    "gram_sqrt",
     "hstack",
     "in_range",
     "is_elementary",

@@ -32,14 +32,6 @@ def gram_pinv(h: Tensor, rcond: float) -> Tensor:
     return _of_gram(h, u, eigenvalues, inverse, kept, -inverse.unsqueeze(-1) * inverse.unsqueeze(-2))
 
 
-def gram_sqrt(h: Tensor) -> Tensor:
-    """Symmetric square root ``(H H^T)^(1/2)`` of ``h (..., m, d)`` with full row rank; its gradient is exact."""
-    u, eigenvalues = _left_singular(h.detach())
-    sigma = eigenvalues.sqrt()
-    slope = safe_divide(1.0, sigma.unsqueeze(-1) + sigma.unsqueeze(-2), fill=1.0)
-    return _of_gram(h, u, eigenvalues, sigma, eigenvalues > 0, slope)
-
-
 @batchwise(2)
 def gram_information(h: Tensor) -> tuple[Tensor, Tensor]:
     """The measurement that turns ``N(0, I)`` into ``N(w, H H^T)``: ``root x + N(0, I)``, of value ``weight w``.

@@ -38,11 +38,9 @@ class LevelsOptions(TypedDict, total=False):
     patience: rejections in a row after which the filter restarts; 5 if not given.
     max_gap: seconds without a used measurement after which the filter restarts; never if not given.
     warmup: measurements before the first decision; 5 if not given.
-    flag_on_reject: flag of a rejected measurement: ``"raw"`` its own (if not given), or ``"hold"`` the vote.
     detect: in ``"cartesian"`` (if not given) or ``"polar"`` coordinates.
     onset: a manoeuvre begins from the ``"shared"`` state (if not given) or the ``"fastest"`` filter's (fastest).
     temperature: 0, if not given, for hard choices, above for soft ones, to train by.
-    initiation: from two measurements, ``"two-point"`` (if not given), or the ``"prior"``.
     period: seconds between measurements for which the gains are designed.
     confirm: whether a start or restart needs a third measurement that fits; no if not given (yes).
     """
@@ -59,11 +57,9 @@ class LevelsOptions(TypedDict, total=False):
     patience: int
     max_gap: float
     warmup: int
-    flag_on_reject: str
     detect: str
     onset: str | None
     temperature: float
-    initiation: str
     period: Value | None
     confirm: bool | None
 

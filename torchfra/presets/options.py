@@ -114,23 +114,18 @@ class ScoreOptions(TypedDict, total=False):
     rule: from a dimension to the points, ``cubature.fifth_degree`` if not given.
     threshold: in standard deviations of the innovation, 1.345 if not given.
     eps: assumed share of outliers, or ``"minimax"``, if not given.
-    whitening: root of the innovation covariance, ``"cholesky"`` (if not given) or ``"symmetric"``.
-    zeta_scale: whether the density behind the score is scaled to variance 1.
     """
 
     rule: Callable[[int], Rule]
     threshold: Value
     eps: Value | str
-    whitening: str
-    zeta_scale: bool
 
 
 class NoiseOptions(TypedDict, total=False):
     """Of the estimated measurement noise: ``adaptive.SageHusa``.
 
     forgetting: memory of the innovations, in [0, 1]; 0.96 if not given.
-    confidence: in [0, 1], one for each block of the sensor or one for all; 0.5 if not given.
-    confidence_in: ``"nominal"`` (if not given) or ``"measured"`` measurement noise.
+    confidence: in the nominal noise, in [0, 1], one for each block of the sensor or one for all; 0.5 if not given.
     lowest: share of the nominal variance below which the estimate does not fall; 0.25 if not given.
     highest: multiple of the nominal variance above which the estimate does not rise; 1e4 if not given.
     warmup: first innovations, which change nothing; 5 if not given.
@@ -139,7 +134,6 @@ class NoiseOptions(TypedDict, total=False):
 
     forgetting: Value
     confidence: Value | Sequence[float]
-    confidence_in: str
     lowest: float
     highest: float
     warmup: int
@@ -152,7 +146,6 @@ class ScansOptions(TypedDict, total=False):
     gate: measurements that may be a target's: ``torchfra.association``.
     detection: probability that a target is measured, 0.95 if not given.
     lost: probability of so many misses in a row below which a track is lost; 0 for never.
-    share_noise: whether targets share their estimates of the measurement noise.
     exact: targets and measurements of a cluster up to which association is exact, ``(4, 10)`` if not given.
     permutations: False for JPDA*, where targets stay beside one another; True if not given.
     temperature: 0, if not given, for gates with a hard edge, above for a soft one, to train by.
@@ -161,7 +154,6 @@ class ScansOptions(TypedDict, total=False):
     gate: Gate | None
     detection: Value
     lost: float
-    share_noise: bool
     exact: tuple[int, int]
     permutations: bool
     temperature: float

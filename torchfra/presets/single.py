@@ -141,7 +141,7 @@ def ghckf(motion: Motion, sensor: Sensor, *, learn: Collection[str] = ()) -> SRC
 @preset("hghckf1", words="ghckf, robust by Huber regression")
 def hghckf1(
     motion: Motion, sensor: Sensor, *, rule: Callable[[int], Rule] = fifth_degree, threshold: Value = 1.345,
-    max_iter: int = 10, tol: float = 1e-6, first_iterate: str = "posterior", compensate: bool = False,
+    max_iter: int = 10, tol: float = 1e-6, compensate: bool = False,
     learn: Collection[str] = (),
 ) -> SRCKF:  # fmt: skip
     """Robust by an iterated Huber regression on measurement and prediction.
@@ -151,13 +151,12 @@ def hghckf1(
         threshold: of the weights, in standard deviations: ``robust.HuberRegression``.
         max_iter: iterations at most.
         tol: relative change at which a track has converged.
-        first_iterate: ``"posterior"`` of the plain update, or ``"prior"``.
         compensate: whether the error of the linearisation is added to the measurement noise.
         **options
 
     Source: Zhang et al. (2016), with which Qin et al. (2018) compare their filter.
     """
-    robust = HuberRegression(threshold, max_iter=max_iter, tol=tol, first_iterate=first_iterate, compensate=compensate)
+    robust = HuberRegression(threshold, max_iter=max_iter, tol=tol, compensate=compensate)
     return SRCKF(motion, sensor, rule=rule, robust=robust)
 
 

@@ -22,8 +22,6 @@ class Corrected(NamedTuple):
     """``(...)`` log density of the innovation under the divided noise, less a constant; None for the nominal noise."""
     iterations: Tensor | None = None
     """``(...)`` number of iterations of an update that iterates."""
-    repaired: Tensor | None = None
-    """``(...)`` bool, whether a covariance was repaired, for an update that may subtract too much."""
 
 
 class Robust(Part):

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchfra.gaussian.update import correct, down_weight, repaired_root
-from torchfra.hyper import Hyper, Value, one_of
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg.triangular import apply, eliminated, hstack, rounding, tria, whiten
 from torchfra.numbers import as_number, is_integer
 from torchfra.robust.base import Corrected, Robust
@@ -53,7 +53,6 @@ class HuberRegression(Robust):
         threshold: threshold of the weights, in standard deviations; with infinity all weights are 1.
         max_iter: largest number of reweightings, 1 or more.
         tol: relative change below which a track has converged, 0 or more.
-        first_iterate: where the iterations start: ``"posterior"`` of the plain update, or ``"prior"``.
         compensate: whether the error of the statistical linearisation of the measurement is added to the measurement
             noise; otherwise it is neglected.
 
@@ -69,7 +68,6 @@ class HuberRegression(Robust):
         *,
         max_iter: int = 10,
         tol: float = 1e-6,
-        first_iterate: str = "posterior",
         compensate: bool = False,
     ) -> None:
         super().__init__()
@@ -77,9 +75,8 @@ class HuberRegression(Robust):
             raise ValueError(
                 f"max_iter, tol: expected max_iter of 1 or more and tol of 0 or more, received {max_iter!r}, {tol!r}"
             )
-        one_of(first_iterate=(first_iterate, ("posterior", "prior")))
         self.threshold = Hyper(threshold, name="threshold")
-        self.max_iter, self.tol, self.first_iterate, self.compensate = max_iter, tol, first_iterate, compensate
+        self.max_iter, self.tol, self.compensate = max_iter, tol, compensate
 
     def rooted(self, prediction: Prediction) -> Prediction:
         """The prediction by a root that has a zero column for each component which those above it determine.
@@ -98,7 +95,9 @@ class HuberRegression(Robust):
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The belief after the measurement; the weights of the iterations take the place of ``weights``."""
         linear = self._linear(whitened, belief.mean.shape[-1])
-        error, iterations = self._iterate(linear, self._first(belief, whitened))
+        nothing = torch.zeros_like(belief.mean)
+        unit = torch.eye(nothing.shape[-1], dtype=whitened.residual.dtype, device=whitened.residual.device)
+        error, iterations = self._iterate(linear, correct(Gaussian(nothing, unit), whitened)[0].mean)
         solution, weights = linear.reweighted(error)
         mean = belief.mean + apply(belief.scale_tril, error)
         return Corrected(Gaussian(mean, belief.scale_tril @ solution.scale_tril), weights, iterations=iterations)
@@ -112,14 +111,6 @@ class HuberRegression(Robust):
             residual, slope = whiten(root, residual), torch.linalg.solve_triangular(root, slope, upper=False)
         threshold = self.threshold(residual).unsqueeze(-1)
         return _Linear(Whitened(residual, slope, d), pad(slope, (0, n - d)), threshold)
-
-    def _first(self, belief: Gaussian, whitened: Whitened) -> Tensor:
-        """The first iterate ``(..., n)`` of the prediction's error."""
-        error = torch.zeros_like(belief.mean)
-        if self.first_iterate == "prior":
-            return error
-        unit = torch.eye(error.shape[-1], dtype=whitened.residual.dtype, device=whitened.residual.device)
-        return correct(Gaussian(error, unit), whitened)[0].mean
 
     def _iterate(self, linear: _Linear, error: Tensor) -> tuple[Tensor, Tensor]:
         """The last iterate ``(..., n)`` and the number of iterations ``(...)``; each track stops once it converged."""

@@ -10,7 +10,6 @@ from torch.distributions import constraints
 
 from torchfra.gaussian.update import joint
 from torchfra.hyper import Hyper, Value, one_of
-from torchfra.linalg.gram import downdate, gram_sqrt
 from torchfra.linalg.safe import safe_sqrt
 from torchfra.linalg.triangular import apply, hstack, tria, whiten
 from torchfra.robust.base import Corrected, Robust
@@ -31,16 +30,12 @@ class HuberScore(Robust):
             ``"minimax"`` for the fraction of Huber's least favourable density, which depends on ``threshold`` alone.
         cov_mode: the factor in the covariance: ``"constant"`` for the mean slope of the score, ``(1 - eps)
             erf(threshold / sqrt(2))``, as in the paper; ``"indicator"`` for the slope itself, 1 or 0 for each element.
-        whitening: root of the innovation covariance: ``"cholesky"``, or ``"symmetric"``, which does not depend on the
-            order of the elements, but on their units.
-        zeta_scale: scale ``eta`` so that the density has variance 1.  Weights are then up to 1.48 at a threshold of
-            1.345, and the covariance may have to be repaired (``info.repaired``).
 
     Raises:
         ValueError: an argument is out of its range.
 
-    Source: Qin et al. (2018), eqs. (10)-(59); Masreliez & Martin (1977).  Differs: ``eps`` is a free parameter in the
-    paper.
+    Source: Qin et al. (2018), eqs. (10)-(59), without the scale of (35)-(36); Masreliez & Martin (1977).  Differs:
+    ``eps`` is a free parameter in the paper.
     """
 
     def __init__(
@@ -49,61 +44,35 @@ class HuberScore(Robust):
         *,
         eps: Value | str = "minimax",
         cov_mode: str = "constant",
-        whitening: str = "cholesky",
-        zeta_scale: bool = False,
     ) -> None:
         super().__init__()
-        one_of(
-            cov_mode=(cov_mode, ("constant", "indicator")),
-            whitening=(whitening, ("cholesky", "symmetric")),
-        )
+        one_of(cov_mode=(cov_mode, ("constant", "indicator")))
         if isinstance(eps, str) and eps != "minimax":
             raise ValueError(f"eps: expected a share in [0, 1) or 'minimax', received {eps!r}")
         self.threshold = Hyper(threshold, name="threshold")
         self.eps = None if isinstance(eps, str) else Hyper(eps, constraints.half_open_interval(0.0, 1.0), name="eps")
-        self.cov_mode, self.whitening, self.zeta_scale = cov_mode, whitening, zeta_scale
+        self.cov_mode = cov_mode
 
     def correct(self, belief: Gaussian, whitened: Whitened, weights: Tensor, noise: MeasurementNoise) -> Corrected:
         """The belief after the measurement: eqs. (54)-(59); ``weights`` are not used."""
         root, cross, posterior = joint(belief, whitened)
         eta = whiten(root, whitened.residual)
-        if self.whitening == "symmetric":
-            eta, cross = _symmetric(eta, cross, noise.colour(root))
-        threshold, zeta = self.threshold(eta).unsqueeze(-1), self.zeta().to(eta).unsqueeze(-1)
-        size = zeta * eta.abs()
-        score = zeta.square() / (size / threshold).clamp_min(1.0)  # eqs. (54)-(56)
+        threshold, size = self.threshold(eta).unsqueeze(-1), eta.abs()
+        score = 1 / (size / threshold).clamp_min(1.0)  # eqs. (54)-(56)
         mean = belief.mean + apply(cross, score * eta)  # eq. (58)
         slope = (size < threshold).to(eta) if self.cov_mode == "indicator" else self.factor().to(eta).unsqueeze(-1)
-        remaining = 1 - zeta.square() * slope  # eq. (59): P = S_post S_post^T + cross diag(remaining) cross^T
-        after, repaired = tria(hstack(posterior, cross * safe_sqrt(remaining).unsqueeze(-2))), None
-        if self.zeta_scale:  # weights above 1 take more from the covariance than the plain update
-            after, repaired = downdate(after, cross * safe_sqrt(-remaining).unsqueeze(-2))
+        # eq. (59): P = S_post S_post^T + cross diag(1 - slope) cross^T
+        after = tria(hstack(posterior, cross * safe_sqrt(1 - slope).unsqueeze(-2)))
         limited = torch.minimum(size, threshold)
         cost = limited * (size - limited / 2)  # eq. (34)
         evidence = -cost.sum(-1) - root.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        return Corrected(Gaussian(mean, after), score, evidence, repaired=repaired)
+        return Corrected(Gaussian(mean, after), score, evidence)
 
     def factor(self) -> Tensor:
         """Mean slope of the score, in (0, 1]: eqs. (45), (57)."""
         threshold = self.threshold()
         uncontaminated = math.sqrt(2 * math.pi) / _integral(threshold) if self.eps is None else 1 - self.eps()
         return uncontaminated * torch.erf(threshold / math.sqrt(2))
-
-    def zeta(self) -> Tensor:
-        """Scale of the normalised innovation; 1 unless ``zeta_scale``: eqs. (35)-(36)."""
-        threshold = self.threshold()
-        if not self.zeta_scale:
-            return torch.ones_like(threshold)
-        tails = 4 * (1 / threshold + 1 / threshold**3) * (-threshold.square() / 2).exp()
-        second_moment = math.sqrt(2 * math.pi) * torch.erf(threshold / math.sqrt(2)) + tails
-        zeta: Tensor = (second_moment / _integral(threshold)).sqrt()
-        return zeta
-
-
-def _symmetric(eta: Tensor, cross: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
-    """``eta`` and the cross covariance divided by the symmetric root of ``root root^T`` instead of by ``root``."""
-    rotation = torch.linalg.solve_triangular(root, gram_sqrt(root), upper=False)
-    return apply(rotation.mT, eta), cross @ rotation
 
 
 def _integral(threshold: Tensor) -> Tensor:

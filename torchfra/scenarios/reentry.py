@@ -29,31 +29,22 @@ class Reentry(Motion):
     Args:
         q: spectral density of the random acceleration, m^2/s^3.
         q_parameter: variance per second of the logarithm of the ballistic parameter.
-        method: integration of each tenth of a step: ``"euler"`` or ``"rk4"``.
 
-    Raises:
-        ValueError: an unknown method.
+    Each tenth of a step is integrated by Euler's method.
 
     Source: Austin & Leondes (1981); Julier & Uhlmann (2004); Sarkka (2007) for the process noise.
     """
 
-    def __init__(self, q: Value = 240.64, q_parameter: Value = 0.0, *, method: str = "euler") -> None:
-        one_of(method=(method, ("euler", "rk4")))
+    def __init__(self, q: Value = 240.64, q_parameter: Value = 0.0) -> None:
         kinds = ("position", "position", "velocity", "velocity", "parameter")
         super().__init__(2, 2, q, size=5, components=("x", "y", "vx", "vy", "drag"), kinds=kinds)
         self.q_parameter = Hyper(q_parameter, constraints.nonnegative, finite=True, name="q_parameter")
-        self.method = method
 
     def forward(self, x: Tensor, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """The state ``(..., 5)`` after ``dt`` seconds, without process noise."""
         h = dt.unsqueeze(-1) / SUBSTEPS
         for _ in range(SUBSTEPS):
-            slope = self.slope(x)
-            if self.method == "rk4":
-                second = self.slope(x + h / 2 * slope)
-                third = self.slope(x + h / 2 * second)
-                slope = (slope + 2 * second + 2 * third + self.slope(x + h * third)) / 6
-            x = x + h * slope
+            x = x + h * self.slope(x)
         return x
 
     @staticmethod
@@ -82,9 +73,8 @@ class Reentry(Motion):
 
 
 def reentry(
-    outliers: str = "covariance", *, radar: str = "paper", size: float | None = None, share: float = 0.3,
-    method: str = "euler",
-) -> Scenario:  # fmt: skip
+    outliers: str = "covariance", *, radar: str = "paper", size: float | None = None, share: float = 0.3
+) -> Scenario:
     """200 s of a re-entry, range and bearing every second, with outliers.
 
     Args:
@@ -93,7 +83,6 @@ def reentry(
             those of the literature).
         size: the factor; None for an integer from 1 to 20, drawn each time.
         share: of the measurements that are outliers.
-        method: of the filters' integration, as in ``Reentry``.
 
     Raises:
         ValueError: an argument out of its range.
@@ -101,7 +90,7 @@ def reentry(
     Source: Qin et al. (2018), section 4.2.  The duration and the integration are chosen here.
     """
     one_of(radar=(radar, tuple(_RADARS)))
-    motion, std = Reentry(method=method), torch.tensor(_RADARS[radar], dtype=torch.float64)
+    motion, std = Reentry(), torch.tensor(_RADARS[radar], dtype=torch.float64)
     sensor = RangeBearing(std)
     station = torch.tensor([_EARTH, 0.0], dtype=torch.float64).expand(STEPS, 2)
     prior, factors = Gaussian(_START, torch.eye(5, dtype=torch.float64)), outlier_factors(outliers, size, share)
@@ -115,10 +104,7 @@ def reentry(
         z = sensor(truth, station) + std * noise * factors(rng, (BLOCK, STEPS, 1))
         return Tracks(truth, z, station, Gaussian(prior.mean.expand(BLOCK, 5), prior.scale_tril))
 
-    settings = {
-        "outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share,
-        "method": method,
-    }  # fmt: skip
+    settings = {"outliers": outliers, "radar": radar, "size": "1 to 20" if size is None else size, "share": share}
     information = mixed_information(outliers, size, share, 2)
     start = prior.scale_tril[:, :4]  # filters start with the true parameter
     law = Law(start, Reentry(), sensor, std, _shaken(jolt), information)

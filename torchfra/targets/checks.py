@@ -52,8 +52,6 @@ def check_filter(filter: object, name: str = "filter", *, births: bool = True) -
         raise ValueError(
             f"{name}: expected hyperparameters that are the same for all targets, received a batch of them"
         )
-    if filter.share_noise:
-        raise ValueError(f"{name}: expected targets with their own estimates of the noise, received share_noise=True")
     _check_missable(filter, name)
 
 

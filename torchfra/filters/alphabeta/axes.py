@@ -13,7 +13,7 @@ from torchfra.filters.alphabeta import gains as design
 from torchfra.filters.alphabeta.gains import Gains
 from torchfra.filters.base import Filter
 from torchfra.gaussian.inputs import Frame
-from torchfra.hyper import Hyper, Value, one_of
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.linalg.tracing import is_traced
 from torchfra.linalg.triangular import hstack, tria
@@ -47,29 +47,25 @@ class ConstantGainFilter(Filter[S]):
     one_sensor = "constant gains are chosen for one sensor's noise"
     gamma: Hyper | None
 
-    def __init__(self, motion: Motion, sensor: Sensor, initiation: str, period: Value | None) -> None:
+    def __init__(self, motion: Motion, sensor: Sensor, period: Value | None) -> None:
         if not measures_positions(sensor):
             raise ValueError(f"sensor: expected a Position with a std, received {type(sensor).__name__}")
         if not moves_along_axes(motion, sensor.size):
             raise ValueError(
                 f"motion: expected constant velocity or acceleration in {sensor.size} dimensions, received {motion}"
             )
-        one_of(initiation=(initiation, ("two-point", "prior")))
         super().__init__(motion, sensor)
         self.not_smoothed = (
             f"{type(self).__name__}: constant gains have no process noise, which the backward pass needs; smooth with "
             "presets.srckf, or a bank of motions"
         )
-        self.initiation = initiation
         self.period = None if period is None else Hyper(period, name="period")
 
-    def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
-        """The initial mean, zeros ``(..., d)``, and the number of measurements that the mean counts as."""
+    def _first(self, belief: Gaussian) -> tuple[Tensor, Tensor]:
+        """The initial mean, of which the first two measurements leave nothing, and zeros ``(..., d)``."""
         d = self.motion.dims
         zero = torch.zeros_like(belief.mean[..., :d])
-        if self.initiation == "prior":
-            return belief.mean, zero, zero + 2
-        return torch.cat([belief.mean[..., :d], *[zero] * (self.motion.orders - 1)], -1), zero, zero
+        return torch.cat([belief.mean[..., :d], *[zero] * (self.motion.orders - 1)], -1), zero
 
     def _first_root(self, belief: Gaussian) -> Tensor:
         """Entries ``(..., p, d)`` of the covariance root of each axis."""
@@ -124,8 +120,6 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         sensor: a ``Position``.
         gains: of the filter; ``torchfra.filters.alphabeta.gains`` has designs.
         expanding: use the gains of a least-squares line until they have fallen to ``gains`` (two gains only).
-        initiation: ``"two-point"`` takes position and velocity from the first two measurements, ``"prior"`` from the
-            prior.
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  If
             steps differ much, constant gains are not stable without it; it should be near the longest step.  None for
             steps that hardly differ.
@@ -143,10 +137,9 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         gains: Gains,
         *,
         expanding: bool = False,
-        initiation: str = "two-point",
         period: Value | None = None,
     ) -> None:
-        super().__init__(motion, sensor, initiation, period)
+        super().__init__(motion, sensor, period)
         if (gains.gamma is not None and motion.orders == 2) or not design.stable(gains):
             more = "" if motion.orders == 2 else ", or these and gamma"
             raise ValueError(f"gains: expected stable alpha and beta{more}, received {gains}")
@@ -161,8 +154,8 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
 
     def begin(self, belief: Gaussian) -> AlphaBetaState:
         """The state before the first measurement."""
-        mean, zero, count = self._first(belief)
-        return AlphaBetaState(mean, self._first_root(belief), count, zero)
+        mean, zero = self._first(belief)
+        return AlphaBetaState(mean, self._first_root(belief), zero, zero)
 
     def advance(self, state: AlphaBetaState, frame: Frame) -> tuple[AlphaBetaState, Record]:
         """One step: prediction, residual, update by the gains."""

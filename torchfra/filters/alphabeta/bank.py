@@ -192,14 +192,11 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         patience: rejections in a row after which the next rejection restarts the filter.
         max_gap: seconds without a used measurement after which the next measurement restarts the filter.
         warmup: measurements before the first decision; until then the fastest level is used.
-        flag_on_reject: the flag that the history keeps of a rejected measurement: ``"raw"`` its own, or ``"hold"`` the
-            vote.
         detect: ``"cartesian"``: each axis decides by itself; ``"polar"``: range and horizontal azimuth from the origin
             decide for all axes.
         onset: the state at the onset of a manoeuvre: ``"shared"`` the one as it is, which lags after small gains, or
             ``"fastest"`` that of the fastest filter, which then runs all the time.
         temperature: 0 for hard choices, above for soft ones; an attribute that may be changed at any time.
-        initiation: position and velocity from the first two measurements, ``"two-point"``, or from the ``"prior"``.
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  None
             for steps that hardly differ.
         confirm: whether a start or restart from two measurements needs a third one that the target can reach from them
@@ -231,17 +228,15 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         patience: int = 5,
         max_gap: float = math.inf,
         warmup: int = 5,
-        flag_on_reject: str = "raw",
         detect: str = "cartesian",
         onset: str = "shared",
         temperature: float = 0.0,
-        initiation: str = "two-point",
         period: Value | None = None,
         confirm: bool = False,
     ) -> None:
-        super().__init__(motion, sensor, initiation, period)
+        super().__init__(motion, sensor, period)
         self.votes, self.patience, self.max_gap, self.warmup = votes, patience, max_gap, warmup
-        self.flag_on_reject, self.detect, self.onset = flag_on_reject, detect, onset
+        self.detect, self.onset = detect, onset
         self.confirm = confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
@@ -255,11 +250,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def _check(self) -> None:
         """Checks all arguments but gains and thresholds."""
-        one_of(
-            flag_on_reject=(self.flag_on_reject, ("raw", "hold")),
-            detect=(self.detect, ("cartesian", "polar")),
-            onset=(self.onset, ("shared", "fastest")),
-        )
+        one_of(detect=(self.detect, ("cartesian", "polar")), onset=(self.onset, ("shared", "fastest")))
         if not (is_integer(self.votes, 2) and self.votes % 2 == 0):
             raise ValueError(f"votes: expected an even number of 2 or more, received {self.votes!r}")
         for name, value, least in (("patience", self.patience, 1), ("warmup", self.warmup, 3)):
@@ -302,16 +293,16 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def begin(self, belief: Gaussian) -> AlphaBetaBankState:
         """The state before the first measurement: nothing used, no flags, the fastest level."""
-        mean, axes, count = self._first(belief)
+        mean, axes = self._first(belief)
         root = self._first_root(belief)
         polar = self.detect == "polar"
-        zero, count = (axes[..., :1], count[..., :1]) if polar else (axes, count)
+        zero = axes[..., :1] if polar else axes
         channels = axes[..., :2] if polar else axes
         return AlphaBetaBankState(
             mean=mean,
             root=root,
             prior_std=root_spreads(root),
-            used=count,
+            used=zero,
             since=zero,
             rejected=zero,
             flags=channels.unsqueeze(-2).expand(*channels.shape[:-1], self.votes, -1),
@@ -333,8 +324,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         level = self.choose_level(state, innovation, vote.manoeuvre, test.accepted)
         belief, fastest = self.update(state, innovation, vote, test, level)
         level = torch.where(test.restarted.unsqueeze(-1) > 0, one_level(0, level), level)
-        flag = vote.flag if self.flag_on_reject == "raw" else vote.flag + test.rejected * (vote.vote - vote.flag)
-        after = remember(state, innovation, vote, test, flag)
+        after = remember(state, innovation, vote, test)
         after = after._replace(mean=belief.mean, root=belief.scale_tril, level=level, fastest=fastest)
         spread = residual_spread(predict_root(root_rows(state.root), innovation.dt), innovation.std)
         belief = Gaussian(after.mean, after.root)
@@ -551,20 +541,12 @@ def all_stable(gains: Gains) -> bool:
 
 
 def remember(
-    state: AlphaBetaBankState, innovation: AxisInnovation, vote: Vote, test: OutlierTest, flag: Tensor
+    state: AlphaBetaBankState, innovation: AxisInnovation, vote: Vote, test: OutlierTest
 ) -> AlphaBetaBankState:
-    """The state with counters, flags and last measurement after the step; a restart keeps the last measurement alone.
-
-    Args:
-        state: before the step.
-        innovation: of the step.
-        vote: of the step.
-        test: of the step.
-        flag: ``(..., c)`` the flag that the history keeps of this measurement.
-    """
+    """The state with counters, flags and last measurement after the step; a restart keeps the measurement alone."""
     keep, measured, axis_measured = 1 - test.restarted, innovation.measured, innovation.axis_measured
     voting = measured * (state.used > 1.5)  # the two points that start a track have no vote
-    change = voting.unsqueeze(-2) * (_pushed(state.flags, flag) - state.flags)
+    change = voting.unsqueeze(-2) * (_pushed(state.flags, vote.flag) - state.flags)
     since_last = state.since_last + innovation.dt
     earlier = state.earlier
     if earlier is not None:

@@ -22,7 +22,7 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 def learn_noise(
     estimate: SageHusa | None, memory: NoiseMemory | None, whitened: Whitened, when: str, *, association: Association,
-    frame: Frame, share_noise: bool,
+    frame: Frame,
 ) -> NoiseMemory | None:  # fmt: skip
     """The memory of the noise estimate after a scan, if ``when`` equals its ``adapt``; else unchanged.
 
@@ -35,19 +35,11 @@ def learn_noise(
         when: ``"innovation"`` or ``"residual"``.
         association: of targets and measurements.
         frame: of the scan.
-        share_noise: whether all targets share the estimate.
     """
     share = association.probabilities
     if estimate is None or memory is None or estimate.adapt != when:
         return memory
-    memory = estimate.forward(memory, *weighted_mean(estimate.excess(whitened), share, frame.measured))
-    if not share_noise:
-        return memory
-    measured = share.sum(-1)[..., None, None]  # probability that each target was measured
-    total = measured.sum(-3, keepdim=True)
-    mean = safe_divide((measured * memory.scale).sum(-3, keepdim=True), total)
-    # With a sum below one half, more likely than not no target was measured: nothing is learned.
-    return memory._replace(scale=torch.where(total >= 0.5, mean, memory.scale))
+    return estimate.forward(memory, *weighted_mean(estimate.excess(whitened), share, frame.measured))
 
 
 def fade(

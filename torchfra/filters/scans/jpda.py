@@ -80,8 +80,6 @@ class JPDA(Soft, Around[JPDAState]):
         lost: largest probability that a track which is on its target misses so many scans in a row.  Below it a track
             is considered lost: its covariance quadruples with every further miss, five times at most, until it is
             measured again (with several models before the prediction, with one after it).  0 for never.
-        share_noise: whether all targets share one noise estimate, the mean weighted by their probabilities of being
-            measured.
         exact: targets and measurements of a cluster up to which all joint events are summed; see ``association``.
         permutations: whether association counts all joint events.  False is JPDA*, for targets that stay beside one
             another, which does not compile: see ``association.associate``.
@@ -116,16 +114,11 @@ class JPDA(Soft, Around[JPDAState]):
         clutter: Clutter,
         detection: Value = 0.95,
         lost: float = 0.0,
-        share_noise: bool = False,
         exact: tuple[int, int] = (4, 10),
         permutations: bool = True,
         temperature: float = 0.0,
     ) -> None:
         check_merges(inner)
-        if share_noise and (not isinstance(inner, SRCKF) or inner.noise is None):
-            raise ValueError(
-                "share_noise: expected an inner filter that estimates the noise, received one that does not"
-            )
         check_exact(exact)
         clutter.check(inner.sensor)
         gate.check(inner.sensor)
@@ -148,7 +141,7 @@ class JPDA(Soft, Around[JPDAState]):
             raise ValueError(f"detection: expected a probability above 0, received {detection}")
         if not isinstance(permutations, bool):
             raise ValueError(f"permutations: expected True or False, received {permutations!r}")
-        self.share_noise, self.exact, self.lost, self.permutations = share_noise, exact, lost, permutations
+        self.exact, self.lost, self.permutations = exact, lost, permutations
         self.temperature = temperature
         for hyper in hypers(self).values():
             hyper.shared_dims += 1  # all measurements share the values of their target
@@ -209,7 +202,7 @@ class JPDA(Soft, Around[JPDAState]):
         scan = self.scan_of(f, prediction.belief, whitened, noise, frame)
         repaired = target_repairs(prediction, scan.whitened)
         association = associate(scan, self.inside(scan))  # (25)-(27)
-        learn = partial(learn_noise, f.noise, association=association, frame=frame, share_noise=self.share_noise)
+        learn = partial(learn_noise, f.noise, association=association, frame=frame)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
         rescaled = scan.whitened if f.noise is None else f.noise.rescale(scan.whitened, noise)
         prediction, rescaled, fading, factor = fade(f, prediction, rescaled, fading, scan, association, frame)
