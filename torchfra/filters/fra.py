@@ -20,7 +20,7 @@ from torchfra.filters.base import Filter
 from torchfra.filters.forecast import one_hypothesis
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import Frame, batch_rank
+from torchfra.gaussian.inputs import Frame, batch_rank, value_batches
 from torchfra.gaussian.mixture import moment_match
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import correct, down_weight, down_weighted_density, innovation
@@ -384,10 +384,10 @@ class FRA(Soft, Filter[FRAState]):
     @once
     def of_one_batch(self, like: Tensor | None = None) -> bool:
         """Whether hyperparameters have a batch, or a motion works on those of its models."""
-        parts: list[Any] = [self.gate, self.preference, self.plain, self.robust, self.fading, self.sensor]
-        parts += [] if self.motion.linear else [self.motion]  # a linear one has given its matrices for each track
-        own = not self.motion.linear and bool(self.motion.stacked)
-        return own or any(part is not None and batch_rank(part) for part in parts)
+        if not self.motion.linear:
+            return bool(self.motion.stacked or value_batches(self))
+        # A linear motion has given its matrices for each track.
+        return any(not path.startswith("motion.") for path in value_batches(self))
 
 
 def best(scores: Tensor) -> Choice:

@@ -182,9 +182,15 @@ def _check_models(motion: Motion, shift: Tensor | None, transition: Tensor | Non
             raise ValueError(f"{type(motion).__name__}.{name}: expected (..., {expected}), received {tuple(x.shape)}")
 
 
+def value_batches(module: nn.Module) -> dict[str, torch.Size]:
+    """The batches of a filter's hyperparameters that have one, by path."""
+    known = hypers(module).items()
+    return {path: hyper.raw.shape[: hyper.batch_rank] for path, hyper in known if hyper.raw.dim() > hyper.event_dim}
+
+
 def batch_rank(module: nn.Module) -> int:
     """Number of batch dimensions of a filter's hyperparameters."""
-    return max([0, *(hyper.batch_rank for hyper in hypers(module).values())])
+    return max(map(len, value_batches(module).values()), default=0)
 
 
 def broadcast_with_values(module: nn.Module, batch: torch.Size) -> torch.Size:
@@ -194,8 +200,7 @@ def broadcast_with_values(module: nn.Module, batch: torch.Size) -> torch.Size:
         ValueError: values that do not broadcast with the tracks.
     """
     common = batch
-    for path, hyper in hypers(module).items():
-        values = hyper.raw.shape[: hyper.batch_rank]
+    for path, values in value_batches(module).items():
         try:
             common = broadcast_shapes(common, values)
         except RuntimeError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -44,6 +45,8 @@ class Augmented(Motion):
         )  # fmt: skip
         self.stated = tuple(kind for part in parts for kind in part.stated)
         self.parts, self._sizes = nn.ModuleList(parts), [part.size for part in parts]
+        self.order: tuple[int, ...] | None = None
+        """Which component of the motions, one behind the other, each component of the state is; None if the same."""
 
     @property
     def linear(self) -> bool:  # type: ignore[override]  # of these motions, not of the class
@@ -65,7 +68,8 @@ class Augmented(Motion):
 
     def transition(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``F (..., n, n)``, a block for each motion, if all are linear."""
-        return block_diagonal([part.transition_by(dt, u) for part in self._parts])
+        blocks = block_diagonal([part.transition_by(dt, u) for part in self._parts])
+        return self._ordered(self._ordered(blocks, -2))
 
     def shift(self, dt: Tensor, u: Tensor | None) -> Tensor | None:
         """Known changes of the state ``(..., n)``; None if no motion has any."""
@@ -73,7 +77,7 @@ class Augmented(Motion):
         if all(part is None for part in parts):
             return None
         shifts = [dt.new_zeros(n) if part is None else part for n, part in zip(self._sizes, parts, strict=True)]
-        return joined(shifts)
+        return self._ordered(joined(shifts))
 
     def adaptation(self, dt: Tensor) -> Adaptation | None:
         """The adaptation of the first motion; the other motions have none."""
@@ -82,19 +86,18 @@ class Augmented(Motion):
 
     def process_noise(self, dt: Tensor, u: Tensor | None = None) -> Tensor:
         """``S_Q (..., n, r)``, a block for each motion."""
-        return block_diagonal([part.process_noise_by(dt, u) for part in self._parts])
+        return self._ordered(block_diagonal([part.process_noise_by(dt, u) for part in self._parts]), -2)
 
     def process_noise_at(self, process_noise: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
         """``S_Q (..., n, r)`` at a predicted mean ``(..., n)``."""
-        given = process_noise.split(self._sizes, -2)  # of noise that depends on u, which is not known here
+        given = self._apart(process_noise, -2)  # of noise that depends on u, which is not known here
         roots = [
             own if "process_noise" in part.by_inputs else part.process_noise(dt)
             for part, own in zip(self._parts, given, strict=True)
         ]
-        parts = zip(self._parts, roots, mean.split(self._sizes, -1), strict=True)
-        return block_diagonal(
-            [root if part.linear else part.process_noise_at(root, own, dt) for part, root, own in parts]
-        )
+        parts = zip(self._parts, roots, self._apart(mean), strict=True)
+        each = [root if part.linear else part.process_noise_at(root, own, dt) for part, root, own in parts]
+        return self._ordered(block_diagonal(each), -2)
 
     def canonical(self, mean: Tensor) -> Tensor:
         """The state ``(..., n)`` with its angles in the range that each motion uses."""
@@ -106,7 +109,18 @@ class Augmented(Motion):
 
     def _each(self, function: Callable[[Motion, Tensor], Tensor], x: Tensor) -> Tensor:
         """Values ``(..., n)`` of a function of each motion and its components of states ``x (..., n)``."""
-        return joined([function(part, own) for part, own in zip(self._parts, x.split(self._sizes, -1), strict=True)])
+        return self._ordered(joined([function(*own) for own in zip(self._parts, self._apart(x), strict=True)]))
+
+    def _apart(self, x: Tensor, axis: int = -1) -> tuple[Tensor, ...]:
+        """The entries of each motion along an axis of the state's components."""
+        if self.order is not None:
+            x = torch.stack([x.select(axis, self.order.index(i)) for i in range(self.size)], axis)
+        parts: tuple[Tensor, ...] = x.split(self._sizes, axis)
+        return parts
+
+    def _ordered(self, x: Tensor, axis: int = -1) -> Tensor:
+        """The entries of all motions, one behind the other, in the order of the state's components."""
+        return x if self.order is None else torch.stack([x.select(axis, i) for i in self.order], axis)
 
     @property
     def _parts(self) -> list[Motion]:

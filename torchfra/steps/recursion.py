@@ -221,7 +221,7 @@ class Recursion(Part, Generic[S]):
             ValueError: a shape that does not fit.
         """
         n, (mean, root) = self.motion.size, check_belief(belief_of(prior), size=self.motion.size)
-        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * _least_rank(self))
+        batch = broadcast_shapes(mean.shape[:-1], root.shape[:-2], (1,) * max(batch_rank(self), int(self.scans)))
         mean = mean.resolve_neg().expand((*batch, n))  # torch makes no new tensor like one that is marked as negated
         begun: S = self.begin(Gaussian(mean, tria(root).expand((*batch, n, n))))  # Wang et al. (2021), eq. (7)
         return begun
@@ -230,8 +230,10 @@ class Recursion(Part, Generic[S]):
         """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
         sensor = measurements.sensor or self.sensor
         batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt)
-        batch = torch.Size((1,) * (_least_rank(self) - self.scans - len(batch))) + batch
-        batch = batch if self.scans else broadcast_with_values(self, batch)
+        if self.scans:  # targets, whose values may differ, are no part of the batch
+            batch = torch.Size((1,) * (batch_rank(self) - 1 - len(batch))) + batch
+        else:
+            batch = broadcast_with_values(self, batch)
         warn_of_lost_digits(measurements, sensor, len(batch) + self.scans, scans=self.scans)
         warn_of_degrees(measurements.z, sensor)
         if name == "prior":
@@ -243,11 +245,6 @@ class Recursion(Part, Generic[S]):
         """A frame for each step, and the log norms of the measurement noise, time first."""
         f = innermost(self)
         return make_frames(measurements, f.motion, measurements.sensor or f.sensor, rank)
-
-
-def _least_rank(f: Recursion) -> int:
-    """Least number of batch dimensions of a filter's tracks."""
-    return max(batch_rank(f), int(f.scans))
 
 
 def innermost(f: Recursion) -> Recursion:

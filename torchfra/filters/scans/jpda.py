@@ -33,7 +33,7 @@ from torchfra.filters.scans.scan import (
 from torchfra.filters.scans.separate import core, inflated_state, merge_hypotheses, step_measured, step_missed
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
-from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
+from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames, value_batches
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
@@ -324,12 +324,10 @@ class JPDA(Soft, Around[JPDAState]):
         if isinstance(self.inner, GPB):
             self.inner.outliers.check_noise("noise", measurements.noise)
         count = prior.mean.shape[-2]
-        for path, hyper in hypers(self).items():
-            if hyper.batch_rank and hyper.raw.shape[-1 - hyper.event_dim] not in (1, count):
-                shape = tuple(hyper.raw.shape)
-                raise ValueError(
-                    f"{path}: expected a value for each of {count} targets or one for all, received {shape}"
-                )
+        for path, values in value_batches(self).items():
+            if values[-1] not in (1, count):
+                expected = f"a value for each of {count} targets or one for all"
+                raise ValueError(f"{path}: expected {expected}, received {tuple(values)}")
         return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
