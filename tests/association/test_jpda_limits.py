@@ -97,13 +97,6 @@ def test_targets_far_apart_are_filtered_alone():
     torch.testing.assert_close(both.log_likelihood, torch.cat([one.log_likelihood, two.log_likelihood]))
 
 
-def test_an_empty_scan_is_a_pure_prediction():
-    f, prior = plane(), flat_prior((0.0, 0.0), (5.0, 0.0))
-    state, _ = f.step(f.init(prior), torch.full((3, 2), math.nan).double())
-    F = f.motion.transition(torch.tensor(1.0).double())
-    torch.testing.assert_close(state.belief.mean, (F @ prior.mean.unsqueeze(-1)).squeeze(-1))
-
-
 def test_a_row_of_nan_and_the_order_of_measurements_do_not_matter(crossing, scans):
     f = make("iaukf_jpda", crossing)
     plain = f(scans.z, scans.prior)
@@ -114,14 +107,6 @@ def test_a_row_of_nan_and_the_order_of_measurements_do_not_matter(crossing, scan
     moved = other.info.association[..., 1:9]
     torch.testing.assert_close(moved, plain.info.association[..., 1:][..., order], rtol=1e-6, atol=1e-9)
     assert (other.info.association[..., 9:] == 0).all()
-
-
-def test_targets_may_come_in_any_order(crossing, scans):
-    s = scenarios.clutter_straight()
-    f = make("iaukf_jpda", s)
-    straight = f(scans.z, scans.prior)
-    turned = f(scans.z, Gaussian(scans.prior.mean.flip(1), scans.prior.scale_tril.flip(1)))
-    torch.testing.assert_close(turned.mean.flip(1), straight.mean, rtol=1e-9, atol=1e-11)
 
 
 def test_a_lost_track_searches_and_finds_and_a_dead_one_stays_finite():

@@ -162,17 +162,6 @@ def test_without_false_measurements_and_always_detected_it_is_the_filter_itself(
             torch.testing.assert_close(mine[0], theirs, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.slow
-@two
-def test_the_order_of_measurements_and_of_targets_does_not_matter(name):
-    f, z, prior = around(name, lost=1e-2), crowd(), start(name)
-    plain = f(z, prior)
-    other = f(z[:, [4, 2, 0, 3, 1]], Gaussian(prior.mean.flip(0), prior.scale_tril.flip(0)))
-    torch.testing.assert_close(other.mean.flip(0), plain.mean, rtol=1e-9, atol=1e-9)
-    padded = f(torch.cat([z, torch.full((STEPS, 2, 2), math.nan).double()], 1), prior)
-    torch.testing.assert_close(padded.mean, plain.mean, rtol=1e-9, atol=1e-9)
-
-
 @two
 def test_scans_without_a_measurement_in_a_gate_are_pure_predictions(name):
     f, prior = around(name), start(name)
@@ -279,22 +268,6 @@ def test_targets_across_the_cut_of_the_azimuth_are_those_of_any_other_direction(
     gap[..., of_state] = wrap(gap[..., of_state])
     assert gap.abs().max() < 1e-9
     torch.testing.assert_close(other.scale_tril, plain.scale_tril, rtol=1e-7, atol=1e-10)
-
-
-def test_a_lost_track_of_several_models_searches_and_finds():
-    """A start 60 m off, of a track that believes in 3 m."""
-    t = torch.arange(1, 31).double()
-    truth = torch.stack([60 + 6 * t, 0 * t], -1)
-    z, prior = truth.unsqueeze(1) + torch.randn(30, 1, 2).double(), priors(4, (0.0, 0.0))
-    error = {}
-    for lost in (0.0, 1e-3):
-        f = presets.jpda(
-            Bank([ConstantVelocity(1e-3), ConstantVelocity(1e-2)]), Position(STD), inner=presets.imm_srckf, lost=lost,
-            gate=ChiSquare(0.99), clutter=Clutter(1e5, rate=0.5), detection=0.9,
-        )  # fmt: skip
-        error[lost] = (f(z, Gaussian(prior.mean, 0.5 * prior.scale_tril)).mean[0, :, :2] - truth).norm(dim=-1)
-    assert error[0.0][:15].min() > 20
-    assert error[1e-3][20:].max() < 5
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.2])

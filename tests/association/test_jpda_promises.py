@@ -1,7 +1,5 @@
 """Joint association keeps the promises of a filter that the battery does not ask for, and says what it found."""
 
-import math
-
 import pytest
 import torch
 from joint import STEPS, flat_prior, make, plane
@@ -11,25 +9,6 @@ from torchfra import presets
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.filters import JPDA, SRCKF
 from torchfra.types import Gaussian
-
-
-def test_steps_and_noise_may_differ_between_scenes(crossing, scans):
-    f = make("iaukf_jpda", crossing)
-    dt = torch.tensor([[0.5], [1.0], [2.0]], dtype=torch.float64).expand(3, STEPS)
-    std = crossing.sensor.std() * torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)[:, None, None, None].expand(
-        3, STEPS, 8, 1
-    )
-    together = f(scans.z, scans.prior, dt=dt, std=std)
-    roots = torch.diag_embed(std)
-    as_roots = f(scans.z, scans.prior, dt=dt, noise=roots)
-    torch.testing.assert_close(as_roots.mean, together.mean, rtol=1e-8, atol=1e-10)
-    for b in range(3):
-        prior = Gaussian(scans.prior.mean[b], scans.prior.scale_tril[b])
-        alone = f(scans.z[b], prior, dt=dt[b], std=std[b])
-        torch.testing.assert_close(alone.mean, together.mean[b], rtol=1e-9, atol=1e-12)
-    state = f.init(scans.prior)
-    state, _ = f.step(state, scans.z[:, 0], dt=dt[:, 0], std=std[:, 0])
-    torch.testing.assert_close(state.belief.mean, together.mean[:, :, 0], rtol=1e-10, atol=1e-13)
 
 
 def test_hyperparameters_may_differ_between_targets_and_scenes(crossing, scans):
@@ -44,15 +23,6 @@ def test_hyperparameters_may_differ_between_targets_and_scenes(crossing, scans):
     prior = Gaussian(scans.prior.mean[2], scans.prior.scale_tril[2])
     alone = make("iaukf_jpda", crossing, detection=0.6, gate=Euclidean(200.0))(scans.z[2], prior)
     torch.testing.assert_close(alone.mean, same(scans.z, scans.prior).mean[2], rtol=1e-9, atol=1e-12)
-
-
-def test_one_that_fails_lets_the_others_go_on(crossing, scans):
-    f, mean = make("iaukf_jpda", crossing), scans.prior.mean.clone()
-    mean[0, 0, 5] = math.nan
-    estimate = f(scans.z, Gaussian(mean, scans.prior.scale_tril))
-    assert estimate.failed[0, 0]
-    assert not estimate.failed[1:].any()
-    torch.testing.assert_close(estimate.mean[1:], f(scans.z, scans.prior).mean[1:])
 
 
 def test_what_was_handed_in_stays_as_it_was(crossing):

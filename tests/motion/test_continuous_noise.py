@@ -6,7 +6,17 @@ import mpmath
 import pytest
 import torch
 
-from torchfra.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, aircraft, people, ships, vehicles
+from torchfra.motion import (
+    ConstantAcceleration,
+    ConstantVelocity,
+    CoordinatedTurn,
+    Singer,
+    WhiteJerk,
+    aircraft,
+    people,
+    ships,
+    vehicles,
+)
 
 MOTIONS = {
     "constant velocity": ConstantVelocity(0.7, 3, continuous=True),
@@ -15,6 +25,8 @@ MOTIONS = {
     "turn": CoordinatedTurn(0.2, 0.7, 3, continuous=True),
     "turn with an acceleration": CoordinatedTurn(-0.4, 0.7, 2, orders=3, continuous=True),
     "turn of no rate": CoordinatedTurn(0.0, 0.7, 2, continuous=True),
+    "white jerk": WhiteJerk(0.7),
+    "Singer": Singer(2.0, 0.3),
 }
 
 

@@ -108,14 +108,6 @@ def test_white_jerk_has_its_textbook_covariance(dt):
     torch.testing.assert_close(root @ root.mT, 0.7 * q, rtol=1e-12, atol=0)
 
 
-@pytest.mark.parametrize("motion", [WhiteJerk(0.7), Singer(2.0, 0.3)])
-def test_two_short_steps_are_one_long_step(motion):
-    short, long = T / 2, T
-    matrix, root, whole = motion.transition(short), motion.process_noise(short), motion.process_noise(long)
-    torch.testing.assert_close(matrix @ matrix, motion.transition(long))
-    torch.testing.assert_close(matrix @ root @ root.mT @ matrix.mT + root @ root.mT, whole @ whole.mT)
-
-
 def test_values_out_of_range_are_named():
     with pytest.raises(ValueError, match="orders: expected 2 or 3, received 4"):
         ConstantVelocity(1.0, orders=4)

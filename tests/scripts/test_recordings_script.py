@@ -138,16 +138,6 @@ def test_a_steadied_heading_stays_with_the_wheels_while_the_compass_turns_by_its
     assert wrap(found - heading)[50:].abs().max() < 0.15
 
 
-def test_a_steadied_heading_comes_back_to_a_compass_that_stays_where_it_went():
-    heading, turns, readings = turning(300)
-    found = steadied(wrap(readings + torch.where(torch.arange(300) < 60, 0.0, 1.0)), turns, torch.ones(300).bool())
-    assert wrap(found - heading - 1.0)[200:].abs().max() < 0.2
-
-
-def test_a_steadied_heading_is_that_of_the_first_reading_without_another():
-    assert steadied(torch.tensor([2.0]).double(), torch.zeros(1).double(), torch.zeros(1).bool()).item() == 2.0
-
-
 def test_a_steadied_heading_needs_no_later_reading():
     _, turns, readings = turning()
     moving = torch.ones_like(turns).bool()
@@ -226,29 +216,6 @@ def test_networks_learn_which_filter_is_nearer_and_say_it_on_another_day(small):
     assert error(campus.weighed(weight, positions)) < 0.9 * min(error(positions[:, 0]), error(positions[:, 1]))
     bad = torch.arange(len(weight)) // 30 % 2 == 1
     assert weight[bad].median() > 0.2 + weight[~bad].median()
-
-
-def test_a_penalty_holds_weights_near_a_half(small):
-    small("PENALTY", 1e6)
-    weight = learned(simulated(0))(simulated(1))
-    assert (weight - 0.5).abs().max() < 0.1
-
-
-def test_networks_learn_from_pieces_of_each_day(small, monkeypatch):
-    seen, varied = [], campus.varied
-    monkeypatch.setattr(campus, "varied", lambda day, rng: seen.append(len(day.z)) or varied(day, rng))
-    small("ITERATIONS", 1)
-    learned(simulated(0, 90), simulated(1, 60))
-    assert seen == [90, 60]
-
-
-def test_pieces_keep_the_sizes_of_errors_up_to_the_factors(small):
-    day = simulated(0)
-    small("MOVED", 1.0)
-    pieces = campus.varied(day, torch.Generator().manual_seed(0))
-    sizes, own = ((of.z - of.truth).norm(dim=-1) for of in (pieces, day))
-    assert sizes.max() <= own.max() * campus.FACTORS[1] * (1 + 1e-9)
-    assert sizes.min() >= own.min() * campus.FACTORS[0] * (1 - 1e-9)
 
 
 def test_what_a_network_hears_at_a_step_needs_no_later_signal():

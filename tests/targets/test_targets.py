@@ -400,13 +400,6 @@ def test_sequences_may_have_no_measurement_at_all():
     assert estimate.mean.shape == (2, 0, 5, 4)
 
 
-def test_seconds_keep_their_precision():
-    targets, (_, z) = Targets(plane(), birth=TwoPoint(20.0)), moving(FOUR, 6)
-    one, other = (run(targets, z, dt=dt)[-1] for dt in (0.1, torch.tensor(0.1, dtype=torch.float64)))
-    assert len(one.identity) == 4
-    assert torch.equal(one.belief.mean, other.belief.mean)
-
-
 def test_without_scipy_it_is_said_what_to_install(monkeypatch):
     for part in ("optimize", "sparse", "sparse.csgraph", "special"):
         monkeypatch.setitem(sys.modules, f"scipy.{part}", None)

@@ -126,33 +126,6 @@ def test_a_run_that_is_killed_resumes_to_the_same_values(unbroken, tmp_path):
     assert [int(row["iteration"]) for row in log_of(tmp_path)] == [1, 2, 3, 4]
 
 
-def stop_after_four(out, monkeypatch):
-    """A run that is interrupted when its last checkpoints are those of iterations 4 and 2."""
-    save = tune.save
-
-    def save_until_four(descent, folder):
-        save(descent, folder)
-        if descent.iteration == 4:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(tune, "save", save_until_four)
-    assert train(out, "test_runs=0") == 130
-    monkeypatch.setattr(tune, "save", save)
-
-
-@pytest.mark.slow
-def test_a_checkpoint_cut_in_half_is_refused_and_the_one_before_it_used(unbroken, tmp_path, monkeypatch, capsys):
-    stop_after_four(tmp_path, monkeypatch)
-    newest = tmp_path / "checkpoint.pt"
-    newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
-    assert train(tmp_path, "--resume", "test_runs=0") == 0
-    assert "checkpoint.pt is damaged and is not used" in capsys.readouterr().err
-    assert equal(learned(tmp_path), learned(unbroken))
-    kept = [torch.load(tmp_path / name, weights_only=True)["iteration"]
-            for name in ("checkpoint-previous.pt", "checkpoint.pt")]  # fmt: skip
-    assert kept == [2, 4]
-
-
 def test_when_no_checkpoint_can_be_read_the_run_says_so_and_changes_nothing(tmp_path, capsys):
     for name in ("checkpoint.pt", "checkpoint-previous.pt"):
         (tmp_path / name).write_bytes(b"PK broken")

@@ -242,24 +242,6 @@ def test_a_run_tells_each_tasks_best_rival_and_errors_before_and_after(run):
     assert "best rival" in text
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("short_tracks")
-def test_a_run_that_is_interrupted_resumes_to_the_same_values(run, tmp_path, monkeypatch):
-    save = tune.save
-
-    def save_and_stop(descent, out):
-        save(descent, out)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(tune, "save", save_and_stop)
-    with pytest.raises(KeyboardInterrupt):
-        tune.tune(settings("test_runs=0", tasks=PLAIN[::2]), tmp_path, quiet=True)
-    monkeypatch.setattr(tune, "save", save)
-    resumed = tune.tune(settings("test_runs=0", tasks=PLAIN[::2]), tmp_path, resume=True, quiet=True)
-    assert resumed["iterations"] == 2
-    assert resumed["values"] == run[0]["values"]
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ('tasks=[{"scenario":"bearings-outliers","models":"house"}]', "models: expected one of"),
     ('tasks=[{"scenario":"growth","models":"bank"}]', "models: expected 'motion'"),
