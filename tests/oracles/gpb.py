@@ -380,26 +380,13 @@ def along(line: Line, belief: Belief, block: list[int], R: Array) -> Measured:
     return Measured(R + line.rest[np.ix_(chosen, chosen)] + H @ P @ H.T, P @ H.T, e, H)
 
 
-def updated(
-    belief: Belief,
-    z: Array,
-    block: list[int],
-    model: Model,
-    k: int,
-    size: float,
-    first: bool,
-    off: float = 0.0,
-    line: Line | None = None,
-) -> tuple[float, Array, Array]:
+def updated(belief: Belief, m: Measured, R: Array, size: float, first: bool, off: float) -> tuple[float, Array, Array]:
     """The belief after one block, whose noise covariance is `size` times the stated one, and its log density.
 
     What the points add to the noise counts for the first block that is measured alone.
     """
     mean, P = belief
-    m = compared(belief, z, block, model, k, line)
-    measured = [i for i in block if not math.isnan(z[i])]
     sloped = m.H @ P[:READS, :READS] @ m.H.T
-    R = measurement_noise(model, k, measured)
     noise = size * R + (m.Pzz - R - sloped if first else 0.0)
     e = m.e - off * np.linalg.cholesky(R).sum(1)
     W = P[:, :READS] @ m.H.T @ np.linalg.inv(sloped + noise)
@@ -432,12 +419,12 @@ def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:
     rule, (mean, P) = (points[:READS], weights[0], weights[1]), (belief[0][:READS], belief[1][:READS, :READS])
     measured = present(z)
     zhat, gaps = deviations(mean, P, model, k, rule, measured)
-    near, near_gaps = deviations(mean, P * NEAR**2, model, k, rule, measured)
     wc = np.diag(rule[2])
     x = draw(mean, P, rule) - mean
     for i in range(len(zhat)):
         across = x.T @ wc @ gaps[:, i]
         if across @ np.linalg.solve(P, across) < BLIND * (gaps[:, i] @ wc @ gaps[:, i]):
+            near, near_gaps = deviations(mean, P * NEAR**2, model, k, rule, measured)
             zhat[i], gaps[:, i] = near[i], near_gaps[:, i] / NEAR
     Pxz = x.T @ wc @ gaps
     angles = np.asarray(model.angles, dtype=bool)[measured]
@@ -463,19 +450,17 @@ def without_outliers(
     """The measurement taken as stated: its log density, the belief after it, and what it says about the noise."""
     total, noise = 0.0, []
     for block in q.blocks:
-        first = is_first(block, z, q)
-        noise.append(about_noise(belief, z, block, model, k, first, q.line))
-        score, *after = updated(belief, z, block, model, k, 1.0, first, line=q.line)
+        first, m = is_first(block, z, q), compared(belief, z, block, model, k, q.line)
+        R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
+        noise.append(about_noise(belief, m, R, first))
+        score, *after = updated(belief, m, R, 1.0, first, 0.0)
         belief, total = (after[0], after[1]), total + score
     return total, belief, noise
 
 
-def about_noise(
-    belief: Belief, z: Array, block: list[int], model: Model, k: int, first: bool, line: Line | None
-) -> Array:
+def about_noise(belief: Belief, m: Measured, R: Array, first: bool) -> Array:
     """Derivative (2,) of an inlier's log density by the log of its noise's scale, and how sharp it is."""
-    m, P = compared(belief, z, block, model, k, line), belief[1][:READS, :READS]
-    R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
+    P = belief[1][:READS, :READS]
     Pzz = m.Pzz if first else m.Pxz.T @ np.linalg.inv(P) @ m.Pxz + R
     S, root = np.linalg.inv(Pzz), np.linalg.cholesky(R)
     return 0.5 * np.array([m.e @ S @ R @ S @ m.e - np.trace(S @ R), (np.diag(root.T @ S @ root) ** 2).sum()])
@@ -500,13 +485,12 @@ def with_outliers(
     total, outlier, noise = 0.0, [], []
     for block, share, chance in zip(q.blocks, prior, again, strict=True):
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
-        furthest = max(q.sizes[-1], nis_per_element(belief, z, block, model, k, offsets[-1], q.line))
+        m = compared(belief, z, block, model, k, q.line)
+        R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
+        furthest = max(q.sizes[-1], nis_per_element(m, R, offsets[-1]))
         chances = [1 - share] + [share * (1 - chance) * s for s in q.shares]
         first, sizes = is_first(block, z, q), [1.0, *q.sizes[:-1], furthest]
-        parts = [
-            updated(belief, z, block, model, k, size, first, off, q.line)
-            for size, off in zip(sizes, [0.0, *offsets], strict=True)
-        ]
+        parts = [updated(belief, m, R, size, first, off) for size, off in zip(sizes, [0.0, *offsets], strict=True)]
         if not q.inform:
             parts = [parts[0], *((part[0], *belief) for part in parts[1:])]
         if chance:
@@ -515,7 +499,7 @@ def with_outliers(
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
-        noise.append(weights[0] * about_noise(belief, z, block, model, k, first, q.line))
+        noise.append(weights[0] * about_noise(belief, m, R, first))
         belief = matched([(w, *part[1:]) for w, part in zip(weights, parts, strict=True)])
         outlier.append(sum(weights[1:]))
         total += score
@@ -530,14 +514,9 @@ def unchanged(change: Array, block: list[int], path: Belief, model: Model, k: in
     return fit(change[measured] - H @ mean, H @ P @ H.T + 2 * measurement_noise(model, k, measured))[1]
 
 
-def nis_per_element(
-    belief: Belief, z: Array, block: list[int], model: Model, k: int, off: float, line: Line | None
-) -> float:
+def nis_per_element(m: Measured, R: Array, off: float) -> float:
     """The square of a block's error per element, in units of its noise."""
-    measured = [i for i in block if not math.isnan(z[i])]
-    R = measurement_noise(model, k, measured)
-    e = compared(belief, z, block, model, k, line).e - off * np.linalg.cholesky(R).sum(1)
-    return fit(e, R)[0] / max(len(measured), 1)
+    return fit(m.e - off * np.linalg.cholesky(R).sum(1), R)[0] / max(len(m.e), 1)
 
 
 def log_sum(logs: Any) -> float:
