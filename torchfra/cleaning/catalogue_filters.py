@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from torchfra.catalogue import FILTERS, make_filter
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.flags import GATE
 from torchfra.cleaning.kinds import UNKNOWN
+from torchfra.cleaning.positions import Settings
 from torchfra.filters import GPB, Filter
 from torchfra.motion.bank import Bank, aircraft, people, ships, vehicles
 from torchfra.motion.polynomial import ConstantVelocity
@@ -46,14 +47,11 @@ def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank
     return make_filter(name, motion, sensor, bank or aircraft(q, d, continuous=True), **options)
 
 
-def estimated(
-    f: Filter, name: str, tracks: Sequence[Steps], sigma: Tensor, *, smooth: bool, compile: bool = False,
-    fallback: Callable[[str, str], None] | None = None,
-) -> Estimate:  # fmt: skip
+def estimated(f: Filter, tracks: Sequence[Steps], sigma: Tensor, settings: Settings) -> Estimate:
     """Estimates of a filter for tracks as one batch.
 
     Raises:
-        CompileError: it cannot be compiled, and there is no ``fallback``.
+        CompileError: it cannot be compiled, and there is no ``settings.fallback``.
     """
     z, gaps, std = padded(tracks)
     n, d = f.motion.size, z.shape[-1]
@@ -63,21 +61,19 @@ def estimated(
     root = torch.cat([10 * sigma.unsqueeze(-1).expand(-1, d), torch.ones_like(mean[:, d:])], -1) * spread
     own = None if bool((std == 1).all()) else std * sigma[:, None, None]
     arguments = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
-    run = f.smooth if smooth else f
     with torch.no_grad():
-        if not compile:
-            return run(**arguments)  # type: ignore[arg-type]
-        try:
-            from torchfra.compiler.llvm import binding  # only where it is needed
+        if settings.compile:
+            try:
+                from torchfra.compiler.llvm import binding  # only where it is needed
 
-            binding()
-            g = copy.copy(f).compile()
-            return (g.smooth if smooth else g)(**arguments)  # type: ignore[arg-type]
-        except (CompileError, NotImplementedError) as error:
-            if fallback is None:
-                raise
-            fallback(name, str(error))
-        return run(**arguments)  # type: ignore[arg-type]
+                binding()
+                compiled = copy.copy(f).compile()
+                return (compiled.smooth if settings.smooth else compiled)(**arguments)  # type: ignore[arg-type]
+            except (CompileError, NotImplementedError) as error:
+                if settings.fallback is None:
+                    raise
+                settings.fallback(settings.filter, str(error))
+        return (f.smooth if settings.smooth else f)(**arguments)  # type: ignore[arg-type]
 
 
 def outlier_of(estimate: Estimate) -> Tensor:

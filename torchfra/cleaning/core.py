@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.flags import GATE, MATTERS, flags
 from torchfra.cleaning.kinds import KINDS, Kind, check_kind, check_speeds, kind_of
 from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
+from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.varying_sigma import with_varying_sigma
 from torchfra.geodesy import to_geodetic
@@ -37,9 +37,10 @@ _FEW = 10
 """Number of fixes below which sigma is unsure."""
 _LITTLE_GAIN = 0.75
 """Share of the standard deviation of a fix above which its estimate is hardly more certain than the fix."""
-_RETURNS, _HARDLY_MOVES = 15.0, 2.5
-"""Seconds between fixes in which a target may go and come back; and the usual way between fixes, in standard
-deviations, below which that is not told from noise: of noise alone it is 1.7."""
+_RETURNS, _HARDLY_MOVES, _WANDERS = 15.0, 2.5, (1.5, 3.5)
+"""Seconds between fixes in which a target may go and come back; the usual way between fixes, in standard deviations,
+below which that is not told from noise (of noise alone it is 1.7); and how many times as long the way over eight fixes
+is of who wanders: 1 at rest, 2.8 if courses are forgotten, 8 of who goes straight on."""
 _OPEN = 0.5
 """Sigma is unsure if one below this share of it is not ruled out."""
 _REPEATED = 0.5
@@ -79,19 +80,16 @@ def clean_tracks(
     Args:
         recordings: from ``torchfra.readers.read``.
         filter: its name, out of ``catalogue.track_filters()``.
-        bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
-            ``"animal"`` or ``"bird"``, or a ``Bank`` of your own; None takes what the file says; where
-            it says nothing, motion is bounded by the speed of the target alone.
-        sigma: standard deviation of a fix per axis, m; where fixes have their own, a factor on those.  None finds it.
-        q: density of the process noise per second, m^2/s^3.  None finds it.
+        bank: kind of target, or a ``Bank`` of your own, as of ``torchfra.clean``.
+        sigma: standard deviation of a fix per axis, m, or a factor on those of the fixes; None finds it.
+        q: density of the process noise per second, m^2/s^3; None finds it.
         smooth: whether estimates are smoothed; False gives those of a filter on line.
-        dt: seconds; also estimates at every multiple of it after the first fix, beside those at the fixes.
+        dt: seconds; also estimates at every multiple of it.
         repair: whether fixes with wrong time stamps, as are frequent in ADS-B and AIS, are first moved along the path
             to where the target was: where tracks show such errors, and not for a filter on line.
-        compile: whether filters of the catalogue run compiled (``Filter.compile``); needs the extra ``compiler``.
+        compile: whether filters of the catalogue run compiled.
         fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
-        jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
-            each.  Results are the same to the last bit.
+        jobs: the most processes that share the work of the default filter.
 
     Returns:
         One for each recording, in their order.  A track that fails has estimates that are NaN, and says why.
@@ -104,45 +102,36 @@ def clean_tracks(
     check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
     if jobs < 1:
         raise ValueError(f"jobs: expected 1 or more, received {jobs}")
-    argos = [sigma is None and recording.source.argos for recording in recordings]
-    if any(argos):  # whose stated errors are taken as they are
-        words: dict[str, Any] = {"filter": filter, "bank": bank, "q": q, "smooth": smooth, "dt": dt, "repair": repair,
-                 "compile": compile, "fallback": fallback, "jobs": jobs}  # fmt: skip
-        parts = [[r for r, of in zip(recordings, argos, strict=True) if of == chosen] for chosen in (True, False)]
-        both = [iter(clean_tracks(part, sigma=s, **words)) for part, s in zip(parts, (1.0, None), strict=True)]
-        return [next(both[not of]) for of in argos]
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     default = _is_default(filter, bank)
-    work = partial(
-        _clean_group, repair=repair and smooth, name=filter, bank=bank, settings=Settings(sigma, q, smooth), dt=dt,
-        compile=compile, fallback=None if default else fallback,
+    settings = Settings(
+        sigma, q, smooth, filter, bank, dt, repair and smooth, compile, None if default else fallback
     )  # fmt: skip
-    several = groups(recordings, ROW if default else math.inf)[::-1]  # the longest tracks first
+    several = list[tuple[list[int], Settings]]()
+    for argos, own in ((False, settings), (True, settings._replace(sigma=1.0))):  # whose errors are as they are stated
+        chosen = [i for i, one in enumerate(recordings) if (sigma is None and one.source.argos) == argos]
+        some = groups([recordings[i] for i in chosen], ROW if default else math.inf)[::-1]  # the longest tracks first
+        several += [([chosen[i] for i in group], own) for group in some]
     fixes = sum(len(recording.time) for recording in recordings)
     jobs = min(jobs, len(several), fixes // _WORTHWHILE) if default else 1
+    parts = [([recordings[i] for i in group], own) for group, own in several]
     done: dict[int, Cleaned] = {}
-    for number, results in finished(work, [([recordings[i] for i in group],) for group in several], max(jobs, 1)):
-        done |= zip(several[number], results, strict=True)
+    for number, results in finished(_clean_group, parts, max(jobs, 1)):
+        done |= zip(several[number][0], results, strict=True)
     return [replace(done[i], recording=recording) for i, recording in enumerate(recordings)]
 
 
-def _clean_group(
-    recordings: Sequence[Recording], *, repair: bool, name: str, bank: str | Bank | None, settings: Settings,
-    dt: float | None, compile: bool, fallback: Fallback | None,
-) -> list[Cleaned]:  # fmt: skip
-    """Cleans recordings of one batch by the arguments of ``_clean_batch``; with ``repair``, also their time stamps."""
+def _clean_group(recordings: Sequence[Recording], settings: Settings) -> list[Cleaned]:
+    """Cleans recordings of one batch; with ``settings.repair``, also their time stamps."""
     measured = [_as_measured(recording) for recording in recordings]
-    moved = _moved(measured, bank) if repair else {}
+    moved = _moved(measured, settings.bank) if settings.repair else {}
     placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
     coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
-    work = partial(
-        _clean_batch, name=name, bank=bank, settings=settings, dt=dt, compile=compile, fallback=fallback
-    )  # fmt: skip
     try:
-        done = work(placed, coarse=coarse)
+        done = _clean_batch(placed, coarse, settings)
     except FAILURES:  # of one recording; the others are cleaned without it
-        done = [_alone(one, partial(work, coarse=[coarse[i]]), name, settings.smooth) for i, one in enumerate(placed)]
+        done = [_alone(*of, settings) for of in zip(placed, coarse, strict=True)]
     for i, (_, variance) in moved.items():
         done[i] = time_stamps.as_recorded(done[i], measured[i], variance)
     return done
@@ -201,19 +190,17 @@ def check_settings(
 
 
 def _clean_batch(
-    recordings: Sequence[Recording], *, coarse: Sequence[tuple[float, float]], name: str, bank: str | Bank | None,
-    settings: Settings, dt: float | None, compile: bool, fallback: Fallback | None,
-) -> list[Cleaned]:  # fmt: skip
-    """Recordings of the same dimensions, cleaned by the arguments of ``clean_tracks``.
+    recordings: Sequence[Recording], coarse: Sequence[tuple[float, float]], settings: Settings
+) -> list[Cleaned]:
+    """Recordings of the same dimensions, cleaned.
 
     For each, ``coarse`` is the least sigma that may be estimated, and the resolution of its heights, m.
     """
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
-    tracks = [steps_of(recording, dt) for recording in recordings]
-    names, kinds = zip(*(_kind(recording, bank) for recording in recordings), strict=True)
-    own = None if bank is None or isinstance(bank, str) else bank
-    default = _is_default(name, bank)
+    tracks = [steps_of(recording, settings.dt) for recording in recordings]
+    names, kinds = zip(*(_kind(recording, settings.bank) for recording in recordings), strict=True)
+    default = _is_default(settings.filter, settings.bank)
     # Other filters take sigma and q from this one, but no estimates.
     closed_form = settings if default else settings._replace(smooth=False)
     with one_thread():
@@ -221,16 +208,15 @@ def _clean_batch(
         # Aircraft that report themselves are located by satellites, whose errors do not grow with the range.
         asked = [recording.source.word != "aircraft" for recording in recordings]
         tracks, found = with_varying_sigma(tracks, kinds, closed_form, coarse, found, asked)
-    every = [_found(name, settings, bank, *of) for of in zip(names, tracks, found, strict=True)]
+    every = [_found(settings, *of) for of in zip(names, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
     else:
-        results = _by_filter(recordings, tracks, every, own, compile, fallback)
+        results = _by_filter(recordings, tracks, every, settings)
     again = [i for i, one in enumerate(results) if _is_stated(one) and one.found.sigma > 1 and one.found.sigma_unsure]
     if again:  # motion that is no noise may explain why fixes are farther off than they state
         some = _clean_batch(
-            [recordings[i] for i in again], coarse=[coarse[i] for i in again], name=name, bank=bank,
-            settings=settings._replace(sigma=1.0), dt=dt, compile=compile, fallback=fallback,
+            [recordings[i] for i in again], [coarse[i] for i in again], settings._replace(sigma=1.0)
         )  # fmt: skip
         for i, one in zip(again, some, strict=True):
             results[i] = replace(one, found=replace(one.found, notes=(*one.found.notes, _AS_STATED)))
@@ -315,11 +301,17 @@ def _why_unsure(steps: Steps, covariance: Array, sigma: float) -> str:
     if len(fixes.time) < _FEW:
         return f"{len(fixes.time)} fixes are too few to estimate sigma"
     ratio = np.sqrt(np.trace(at[:, :2, :2], axis1=1, axis2=2) / 2) / (sigma * fixes.std[:, 0])
-    moved = np.linalg.norm(np.diff(fixes.raw[:, :2], axis=0), axis=1) / (sigma * fixes.std[1:, 0])
-    returns = period_of(fixes) >= _RETURNS and np.median(moved) < _HARDLY_MOVES
-    if np.median(ratio) < _LITTLE_GAIN and not returns:
+    if np.median(ratio) < _LITTLE_GAIN and not _returns(fixes, sigma):
         return ""
     return _unsure(fixes)
+
+
+def _returns(fixes: Steps, sigma: float) -> bool:
+    """Whether fixes are hardly farther apart than noise of a target that may return between them, and does not rest."""
+    raw, std, period = fixes.raw[:, :2], sigma * fixes.std[:, 0], period_of(fixes)
+    way, far = (float(np.median(np.linalg.norm(raw[k:] - raw[:-k], axis=1) / std[k:])) for k in (1, 8))
+    wanders = period > LONGEST or _WANDERS[0] < far / max(way, 1e-9) < _WANDERS[1]
+    return period >= _RETURNS and way < _HARDLY_MOVES and wanders
 
 
 def _unsure(steps: Steps) -> str:
@@ -338,23 +330,22 @@ def _is_bank(bank: object) -> bool:
     return module is not None and isinstance(bank, module.Bank)
 
 
-def _found(
-    name: str, settings: Settings, given: str | Bank | None, kind: str, steps: Steps, answer: Answer
-) -> Found:  # fmt: skip
+def _found(settings: Settings, kind: str, steps: Steps, answer: Answer) -> Found:
     """The settings of a track, and notes on it."""
-    bank, notes = kind if given is None or isinstance(given, str) else "own", tuple[str, ...]()
+    bank, notes = "own" if _is_bank(settings.bank) else kind, tuple[str, ...]()
     if not math.isnan(answer.height):
         notes = (*notes, f"Sigma of the height: {metres(answer.height)}")
     unsure = answer.lowest < _OPEN * answer.sigma and steps.measured.sum() >= _FEW
     estimated = frozenset(key for key in ("sigma", "q") if getattr(settings, key) is None)
     why = _unsure(steps) if unsure else ""
-    return Found(name, settings.smooth, bank, answer.sigma, answer.q, math.nan, estimated, notes, sigma_unsure=why)
+    return Found(
+        settings.filter, settings.smooth, bank, answer.sigma, answer.q, math.nan, estimated, notes, sigma_unsure=why
+    )
 
 
 def _by_filter(
-    recordings: Sequence[Recording], tracks: Sequence[Steps], every: Sequence[Found], own: Bank | None, compile: bool,
-    fallback: Fallback | None,
-) -> list[Cleaned]:  # fmt: skip
+    recordings: Sequence[Recording], tracks: Sequence[Steps], every: Sequence[Found], settings: Settings
+) -> list[Cleaned]:
     """Tracks cleaned by a filter of the catalogue, one batch for each kind of targets."""
     from torchfra.cleaning.catalogue_filters import BANKS, estimated, make, manoeuvre_of, outlier_of, regimes_of
 
@@ -366,10 +357,10 @@ def _by_filter(
             torch.tensor(x, dtype=torch.float64)
             for x in ([every[i].sigma for i in chosen], [every[i].q for i in chosen], [period_of(x) for x in part])
         )
-        name, smooth = every[0].filter, every[0].smooth
-        f = make(name, d, sigma, q, period, own or BANKS[bank](q, d, continuous=True))
-        smooths, notes = _smooths(f, smooth)
-        estimate = estimated(f, name, part, sigma, smooth=smooths, compile=compile, fallback=fallback)
+        own = settings.bank if not isinstance(settings.bank, str) else None
+        f = make(settings.filter, d, sigma, q, period, own or BANKS[bank](q, d, continuous=True))
+        smooths, notes = _smooths(f, settings.smooth)
+        estimate = estimated(f, part, sigma, settings._replace(smooth=smooths))
         names, regimes = regimes_of(f, estimate)
         columns = (estimate.nis, outlier_of(estimate), manoeuvre_of(regimes), regimes)
         for b, i in enumerate(chosen):
@@ -391,17 +382,15 @@ def _smooths(f: Filter, wanted: bool) -> tuple[bool, tuple[str, ...]]:
     return wanted, ()
 
 
-def _alone(
-    recording: Recording, work: Callable[[Sequence[Recording]], list[Cleaned]], name: str, smooth: bool
-) -> Cleaned:
+def _alone(recording: Recording, coarse: tuple[float, float], settings: Settings) -> Cleaned:
     """Cleans one recording; the result of one that cannot be cleaned is NaN, with the reason."""
     try:
-        return work([recording])[0]
+        return _clean_batch([recording], [coarse], settings)[0]
     except FAILURES as error:
         steps = steps_of(recording)
         k, d = steps.raw.shape
         nothing, mean, covariance = (np.full((k, *[2 * d] * rank), np.nan) for rank in (0, 1, 2))
-        found = Found(name, smooth, "", math.nan, math.nan, math.nan, failure=str(error))
+        found = Found(settings.filter, settings.smooth, "", math.nan, math.nan, math.nan, failure=str(error))
         return Cleaned(
             recording, steps.time, steps.row, steps.raw, mean, covariance, nothing, nothing, nothing, np.full(k, ""),
             found,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -23,6 +23,10 @@ from torchfra.cleaning.sigma import first_sigma, most_by_shapes
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 from torchfra.tree import map_tensors
+from torchfra.types import Fallback
+
+if TYPE_CHECKING:
+    from torchfra.motion.bank import Bank
 
 _AXES = ((slice(0, 2), "acceleration", 8), (slice(2, 3), "climb", 5))
 """Axes with one variance, their bound in ``Kind``, and the number of levels."""
@@ -48,6 +52,12 @@ class Settings(NamedTuple):
     sigma: float | None = None
     q: float | None = None
     smooth: bool = True
+    filter: str = "gpb"
+    bank: str | Bank | None = None
+    dt: float | None = None
+    repair: bool = True
+    compile: bool = False
+    fallback: Fallback | None = None
 
 
 class Row(NamedTuple):
@@ -75,8 +85,6 @@ class Answer(NamedTuple):
     lowest: float
     """The lowest sigma that the track does not rule out."""
     q: float
-    density: Array
-    """``(T,)`` mean density of the process noise up to each step, m^2/s^3."""
     parameters: tuple[FilterParameters, ...]
     """Those of the filter for each part."""
     log_likelihood: float
@@ -276,17 +284,16 @@ def _joined(
     period = torch.tensor([period_of(measured[row.track]) for row in rows], dtype=torch.float64)
     densities = levels.q + 3 * levels.walk / period.square()  # of equal displacement over a period
     q = (share * densities.log()).sum(0).exp()
-    density = (known[0].levels * densities).sum(1)
     manoeuvre = (known[0].levels * (densities > 10 * q.maximum(calm.square()))).sum(1)
     found = []
     for i in range(len(tracks)):
         first = next(b for b, row in enumerate(rows) if row.track == i)
         height = float(parts[1].sigma[first]) if len(parts) == 2 else math.nan
-        a, b, c, d, e, f = (_of_track(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre, density))
+        a, b, c, d, e = (_of_track(x, rows, i) for x in (mean, covariance, nis, outlier, manoeuvre))
         parameters = tuple(_parameters(part, first) for part in parts)
         sigma, lowest = float(parts[0].sigma[first]), float(parts[0].lowest[first])
         fit = float(_of_track(known[0].predictions.log_likelihood, rows, i).sum())
-        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), f, parameters, fit))
+        found.append(Answer(a, b, c, d, e, sigma, height, lowest, float(q[first]), parameters, fit))
     return found
 
 

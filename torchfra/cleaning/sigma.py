@@ -23,8 +23,6 @@ _FINE = 1.2
 """Ratio of those that are tried later."""
 _PRIOR_EXPONENT = 8.0
 """Exponent of the prior of sigma: with 0 it is found a fifth too small for flights every 10 s."""
-_MOST_OUTLIERS, _COST = 0.12, 20.0
-"""Share of outliers above which sigma is probably too small, and the log-likelihood that each further one costs."""
 _HARDLY = 0.6
 """Share of the standard deviation of its fix above which an estimate is hardly more certain."""
 _PAUSES = 0.05
@@ -64,13 +62,12 @@ def finer_sigma(part: Part, owner: Tensor) -> Tensor:
 
 
 def _of_largest_likelihood(part: Part, owner: Tensor, tried: Tensor) -> Tensor:
-    """Of standard deviations ``tried (G, B)``, those ``(B,)`` of the largest likelihood, less what many outliers cost.
+    """Of standard deviations ``tried (G, B)``, those ``(B,)`` of the largest likelihood.
 
     The prior of sigma decides where noise and motion cannot be distinguished: for noise.
     """
-    log_likelihood, outliers, count = _likelihoods(part, part.levels, owner, tried)
-    cost = _COST * (outliers - _MOST_OUTLIERS * count).clamp_min(0.0)
-    return _likeliest(tried, log_likelihood - cost + _PRIOR_EXPONENT * tried.log()).minimum(part.most)
+    log_likelihood, _ = _likelihoods(part, part.levels, owner, tried)
+    return _likeliest(tried, log_likelihood + _PRIOR_EXPONENT * tried.log()).minimum(part.most)
 
 
 def _likeliest(sigma: Tensor, log_likelihood: Tensor) -> Tensor:
@@ -118,7 +115,7 @@ def lowest_sigma(part: Part, owner: Tensor) -> Tensor:
         asked.append(slow)
     fits, least = [], []
     for levels, rows in zip(several, asked, strict=True):
-        log_likelihood, _, count = _likelihoods(part, levels, owner, tried)
+        log_likelihood, count = _likelihoods(part, levels, owner, tried)
         fits.append(log_likelihood.where(rows, -torch.inf))  # what is tried of some tracks changes no others
         least.append(-_OPEN - _misfit(levels, part) * count)
     fit = torch.stack(fits)
@@ -136,8 +133,8 @@ def _misfit(levels: Levels, part: Part) -> Tensor:
     return torch.where(period >= _HOME, torch.inf, misfit)
 
 
-def _likelihoods(part: Part, levels: Levels, owner: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Log-likelihoods, expected outliers and numbers of fixes ``(G, B)`` for standard deviations ``(G, B)``."""
+def _likelihoods(part: Part, levels: Levels, owner: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor]:
+    """Log-likelihoods and numbers of fixes ``(G, B)`` for standard deviations ``(G, B)``."""
     count, chosen = len(sigma), _rows_for_sigma(part.fixes, owner)
 
     def repeated(x: Tensor) -> Tensor:
@@ -148,14 +145,11 @@ def _likelihoods(part: Part, levels: Levels, owner: Tensor, sigma: Tensor) -> tu
     tried, levels, model = map_tensors(repeated, (first, levels, part.model.independent_offsets))
     tried = tried._replace(variance=tried.variance * sigma[:, chosen].flatten().square())
     every = steps(tried, levels, model)
-    log_likelihood, outlier = (
-        torch.stack(x) for x in zip(*((s.log_likelihood, s.outlier) for s in every), strict=True)
-    )
-    measured = (~tried.missing).to(sigma)
-    sums = torch.stack([log_likelihood * measured, outlier * measured, measured]).sum(1).unflatten(-1, (count, -1))
-    by_owner = sums.new_zeros(3, count, int(owner.max()) + 1).index_add(-1, owner[chosen], sums)
-    fit, outliers, number = by_owner[..., owner]
-    return fit, outliers, number
+    log_likelihood = torch.stack([step.log_likelihood for step in every])  # 0 where there is no fix
+    sums = torch.stack([log_likelihood, (~tried.missing).to(sigma)]).sum(1).unflatten(-1, (count, -1))
+    by_owner = sums.new_zeros(2, count, int(owner.max()) + 1).index_add(-1, owner[chosen], sums)
+    fit, number = by_owner[..., owner]
+    return fit, number
 
 
 def _rows_for_sigma(fixes: Fixes, owner: Tensor) -> Tensor:
