@@ -395,14 +395,6 @@ def named(module: nn.Module, names: Collection[str]) -> dict[str, Hyper]:
     return selected
 
 
-def provide(module: nn.Module, names: Collection[str]) -> None:
-    """Makes, in place, what a module only has where it is ``named``, such as the rows of interacting models."""
-    last = {name.rpartition(".")[2] for name in ((names,) if isinstance(names, str) else names)}
-    parts: list[Any] = [part for part in module.modules() if hasattr(part, "provide")]
-    for part in parts:
-        part.provide(last)
-
-
 def learnable(module: M, names: Collection[str]) -> M:
     """Makes hyperparameters of a module parameters, which an optimiser finds in ``module.parameters()``.
 
@@ -421,7 +413,6 @@ def learnable(module: M, names: Collection[str]) -> M:
         >>> [name for name, _ in torchfra.learnable(srckf, ('threshold',)).named_parameters()]
         ['robust.threshold.raw']
     """
-    provide(module, names)
     for path, hyper in named(module, names).items():
         hyper.learn(path)
     return module

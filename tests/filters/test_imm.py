@@ -146,7 +146,8 @@ def test_an_outlier_says_much_less_of_the_model_of_a_robust_filter():
 
 @pytest.mark.slow
 def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
-    f = presets.imm(bank()[:3], SENSOR, learn=("transition", "initial"))
+    rows = torch.full((3, 3), 0.025) + 0.925 * torch.eye(3)
+    f = presets.imm(bank()[:3], SENSOR, transition=rows, learn=("transition", "initial"))
     z, names = measured(2)[:, :6], [name for name, _ in f.named_parameters()]
 
     def score(*values):
@@ -167,7 +168,8 @@ def test_transition_rows_learn_on_the_simplex_with_their_exact_gradient():
 
 @pytest.mark.slow
 def test_compiled_a_matrix_of_transitions_has_the_same_gradients():
-    f, found = presets.imm(bank()[:2], SENSOR, learn=("transition", "initial")), []
+    rows = [[0.95, 0.05], [0.05, 0.95]]
+    f, found = presets.imm(bank()[:2], SENSOR, transition=rows, learn=("transition", "initial")), []
     for g in (f, copy.deepcopy(f).compile()):
         e = g(measured(2)[:, :6], PRIOR, dt=DT)
         (e.mean.square().mean() + e.log_likelihood.mean()).backward()

@@ -7,14 +7,11 @@ from hypothesis import strategies as st
 from test_imm import DT, PRIOR, SENSOR, STEPS, Curved, bank, measured, same
 from test_mixed_angles import Compass, Heading
 
-import torchfra
 from torchfra import presets
 from torchfra.angles import wrap
-from torchfra.association import Clutter
 from torchfra.filters import IMM
 from torchfra.hyper import summary
 from torchfra.motion import Bank, ConstantVelocity
-from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
 
@@ -145,16 +142,19 @@ def test_its_gradient_is_exact():
 # ---------------------------------------------------------------- which one a filter has
 
 
-def test_a_preset_stays_alike_unless_rows_are_given_or_learn(capsys):
+def test_a_preset_stays_alike_unless_rows_are_given(capsys):
     def learned(**options):
         return {name for name, _ in presets.imm(bank(), SENSOR, **options).named_parameters()}
 
     assert learned(learn=("self_transition",)) == {"self_transition.raw"}
-    assert learned(learn=("transition",)) == {"transition.raw"}
+    with pytest.raises(
+        ValueError, match=r"learn: expected 'all' or some of .*'self_transition'.*, received 'transition'"
+    ):
+        learned(learn=("transition",))
     assert {"self_transition.raw", "initial.raw"} < learned(learn="all")
-    f = presets.imm(bank(), SENSOR, self_transition=0.8, learn="transition")
-    same(f.matrix(), IMM(presets.srckf(Bank(bank()), SENSOR), self_transition=0.8).matrix())
-    same(f.matrix().sum(-1), torch.ones(5, dtype=torch.float64))
+    matrix = presets.imm(bank(), SENSOR, self_transition=0.8).matrix()
+    same(matrix.sum(-1), torch.ones(5, dtype=torch.float64))
+    assert learned(transition=matrix, learn="transition") == {"transition.raw"}
     assert (
         presets.imm(bank(), SENSOR, self_transition=0.1).self_transition is None
     )  # below 1 / K: gives way more often than to any other
@@ -173,41 +173,3 @@ def test_what_does_not_fit_is_named():
             IMM(inner, self_transition=stay)
     with pytest.raises(ValueError, match="self_transition: expected None for a single model"):
         IMM(presets.srckf(Bank([ConstantVelocity(1.0)]), SENSOR), self_transition=0.9)
-
-
-# ---------------------------------------------------------------- rows where they are named
-
-
-@pytest.mark.parametrize("named", [["transition"], "transition"])
-def test_a_finished_filter_has_rows_once_they_are_to_learn(named):
-    f = presets.imm_srckf([ConstantVelocity(0.1), ConstantVelocity(2.0)], Position(1.0))
-    before = f.matrix()
-    torchfra.learnable(f, named)
-    assert f.self_transition is None
-    assert f.transition.raw.requires_grad
-    torch.testing.assert_close(f.matrix(), before)
-
-
-def test_learned_rows_load_into_a_filter_that_has_none():
-    motions = [ConstantVelocity(0.1), ConstantVelocity(2.0)]
-    learned = presets.imm_srckf(motions, Position(1.0), transition=torch.tensor([[0.8, 0.2], [0.4, 0.6]]))
-    fixed = presets.imm_srckf(motions, Position(1.0))
-    fixed.load_state_dict(learned.state_dict())
-    torch.testing.assert_close(fixed.matrix(), learned.matrix())
-    assert fixed.self_transition is None
-
-
-def test_rows_of_each_target_stay_those_of_each_target():
-    motions, stay = Bank([ConstantVelocity(0.1), ConstantVelocity(2.0)]), torch.tensor([0.8, 0.9])
-
-    def made():
-        def inner(*models):
-            return IMM(presets.srckf(*models), self_transition=stay)
-
-        return presets.jpda(motions, Position(1.0), inner=inner, clutter=Clutter(400.0))
-
-    z = torch.randn(6, 3, 2, dtype=torch.float64)
-    prior = Gaussian(torch.zeros(2, 4, dtype=torch.float64), torch.eye(4, dtype=torch.float64).expand(2, 4, 4))
-    rows = torchfra.learnable(made(), ["inner.transition"])
-    assert rows.inner.transition.raw.requires_grad
-    same(made()(z, prior).mean, rows(z, prior).mean.detach(), 1e-10)

@@ -186,7 +186,8 @@ def turning(steps=10):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["imm_fra", "vsimm_srckf"])
 def test_batches_vmap_and_checkpoints_give_the_same(name):
-    f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD), learn=("transition",)), turning()
+    rows = presets.imm(aircraft(), Position(STD)).matrix()
+    f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD), transition=rows, learn=("transition",)), turning()
 
     def smooth(z, **options):
         smoothed = f.smooth(z, prior, **options)

@@ -101,7 +101,7 @@ def test_weights_count_tracks_as_often_as_they_say():
 @pytest.mark.slow
 def test_rows_of_probabilities_have_a_standard_error_and_intervals_inside_zero_and_one():
     bank = [ConstantVelocity(0.5), CoordinatedTurn(0.3, 0.5)]
-    f = presets.imm_srckf(bank, Position(STD), learn=("transition",))
+    f = presets.imm_srckf(bank, Position(STD), transition=[[0.95, 0.05], [0.05, 0.95]], learn=("transition",))
     found = torchfra.fit(f, {"z": walks(0, 12, 4)[1], "prior": PRIOR}, compile=False, iterations=2, quiet=True)
     assert len(found.learned) == 4
     for row in (0, 1):
@@ -114,7 +114,8 @@ def test_rows_of_probabilities_have_a_standard_error_and_intervals_inside_zero_a
 
 
 def test_the_copy_that_is_fitted_has_probabilities_that_sum_to_one_too():
-    f = copied(presets.imm_srckf([ConstantVelocity(0.5), ConstantVelocity(9.0)], Position(STD)), ("transition",))
+    bank, rows = [ConstantVelocity(0.5), ConstantVelocity(9.0)], [[0.95, 0.05], [0.05, 0.95]]
+    f = copied(presets.imm_srckf(bank, Position(STD), transition=rows), ("transition",))
     assert Vector(f).directions.shape == (4, 2)
 
 

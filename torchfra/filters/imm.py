@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import torch
@@ -223,23 +222,6 @@ class IMM(Around[IMMState]):
         if self.durations is None:
             return identity_at_zero_dt(self.matrix(like).log(), dt)
         return safe_log(self.probabilities(like, dt))
-
-    def use_matrix(self) -> None:
-        """Replaces ``self_transition``, if there is one, by the same ``transition``, whose rows can learn."""
-        if self.self_transition is not None:
-            shared, self.self_transition.shared_dims = self.self_transition.shared_dims, 0
-            self.transition = _as_transition(len(self.motion), self.matrix().detach())
-            self.transition.shared_dims, self.self_transition = shared, None
-
-    def provide(self, names: Collection[str]) -> None:
-        """Replaces ``self_transition`` by a ``transition`` if that is among the names."""
-        if "transition" in names:
-            self.use_matrix()
-
-    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        if f"{prefix}transition.raw" in state_dict:
-            self.use_matrix()
-        super()._load_from_state_dict(state_dict, prefix, *args)
 
     def predict_hypotheses(self, state: IMMState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """A hypothesis ``(K, ..., n)`` of the state after a step, one for each model, and logs of their weights."""

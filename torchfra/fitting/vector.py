@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.distributions import transform_to
 
 from torchfra.filters import Filter
-from torchfra.hyper import Hyper, element_names, hypers, named, provide
+from torchfra.hyper import Hyper, element_names, hypers, named
 
 F = TypeVar("F", bound=Filter)
 NORMAL_95 = 1.959963984540054
@@ -134,7 +134,6 @@ def copied(f: F, learn: Collection[str] | None) -> F:
     if learn is not None:
         for parameter in f.parameters():
             parameter.requires_grad_(False)
-        provide(f, learn)
         for path, hyper in named(f, learn).items():
             hyper.learn(path)
             hyper.raw.requires_grad_()

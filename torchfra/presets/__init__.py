@@ -13,8 +13,7 @@ filter, or ``"all"``.  ``torchfra.hyper.summary(f)`` prints the names that a fil
 - of the feedback decision: ``gate``, ``preference``, ``plain``;
 - of ``gpb``: ``noise_levels``, ``jump_factors``, ``self_transition``, ``restart``, ``outlier_transition``,
   ``outlier_sizes``, ``outlier_shares``, ``prior_outlier``, ``prior_inflation``, ``noise_doubt``, ``noise_memory``;
-- of interacting models: ``self_transition``, one number, or ``transition``, a matrix, if it is given or named;
-  ``initial``;
+- of interacting models: ``self_transition``, one number, or ``transition``, a matrix, if that is given; ``initial``;
 - of interacting models with a likely-model set: ``transition``, ``unlikely``, ``principal``;
 - of association: ``detection``, ``gate.size``, ``probability``, ``volume``, ``rate``;
 - of motions and sensors: ``q``, ``std``, ``rate``, ``alpha``, ``limit``.

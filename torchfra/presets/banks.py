@@ -45,8 +45,6 @@ def imm(
 
     Args:
         inner: the filter of each model, ``(motion, sensor) -> Filter``: a preset, or a ``functools.partial`` of one.
-        learn: names of hyperparameters to learn, or ``"all"``: ``torchfra.presets``.  With ``"transition"`` among them
-            the filter has a transition matrix, which starts as that of ``self_transition`` and takes more time.
         **options
 
     Raises:

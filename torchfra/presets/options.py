@@ -85,7 +85,8 @@ class ChainOptions(TypedDict, total=False):
 
     self_transition: probability that a model stays active; it switches to the others with equal probability.  It learns
         as one number.
-    transition: ``(K, K)`` probabilities instead of ``self_transition``, ``[i, j] = P(now j | was i)``.
+    transition: ``(K, K)`` probabilities instead of ``self_transition``, ``[i, j] = P(now j | was i)``; its rows learn,
+        and a step takes more time.  ``f.matrix()`` is that of another filter's ``self_transition``.
     durations: mean sojourn times of the models, s, one number or ``(K,)``, instead of ``self_transition``; then
         probabilities follow from ``dt``, and a ``transition`` is that at the end of a sojourn time.
     """

@@ -11,7 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from torchfra import register
 from torchfra.filters.base import Filter
-from torchfra.hyper import learnable, named, provide
+from torchfra.hyper import learnable, named
 from torchfra.presets.values import with_values
 
 P = ParamSpec("P")
@@ -74,7 +74,6 @@ def _documented(text: str, names: list[str], groups: tuple[Any, ...]) -> str:
 
 def _learning(f: F, names: Collection[str]) -> F:
     """The same filter, which learns the hyperparameters of these names: see ``hyper.named``."""
-    provide(f, names)
     inner: Filter = f
     while isinstance(further := getattr(inner, "inner", None), Filter):
         inner = further
