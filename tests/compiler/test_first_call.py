@@ -7,7 +7,7 @@ import torch
 from conftest import without_acceleration
 
 from torchfra import presets, scenarios
-from torchfra.compiler import run, step
+from torchfra.compiler import run
 from torchfra.compiler.engine import Compiled
 from torchfra.compiler.source import Scan
 
@@ -55,13 +55,3 @@ def test_another_thread_makes_what_is_around_the_steps_while_they_are_compiled_a
             f(tracks.z, tracks.prior, u=tracks.u)
     assert [name for name, _ in events] == ["steps written", "ends made"]
     assert events[1][1] is not threading.main_thread()
-
-
-def test_an_adjoint_that_will_be_too_long_is_not_traced_twice(scenario, monkeypatch):
-    adjoint, traced = step.Step._adjoint, []
-    monkeypatch.setattr(step.Step, "_adjoint", lambda self, *args: traced.append(args) or adjoint(self, *args))
-    tracks, f = scenario.simulate(2, 0), presets.srckf(scenario.motion, scenario.sensor).compile()
-    estimate = f(tracks.z.requires_grad_(), tracks.prior, u=tracks.u)
-    monkeypatch.setattr(step, "_MOST", 2000)  # the step has 1600 expressions, its adjoint 4600
-    estimate.mean.sum().backward()
-    assert len(traced) == 1

@@ -11,9 +11,7 @@ import torch
 
 import torchfra
 from torchfra import presets
-from torchfra.compiler import cpp, origin
 from torchfra.compiler.export import export
-from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.step import Input, Step
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
@@ -58,13 +56,6 @@ def test_comments_name_lines_of_functions_that_exist_and_none_of_the_tracing(sou
         assert any(int(line) in span for span in spans), (file, line, name)
 
 
-def test_files_beside_torch_are_no_part_of_it_and_odd_names_stay_in_their_comment():
-    torch_folder = Path(torch.__file__).parent
-    assert origin._place(str(torch_folder / "_refs" / "a.py")) is None
-    assert origin._place(str(torch_folder.with_name("torchmine") / "a.py")) == "a.py"
-    assert origin._place("/home/me/a\nb\\c é.py") == "a_b_c__.py"
-
-
 @pytest.mark.slow
 def test_another_process_writes_the_same_text(source):
     code = "import sys, test_generated_source as t; sys.stdout.write(t.exported())"
@@ -85,20 +76,3 @@ def test_a_gradient_names_the_lines_it_is_the_gradient_of():
     assert f"// gradient of {Path(__file__).name}:{line} advance\n" in text
     assert "gradient_state_part0_1 = " in text
     assert f"// derivative of {Path(__file__).name}:{line} advance\n" in step.tangent(("z",)).cuda()
-
-
-@pytest.mark.parametrize("path", ["at", "double", "v17", "in0", "std", "errno", "sin_", "a__b", "_a", "Δ", "log1p_"])
-def test_a_name_that_c_reads_otherwise_is_not_given(path):
-    book = Expressions()
-    cpp.give(book, path, [book.input()], single=True)
-    assert book.names == {}
-
-
-def test_no_two_expressions_have_one_name_and_none_has_two():
-    book = Expressions()
-    x, y, z = book.input(), book.input(), book.input()
-    cpp.give(book, "a", [x, y, x, 0], single=False)
-    cpp.give(book, "a_1", [z], single=True)
-    cpp.give(book, "b.c", [x], single=True)
-    cpp.give(book, "b.c", [z], single=True)
-    assert book.names == {x: "a_0", y: "a_1", z: "b_c"}

@@ -142,17 +142,6 @@ def test_pieces_and_places_lose_nothing_that_a_track_needs(seed, inputs):
         assert memory[at[old]] == expected[new]
 
 
-def a_masked_step(value):
-    """A step whose product is 0 unless the condition has this value: the book, its inputs, mask, product and end."""
-    book = Expressions()
-    x, y = book.input(), book.input()
-    mask = book.apply("lt", x, y)
-    gradient = book.apply("select", mask, *((x, ZERO) if value else (ZERO, x)))
-    product = book.apply("mul", book.apply("neg", gradient), book.apply("mul", y, y))
-    total = book.apply("add", book.apply("sub", product, gradient), y)
-    return book, (x, y), mask, product, total
-
-
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 10**9), st.lists(st.floats(-2, 2), min_size=7, max_size=7))
 def test_masking_changes_no_value(seed, inputs):

@@ -59,11 +59,6 @@ def test_the_network_learns_what_a_glint_is_and_beats_the_fixed_filter():
     assert error < 0.6 * error_fixed
 
 
-def test_the_network_in_front_prints_errors_of_three_filters(capsys):
-    load("03_network_in_front").main(["--iterations", "2"])
-    assert len(numbers(r"position RMSE +([\d.]+) m", capsys.readouterr().out)) == 3
-
-
 @pytest.mark.slow
 def test_a_model_of_the_turn_beats_constant_velocity(capsys):
     load("04_own_model").main(["--steps", "25"])

@@ -2,7 +2,6 @@
 
 import json
 import re
-import warnings
 
 import layer
 import pytest
@@ -146,33 +145,6 @@ def test_two_processes_learn_the_layer_that_one_learns(capsys, tmp_path):
     assert len(alone) == 5
 
 
-def test_lightning_trains_a_layer_in_mixed_precision(page, model):
-    lightning = pytest.importorskip("lightning")
-
-    class Learner(lightning.LightningModule):
-        def __init__(self):
-            super().__init__()
-            self.layer = model
-
-        def training_step(self, batch, number):
-            z, features, truth = batch
-            prior = Gaussian(z.new_zeros(4), 6 * torch.eye(4).to(z))
-            return losses.robust_mse(self.layer(z, features, prior).mean, truth, slice(0, 2), scale=10.0).mean()
-
-        def configure_optimizers(self):
-            return torch.optim.Adam(self.parameters(), lr=0.02)
-
-    data = torch.utils.data.TensorDataset(*page["simulate"](16, 10, 0)[:3])
-    before = [x.clone() for x in model.parameters() if x.requires_grad]
-    quiet = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of Lightning's own
-        trainer = lightning.Trainer(max_epochs=1, accelerator="cpu", precision="bf16-mixed", **quiet)
-        trainer.fit(Learner(), torch.utils.data.DataLoader(data, batch_size=8))
-    after = [x for x in model.parameters() if x.requires_grad]
-    assert all(x.isfinite().all() and not torch.equal(x, y) for x, y in zip(after, before, strict=True))
-
-
 @pytest.mark.slow
 def test_the_script_prints_and_writes_the_error_of_each_network(tmp_path, capsys):
     out = tmp_path / "layer.json"
@@ -183,16 +155,3 @@ def test_the_script_prints_and_writes_the_error_of_each_network(tmp_path, capsys
     assert [*errors] == ["srckf", "rsrckf", "perceptron, truth", "encoder, truth"]
     assert all(later < now for now, later in errors.values())
     assert errors["perceptron, truth"][0] < errors["srckf"][0]
-
-
-@pytest.mark.parametrize(("options", "said"), [
-    (["--steps", "0"], "steps: expected 1 or more, received 0"),
-    (["--teachers", "me"], "teachers: expected some of truth, likelihood, hidden, received me"),
-])  # fmt: skip
-def test_the_script_refuses_what_cannot_be_right(options, said, capsys):
-    try:
-        status = layer.main(options)
-    except SystemExit as end:
-        status = end.code
-    assert status == 2
-    assert said in capsys.readouterr().err

@@ -254,13 +254,12 @@ def gpb(manoeuvres, motion=None, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("outliers", [0.0, 0.05])
-def test_a_hard_turn_of_one_motion_is_not_taken_for_outliers(outliers):
-    truth, z = turn(outliers)
-    error = {word: (gpb(word)(z, AHEAD).mean[..., :2] - truth).norm(dim=-1) for word in ("some", "hard")}
-    for found in error.values():
-        assert found.square().mean() < (2 * STD) ** 2
-        assert found[:, 60:].median() < 2 * STD
+@pytest.mark.parametrize("word", ["some", "hard"])
+def test_a_hard_turn_of_one_motion_is_not_taken_for_outliers(word):
+    (truth, plain), (_, some) = turn(), turn(0.05)
+    for error in (gpb(word)(torch.stack([plain, some]), AHEAD).mean[..., :2] - truth).norm(dim=-1):
+        assert error.square().mean() < (2 * STD) ** 2
+        assert error[:, 60:].median() < 2 * STD
 
 
 @pytest.mark.slow

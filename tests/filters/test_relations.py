@@ -112,7 +112,7 @@ def same(one, other, units, shift=None, turn=None, share=1e-7):
 
 
 seeds = st.integers(0, 10**6)
-few = settings(max_examples=3, deadline=None, derandomize=True)
+few = settings(max_examples=2, deadline=None, derandomize=True)
 every = pytest.mark.parametrize("name", FILTERS)
 
 

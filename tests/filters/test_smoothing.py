@@ -454,7 +454,6 @@ def test_a_million_steps_keep_their_roots(z, name):
 # ---------------------------------------------------------------- promises of a filter
 
 
-NAMES = ["ekf", "srckf", "rsrckf", "asrckf", "rmckf", "iaukf", "ghckf", "hghckf1", "hghckf2", "fra"]
 LAGS = [None, 3]
 MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
 PRIOR = Gaussian(torch.zeros(4).double(), torch.eye(4).double())

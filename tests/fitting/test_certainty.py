@@ -15,12 +15,3 @@ def test_errors_of_whole_fits_are_as_large_as_they_say(tmp_path, capsys):
         assert of["inside"] >= 9 / 12  # of intervals that hold in 95 of 100, fewer do once in 5000
         assert 0.45 < of["rms"] < 1.7  # 99.9 % of the roots of mean squares of 12 normal numbers
     assert "12 fits" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--fits", "1"], "fits: expected 2 or more, received 1"),
-    (["--jobs", "0"], "jobs: expected 1 or more, received 0"),
-])  # fmt: skip
-def test_numbers_out_of_range_are_named(arguments, message, capsys):
-    assert certainty.main(arguments) == 2
-    assert message in capsys.readouterr().err

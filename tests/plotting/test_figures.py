@@ -1,7 +1,5 @@
 """Figures of comparisons hold what a reader asks for, whatever the filters did; labels never cover each other."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -14,7 +12,7 @@ from scipy.optimize import least_squares
 
 from torchfra import plotting, presets
 from torchfra.catalogue import make_scenario, scenario_filters
-from torchfra.evaluation import evaluate, leaders, mapped_run, measure, results_of
+from torchfra.evaluation import leaders, mapped_run, measure, results_of
 from torchfra.evaluation.fixes import deviations, fixes
 from torchfra.evaluation.mapped_run import OUTLYING, typical_run
 from torchfra.pictures import APART
@@ -131,17 +129,6 @@ def test_a_filter_that_failed_leaves_the_map_of_the_others(bearings):
     assert "rsrckf" not in named
 
 
-@pytest.mark.slow
-def test_one_run_of_one_filter_makes_a_figure(tmp_path):
-    scenario = make_scenario("bearings-outliers")
-    filters = scenario_filters(["srckf"], scenario)
-    metrics = measure(scenario, filters, runs=1)
-    mapped = mapped_run(scenario, filters, [metrics["srckf"].errors()], 0)
-    assert mapped.number == 0
-    figure = plotting.comparison(results_of(metrics, filters, scenario, 1), ["srckf"], 1.0, LIMIT, "one", mapped)
-    assert len(panels(figure)["time"].lines) == 1
-
-
 def test_where_the_position_has_one_dimension_there_is_no_map():
     scenario = make_scenario("growth")
     filters = scenario_filters(["ukf"], scenario)
@@ -214,18 +201,6 @@ def test_a_flight_is_the_run_of_that_number(bearings):
     torch.testing.assert_close(mapped.truth[0], tracks.truth[3, part, :2])
     estimate = presets.srckf(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
     torch.testing.assert_close(mapped.estimates["srckf"][0], estimate.mean[3, part, :2].detach())
-
-
-@pytest.mark.slow
-def test_what_is_lost_is_said_by_the_scenario():
-    scenario = make_scenario("ranges-outliers", share=0.0, missing=0.0)
-    filters = scenario_filters(["srckf"], scenario)
-    metrics = measure(scenario, filters, runs=3)
-    errors = metrics["srckf"].errors()
-    lost = {limit: results_of(metrics, filters, scenario, 3, limit)["srckf"]["diverged"] for limit in (None, 1e-9)}
-    assert lost == {None: int((errors > scenario.limit).sum()), 1e-9: 3}
-    strict = replace(scenario, limit=float(errors.median()))
-    assert results_of(metrics, filters, strict, 3)["srckf"]["diverged"] == 1
 
 
 # ---------------------------------------------------------------- positions that measurements imply
@@ -303,20 +278,6 @@ def test_a_measurement_is_off_by_the_stated_standard_deviations():
     assert off.shape == (1, 60, 1)
     assert off[0, 7, 0] == pytest.approx(6.0)
     assert (off[0, :, 0] > OUTLYING).sum() == 1
-
-
-# ---------------------------------------------------------------- quantiles
-
-
-def test_quantiles_over_the_runs_are_errors_of_runs():
-    scenario = make_scenario("bearings-outliers", initial="truth")
-    filters = scenario_filters(["srckf"], scenario)
-    metrics = measure(scenario, filters, runs=37, chunk=10)
-    of, errors = evaluate(scenario, ["srckf"], runs=37, limit=60.0)["srckf"], metrics["srckf"].errors().numpy()
-    for share, key in ((0.05, "p05"), (0.5, "median"), (0.95, "p95")):
-        assert of[f"{key}_track_rmse"] == pytest.approx(np.quantile(errors, share, method="inverted_cdf"))
-    assert of["worst_track"] == pytest.approx(errors.max())
-    assert of["diverged"] == (errors > 60).sum()
 
 
 # ---------------------------------------------------------------- all figures alike

@@ -248,16 +248,3 @@ def test_a_bound_holds_in_as_many_cases_as_are_within_it():
     assert found["error over the best constant velocity's"]["passed"]
     assert not found["the same, median"]["passed"]
     assert (turns["held"], turns["all"], turns["passed"]) == (2, pytest.approx(280 / 300), True)
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--periods", "fast"], "periods: expected numbers above 0, separated by commas, received 'fast'"),
-    (["--noises", "0"], "noises: expected numbers above 0"),
-    (["--kinds", "birds"], "kinds: expected some of calibration, gliders,"),
-])  # fmt: skip
-def test_a_wrong_argument_is_one_line_that_names_it(arguments, message, capsys):
-    assert clean_check.main(arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("clean_check: error: ")
-    assert message in error
-    assert error.count("\n") == 1

@@ -96,13 +96,3 @@ def test_tables_json_and_figure_have_both_systems(tmp_path, capsys):
     assert "chaotic: how far back, median / largest" in printed
     assert "MB kept" in printed
     assert drawn.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(("options", "said"), [
-    (["--steps", "1.5"], "steps: expected whole numbers, received '1.5'"),
-    (["--steps", "0"], "steps: expected numbers above 0, separated by commas, received '0'"),
-    (["--runs", "1"], "runs: expected 2 or more, received 1"),
-])  # fmt: skip
-def test_what_cannot_be_right_is_refused_before_any_work(options, said, capsys):
-    assert gradients.main([*SMALL, *options]) == 2
-    assert said in capsys.readouterr().err

@@ -60,20 +60,3 @@ def test_an_interval_is_that_of_students_t():
     mean, half = learning.interval([1.0, 2.0, 3.0])
     assert mean == 2.0
     assert half == pytest.approx(4.303 / 3**0.5, rel=1e-3)
-
-
-def test_what_makes_no_sense_is_said_before_any_work(capsys, monkeypatch):
-    monkeypatch.setattr(learning, "of_cell", None)  # as a run would call it
-    assert learning.main(["--ways", "warm"]) == 2
-    assert "ways: expected numbers above 0" in capsys.readouterr().err
-    assert learning.main(["--ways", "3-2-1"]) == 2
-    assert "ways: expected hard, a temperature or two" in capsys.readouterr().err
-    assert learning.main(["--trainings", "11"]) == 2
-    assert "trainings: expected at most 10" in capsys.readouterr().err
-    for option, value, said in (
-        ("--starts", "1.345", "starts: expected THRESHOLD:WEAKENING, received '1.345'"),
-        ("--starts", "1.345:2,1.345:0.5", "weakening: expected a value of 1 or more, received 0.5"),
-        ("--learn", "treshold", "'treshold'"),
-    ):
-        assert learning.main([option, value]) == 2
-        assert said in capsys.readouterr().err

@@ -146,17 +146,3 @@ def test_noise_fitted_to_truth_makes_up_for_a_part_of_a_turn_that_no_filter_know
     assert lorenz.main([*options, "--settings", name, "--json", str(out), "--quiet"]) == 0
     errors = json.loads(out.read_text())["errors"][name]["0.001"]
     assert errors["ekf, fitted to truth"] < 0.5 * errors["ekf"]
-
-
-@pytest.mark.parametrize(("options", "said"), [
-    (["--variances", "0"], "variances: expected numbers above 0, separated by commas, received '0'"),
-    (["--variances", "one"], "variances: expected numbers above 0, separated by commas, received 'one'"),
-    (["--runs", "0"], "runs: expected 1 or more, received 0"),
-    (["--network", "-1"], "network: expected 0 or more, received -1"),
-    (["--fit", "imm_srckf"], "filter: expected one of a single motion, as there is no bank of motions"),
-    (["--filters", "srckf,alphabeta"], "sensor: expected a Position with a std, received Linear"),
-])  # fmt: skip
-def test_what_cannot_be_right_is_refused_before_any_work(options, said, capsys, monkeypatch):
-    monkeypatch.setattr(lorenz, "of_setting", None)  # as a run would call it
-    assert lorenz.main([*SMALL, *options]) == 2
-    assert said in capsys.readouterr().err

@@ -204,13 +204,3 @@ def test_the_table_and_the_json_have_a_line_for_each_filter(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "| fit lidar" in printed
     assert "| OKF, published, KF 808 | 674 | 0.834 |" in printed
-
-
-@pytest.mark.parametrize(("options", "said"), [
-    (["--draws", "0"], "draws: expected 1 or more, received 0"),
-    (["--tracks", "19"], "tracks: expected 20 or more, received 19"),
-    (["--iterations", "-1"], "iterations: expected 0 or more, received -1"),
-])  # fmt: skip
-def test_what_cannot_be_right_is_refused_before_any_work(options, said, capsys):
-    assert okf.main([*SMALL, *options]) == 2
-    assert said in capsys.readouterr().err

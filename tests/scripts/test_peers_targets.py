@@ -93,14 +93,3 @@ def test_a_harbour_is_handed_over_scan_by_scan_and_tracks_are_compared_at_the_ra
 def test_stone_soup_follows_the_same_targets(tmp_path):
     rows = compared(tmp_path, "--trackers", "srckf,stonesoup-jpda")
     assert rows["stonesoup-jpda"]["gospa_m"] == pytest.approx(rows["srckf"]["gospa_m"], rel=0.5)
-
-
-@pytest.mark.parametrize("argument", [
-    ["--targets", "0"], ["--clutter", "0"], ["--runs", "0"], ["--scans", "5"], ["--points", "0"],
-    ["--trackers", "kalman"], ["--hidden", "-1"], ["--stitch", "0", "50"], ["--hull", "-1"], ["--link", "0"],
-    ["--visible", "0", "1"], ["--misses", "0"],
-])  # fmt: skip
-def test_what_makes_no_sense_is_named(argument, capsys):
-    with pytest.raises(SystemExit):
-        peers_targets.main(argument)
-    assert f"{argument[0]}: expected" in capsys.readouterr().err

@@ -59,15 +59,6 @@ def test_the_script_prints_and_writes(tmp_path, capsys, monkeypatch):
     assert "runs without a switch" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--what", "few"], "--what: expected some of"), (["--scans", "1"], "--scans: expected 2 or more"),
-])  # fmt: skip
-def test_arguments_that_do_not_fit_are_named(arguments, message, capsys):
-    with pytest.raises(SystemExit):
-        script.main(arguments)
-    assert message in capsys.readouterr().err
-
-
 def test_the_picture_takes_any_number_of_targets():
     world = script.crowd(0, 3, count=2, width=1e4)
     assert script.picture(world, torch.zeros(0, 3, 4)).axes[1].get_title().startswith("0 targets found")
