@@ -6,6 +6,7 @@ import torch
 
 from torchfra.cleaning import batches, clean_tracks, core
 from torchfra.cleaning.batches import groups, steps_of
+from torchfra.cleaning.kinds import KINDS
 from torchfra.readers import Recording
 from torchfra.running import jobs
 
@@ -53,7 +54,7 @@ def test_steps_between_fixes_are_at_whole_hours_whenever_a_target_begins():
     hour = 3600.0 * 444_444  # since 1970
     for start, gap in ((100.3, 2500.1), (3599.9, 7000.0), (1.0, 30.0)):
         recording = Recording("", hour + start + gap * np.arange(200), np.zeros((200, 2)), None, {})
-        steps = steps_of(recording, dt=3600.0)
+        steps = steps_of(recording, KINDS["ship"], dt=3600.0)
         hours = (recording.time[0] + steps.time[steps.row < 0]) / 3600.0
         expected = np.arange(444_445, np.floor(recording.time[-1] / 3600.0) + 1)
         np.testing.assert_allclose(hours, expected, rtol=0, atol=1e-9)
@@ -62,7 +63,7 @@ def test_steps_between_fixes_are_at_whole_hours_whenever_a_target_begins():
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3600.0])
 def test_a_fix_at_a_regular_time_is_no_second_step(dt):
     recording = Recording("", 1.6e9 + dt * np.arange(50), np.zeros((50, 2)), None, {})
-    assert len(steps_of(recording, dt=dt).time) == (50 if dt < 3600.0 else 99)
+    assert len(steps_of(recording, KINDS["ship"], dt=dt).time) == (50 if dt < 3600.0 else 99)
 
 
 # ---------------------------------------------------------------- processes

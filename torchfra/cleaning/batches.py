@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchfra.cleaning.kinds import Kind
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
@@ -40,6 +41,13 @@ class Steps(NamedTuple):
     """``(T,)`` number of the fix; -1 between fixes."""
     std: Array
     """``(T, d)`` the standard deviation of each fix per axis as the file states it, m; 1 where it states none."""
+    kind: Kind
+    least: float = 0.0
+    """Least sigma that may be estimated, m."""
+    height_step: float = 0.0
+    """Resolution of the heights, m."""
+    way: float = math.nan
+    """Usual way between rare fixes that the target goes at random, m; NaN if nothing is known of it."""
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -49,10 +57,11 @@ class Steps(NamedTuple):
 
     def at(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Steps:
         """Some of the steps."""
-        return Steps(self.time[chosen], self.raw[chosen], self.row[chosen], self.std[chosen])
+        each = (x[chosen] for x in self[:4])
+        return Steps(*each, *self[4:])  # type: ignore[arg-type]  # arrays first
 
 
-def steps_of(recording: Recording, dt: float | None = None) -> Steps:
+def steps_of(recording: Recording, kind: Kind, dt: float | None = None) -> Steps:
     """The steps at the fixes of a recording; and at its times that are multiples of ``dt`` seconds, if that is given.
 
     So the steps of all targets between their fixes are at the same times, and of dates at whole hours.
@@ -62,7 +71,7 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
     """
     time, position = recording.time - recording.time[0], recording.position
     count, d = position.shape
-    steps = Steps(time, position, np.arange(count), _std(recording))
+    steps = Steps(time, position, np.arange(count), _std(recording), kind)
     if dt is None:
         return steps
     if time[-1] > _MOST_STEPS * dt:
@@ -78,6 +87,7 @@ def steps_of(recording: Recording, dt: float | None = None) -> Steps:
         np.concatenate([position, np.full((more, d), np.nan)])[order],
         np.concatenate([steps.row, np.full(more, -1)])[order],
         np.concatenate([steps.std, np.ones((more, d))])[order],
+        kind,
     )
 
 

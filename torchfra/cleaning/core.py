@@ -127,11 +127,10 @@ def _clean_group(recordings: Sequence[Recording], settings: Settings) -> list[Cl
     measured = [_as_measured(recording) for recording in recordings]
     moved = _moved(measured, settings.bank) if settings.repair else {}
     placed = [moved[i][0] if i in moved else recording for i, recording in enumerate(measured)]
-    coarse = [(least_sigma(recording), step_of_heights(recording)) for recording in measured]
     try:
-        done = _clean_batch(placed, coarse, settings)
+        done = _clean_batch(placed, measured, settings)
     except FAILURES:  # of one recording; the others are cleaned without it
-        done = [_alone(*of, settings) for of in zip(placed, coarse, strict=True)]
+        done = [_alone(*of, settings) for of in zip(placed, measured, strict=True)]
     for i, (_, variance) in moved.items():
         done[i] = time_stamps.as_recorded(done[i], measured[i], variance)
     return done
@@ -189,25 +188,23 @@ def check_settings(
         make(filter, 2, one, one, one)
 
 
-def _clean_batch(
-    recordings: Sequence[Recording], coarse: Sequence[tuple[float, float]], settings: Settings
-) -> list[Cleaned]:
-    """Recordings of the same dimensions, cleaned.
-
-    For each, ``coarse`` is the least sigma that may be estimated, and the resolution of its heights, m.
-    """
+def _clean_batch(recordings: Sequence[Recording], measured: Sequence[Recording], settings: Settings) -> list[Cleaned]:
+    """Recordings of the same dimensions, cleaned; how fine positions are is seen where they were ``measured``."""
     if any(np.isinf(recording.position).any() for recording in recordings):
         raise ValueError("position: expected finite metres or NaN, received infinity")
-    tracks = [steps_of(recording, settings.dt) for recording in recordings]
     names, kinds = zip(*(_kind(recording, settings.bank) for recording in recordings), strict=True)
+    tracks = [
+        steps_of(one, kind, settings.dt)._replace(least=least_sigma(of), height_step=step_of_heights(of))
+        for one, kind, of in zip(recordings, kinds, measured, strict=True)
+    ]
     default = _is_default(settings.filter, settings.bank)
     # Other filters take sigma and q from this one, but no estimates.
     closed_form = settings if default else settings._replace(smooth=False)
     with one_thread():
-        found = answers(tracks, kinds, closed_form, coarse)
+        found = answers(tracks, closed_form)
         # Aircraft that report themselves are located by satellites, whose errors do not grow with the range.
         asked = [recording.source.word != "aircraft" for recording in recordings]
-        tracks, found = with_varying_sigma(tracks, kinds, closed_form, coarse, found, asked)
+        tracks, found = with_varying_sigma(tracks, closed_form, found, asked)
     every = [_found(settings, *of) for of in zip(names, tracks, found, strict=True)]
     if default:
         results = [_of_answer(*of) for of in zip(recordings, tracks, found, every, strict=True)]
@@ -216,7 +213,7 @@ def _clean_batch(
     again = [i for i, one in enumerate(results) if _is_stated(one) and one.found.sigma > 1 and one.found.sigma_unsure]
     if again:  # motion that is no noise may explain why fixes are farther off than they state
         some = _clean_batch(
-            [recordings[i] for i in again], [coarse[i] for i in again], settings._replace(sigma=1.0)
+            [recordings[i] for i in again], [measured[i] for i in again], settings._replace(sigma=1.0)
         )  # fmt: skip
         for i, one in zip(again, some, strict=True):
             results[i] = replace(one, found=replace(one.found, notes=(*one.found.notes, _AS_STATED)))
@@ -382,16 +379,15 @@ def _smooths(f: Filter, wanted: bool) -> tuple[bool, tuple[str, ...]]:
     return wanted, ()
 
 
-def _alone(recording: Recording, coarse: tuple[float, float], settings: Settings) -> Cleaned:
+def _alone(recording: Recording, measured: Recording, settings: Settings) -> Cleaned:
     """Cleans one recording; the result of one that cannot be cleaned is NaN, with the reason."""
     try:
-        return _clean_batch([recording], [coarse], settings)[0]
+        return _clean_batch([recording], [measured], settings)[0]
     except FAILURES as error:
-        steps = steps_of(recording)
-        k, d = steps.raw.shape
+        time, raw = recording.time - recording.time[0], recording.position
+        k, d = raw.shape
         nothing, mean, covariance = (np.full((k, *[2 * d] * rank), np.nan) for rank in (0, 1, 2))
         found = Found(settings.filter, settings.smooth, "", math.nan, math.nan, math.nan, failure=str(error))
         return Cleaned(
-            recording, steps.time, steps.row, steps.raw, mean, covariance, nothing, nothing, nothing, np.full(k, ""),
-            found,
+            recording, time, np.arange(k), raw, mean, covariance, nothing, nothing, nothing, np.full(k, ""), found,
         )  # fmt: skip

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.cleaned import FilterParameters
 from torchfra.cleaning.closed_form import DEFAULT, Fixes, OutlierModel
-from torchfra.cleaning.kinds import USUAL, Kind
+from torchfra.cleaning.kinds import USUAL
 from torchfra.cleaning.parameters import estimated, fitted
 from torchfra.cleaning.parts import SHORT, Part
 from torchfra.cleaning.process_noise import LONGEST, levels_up_to, may_stop
@@ -92,53 +92,37 @@ class Answer(NamedTuple):
 
 
 @torch.inference_mode()  # a tenth less of the time of each small operation
-def answers(
-    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]]
-) -> list[Answer]:
+def answers(tracks: Sequence[Steps], settings: Settings) -> list[Answer]:
     """Tracks of the same dimensions, cleaned.
 
     Between rare fixes beside a given noise, positions are as unsure as those of targets that rest and move there, which
     have no velocity; what has one is the motion from fix to fix.
-
-    Args:
-        tracks: steps of each.
-        kinds: kind of each.
-        settings: of cleaning.
-        coarse: the least sigma that may be estimated of each, and the resolution of its heights, m.
     """
-    found = _answers(tracks, kinds, settings, coarse)
+    found = _answers(tracks, settings)
     if settings.sigma is None or settings.q is not None:
         return found
     ways = [_seen_way(steps, settings.sigma) for steps in tracks]
     chosen = [i for i, way in enumerate(ways) if not math.isnan(way)]
-    if chosen:
-        resting = _answers(
-            [tracks[i] for i in chosen], [kinds[i] for i in chosen], settings, [coarse[i] for i in chosen],
-            [ways[i] for i in chosen],
-        )  # fmt: skip
-        for i, one in zip(chosen, resting, strict=True):
-            axes, covariance = range(tracks[i].raw.shape[1]), found[i].covariance.copy()
-            more = (one.covariance - covariance)[:, axes, axes]
-            covariance[:, axes, axes] += np.maximum(more, 0.0)
-            found[i] = found[i]._replace(covariance=covariance)
+    resting = _answers([tracks[i]._replace(way=ways[i]) for i in chosen], settings) if chosen else []
+    for i, one in zip(chosen, resting, strict=True):
+        axes, covariance = range(tracks[i].raw.shape[1]), found[i].covariance.copy()
+        more = (one.covariance - covariance)[:, axes, axes]
+        covariance[:, axes, axes] += np.maximum(more, 0.0)
+        found[i] = found[i]._replace(covariance=covariance)
     return found
 
 
-def _answers(
-    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]],
-    ways: Sequence[float] | None = None,
-) -> list[Answer]:  # fmt: skip
-    """The same; with ``ways`` between fixes, m, that targets go at random."""
+def _answers(tracks: Sequence[Steps], settings: Settings) -> list[Answer]:
+    """The same; targets go at random by ``way``, where there is one."""
     measured = [steps.at(steps.measured) for steps in tracks]
-    rows, parts = _parts(measured, kinds, settings, coarse, ways)
+    rows, parts = _parts(measured, settings)
     parts = fitted(parts, _owners(rows, measured), find_sigma=settings.sigma is None, find_q=settings.q is None)
     if any(len(some.time) < len(every.time) for some, every in zip(measured, tracks, strict=True)):
         rows, parts = _between(tracks, rows, parts)
     if not settings.smooth:  # the evidence of other axes and the probabilities of outliers are those of all fixes
         parts = [part.on_line for part in parts]
     known, outlier = estimated(parts, smooth=settings.smooth)
-    calm = [_CALM * kinds[row.track].acceleration for row in rows]
-    return _joined(tracks, rows, parts, known, outlier, torch.tensor(calm, dtype=torch.float64))
+    return _joined(tracks, rows, parts, known, outlier)
 
 
 def _seen_way(steps: Steps, sigma: float) -> float:
@@ -150,33 +134,34 @@ def _seen_way(steps: Steps, sigma: float) -> float:
     return way if way > _SEEN * sigma * float(np.median(fixes.std[:, 0])) else math.nan
 
 
-def _parts(
-    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]],
-    ways: Sequence[float] | None,
-) -> tuple[list[Row], list[Part]]:  # fmt: skip
+def _parts(tracks: Sequence[Steps], settings: Settings) -> tuple[list[Row], list[Part]]:
     """Rows of tracks, and the initial parameters of their axes."""
     rows = _rows(tracks)
     z, gap, std = padded([tracks[row.track].at(row.chosen) for row in rows])
-    period = torch.tensor([period_of(tracks[row.track]) for row in rows], dtype=torch.float64)
-    fastest = torch.tensor([kinds[row.track].fastest for row in rows], dtype=torch.float64)
-    steady = torch.tensor([kinds[row.track].steady for row in rows], dtype=torch.float64)
-    way = None if ways is None else torch.tensor([ways[row.track] for row in rows], dtype=torch.float64)
+    period, fastest, steady, way, least, height_step = _of_rows(rows, [
+        (period_of(steps), steps.kind.fastest, steps.kind.steady, steps.way, steps.least, steps.height_step)
+        for steps in tracks
+    ])  # fmt: skip
     parts: list[Part] = []
     for axes, hardest, count in _AXES[: z.shape[-1] - 1]:
-        most = torch.tensor([getattr(kinds[row.track], hardest) for row in rows], dtype=torch.float64)
+        (most,) = _of_rows(rows, [(getattr(steps.kind, hardest),) for steps in tracks])
         fixes = _fixes(z, gap, std, axes)
         levels = levels_up_to(most, fastest, period, count, settings.q, steady, way)
         model = _outliers(most, fastest, period, steady)
         unknown, stops = torch.full_like(most, math.nan), may_stop(most, fastest, period, steady)
         parts.append(Part(fixes, levels, unknown, torch.zeros_like(unknown), unknown, unknown, stops, model))
-    return rows, _with_first_sigma(parts, _owners(rows, tracks), settings.sigma, [coarse[row.track] for row in rows])
+    return rows, _with_first_sigma(parts, _owners(rows, tracks), settings.sigma, least, height_step)
+
+
+def _of_rows(rows: Sequence[Row], values: Sequence[tuple[float, ...]]) -> Tensor:
+    """Values of each track as ``(..., B)``, for each row."""
+    return torch.tensor([values[row.track] for row in rows], dtype=torch.float64).T
 
 
 def _with_first_sigma(
-    parts: Sequence[Part], owner: Tensor, given: float | None, coarse: Sequence[tuple[float, float]]
+    parts: Sequence[Part], owner: Tensor, given: float | None, least: Tensor, height_step: Tensor
 ) -> list[Part]:
-    """Parts with sigma as given, or an initial one, and its least value by what is ``coarse`` of each row."""
-    least, step = torch.tensor(coarse, dtype=torch.float64).T
+    """Parts with sigma as given, or an initial one, and its least value; ``least`` is that across the ground."""
     if given is None:
         parts = [part._replace(most=most_by_shapes(part, owner)) for part in parts]
         several = [first_sigma(part, owner) for part in parts]
@@ -186,7 +171,7 @@ def _with_first_sigma(
     for part, sigma in zip(parts, several, strict=True):
         found.append(part._replace(sigma=sigma.maximum(least), least=least))
         # The error of a rounded height is uniform within half a step to either side.
-        least = (step / math.sqrt(12)).maximum(_LEAST_OF_HEIGHT * found[0].sigma)
+        least = (height_step / math.sqrt(12)).maximum(_LEAST_OF_HEIGHT * found[0].sigma)
     return found
 
 
@@ -273,15 +258,15 @@ def period_of(steps: Steps) -> float:
 
 
 def _joined(
-    tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part], known: Sequence[Smoothed], outlier: Tensor,
-    calm: Tensor,
-) -> list[Answer]:  # fmt: skip
+    tracks: Sequence[Steps], rows: Sequence[Row], parts: Sequence[Part], known: Sequence[Smoothed], outlier: Tensor
+) -> list[Answer]:
     """The result of each track from its rows."""
     nis = torch.stack([_nis(part, of) for part, of in zip(parts, known, strict=True)]).sum(0)
     mean, covariance = _moments(known)
     levels, share = parts[0].levels, parts[0].levels.log_share.exp()
-    measured = [steps.at(steps.measured) for steps in tracks]
-    period = torch.tensor([period_of(measured[row.track]) for row in rows], dtype=torch.float64)
+    period, calm = _of_rows(rows, [
+        (period_of(steps.at(steps.measured)), _CALM * steps.kind.acceleration) for steps in tracks
+    ])  # fmt: skip
     densities = levels.q + 3 * levels.walk / period.square()  # of equal displacement over a period
     q = (share * densities.log()).sum(0).exp()
     manoeuvre = (known[0].levels * (densities > 10 * q.maximum(calm.square()))).sum(1)

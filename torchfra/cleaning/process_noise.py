@@ -37,7 +37,7 @@ a batch have, so that they are negligible."""
 
 def levels_up_to(
     acceleration: Tensor, fastest: Tensor, period: Tensor, count: int, q: float | None = None,
-    steady: Tensor | float = math.inf, way: Tensor | None = None,
+    steady: Tensor | float = math.inf, way: Tensor | float = math.nan,
 ) -> Levels:  # fmt: skip
     """Levels from going straight to changes of the velocity by ``acceleration (B,)`` m/s^2 for a ``period (B,)`` s.
 
@@ -54,7 +54,7 @@ def levels_up_to(
         count: number of levels, without those of a random walk.
         q: density around which levels are likely, m^2/s^3; None if it is to be found.
         steady: ``(B,)`` s between fixes from which on a target may keep a slow course.
-        way: ``(B,)`` usual one between fixes, m.
+        way: ``(B,)`` usual one between fixes, m; NaN where none is known.
     """
     place = torch.linspace(0.0, 1.0, count, dtype=period.dtype).unsqueeze(1)
     density = _densities(acceleration, fastest, period, place)
@@ -66,9 +66,9 @@ def levels_up_to(
     # Every 15 s, as many devices write, corners of a street take a vehicle as long; a walker is smooth yet.
     long = (period > _SHORTEST) | ((period == _SHORTEST) & (stops > _SHORTEST / 2))
     walking, farthest = may_stop(acceleration, fastest, period, steady) & long, fastest * period
-    if way is not None:
-        walking, farthest = torch.ones_like(walking), _APART ** (_WALKS // 2) * way
-        stops = period / 4  # as likely as any other motion
+    random = ~(torch.zeros_like(period) + way).isnan()
+    walking, farthest = walking | random, torch.where(random, _APART ** (_WALKS // 2) * way, farthest)
+    stops = torch.where(random, period / 4, stops)  # as likely as any other motion
     return _with_walks(levels, farthest, period, stops, walking) if q is None and walking.any() else levels
 
 

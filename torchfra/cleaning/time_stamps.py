@@ -91,8 +91,8 @@ def _smoothed_along(recording: Recording, kind: Kind) -> tuple[Recording, Array]
     fast = speed >= np.median(speed)
     seconds, noise = spread(along[fast] / speed[fast], 0.25), spread(across, 0.5)
     std = np.hypot(seconds * np.interp(time, at[1:-1], speed), noise)
-    steps = steps_of(recording)
-    (known,) = answers([steps._replace(std=np.repeat(std[:, None], d, 1))], [kind], Settings(sigma=1.0), [(0.0, 0.0)])
+    steps = steps_of(recording, kind)._replace(std=np.repeat(std[:, None], d, 1))
+    (known,) = answers([steps], Settings(sigma=1.0))
     course = _course(known.mean[:, d : d + 2])
     left = position[:, :2] - known.mean[:, :2]
     aside, wrong = np.abs(left[:, 0] * course[:, 1] - left[:, 1] * course[:, 0]), known.outlier > 0.5

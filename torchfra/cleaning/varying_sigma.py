@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchfra.cleaning.batches import Steps
-from torchfra.cleaning.kinds import Kind
 from torchfra.cleaning.positions import Answer, Settings, answers
 from torchfra.readers.columns import Array
 
@@ -25,16 +24,13 @@ _MEDIAN = 2 * math.log(2)
 
 
 def with_varying_sigma(
-    tracks: Sequence[Steps], kinds: Sequence[Kind], settings: Settings, coarse: Sequence[tuple[float, float]],
-    found: Sequence[Answer], asked: Sequence[bool],
-) -> tuple[list[Steps], list[Answer]]:  # fmt: skip
+    tracks: Sequence[Steps], settings: Settings, found: Sequence[Answer], asked: Sequence[bool]
+) -> tuple[list[Steps], list[Answer]]:
     """Steps and answers of tracks, cleaned again where their sigma clearly varies: then ``std`` is relative to sigma.
 
     Args:
         tracks: steps of each; where the file states accuracies, these are taken.
-        kinds: kind of each.
         settings: of cleaning; a given sigma is taken.
-        coarse: see ``answers``.
         found: the answers with one sigma for all of a track.
         asked: whether the sigma of a track may vary.
     """
@@ -43,7 +39,7 @@ def with_varying_sigma(
     for least in (_VARIES, *[0.0] * (_ROUNDS - 1)):
         varying = {i: std for i in open_ if (std := _std(tracks[i], found[i], least)) is not None}
         open_, tried = [], [tracks[i]._replace(std=std) for i, std in varying.items()]
-        again = answers(tried, [kinds[i] for i in varying], settings, [coarse[i] for i in varying]) if tried else []
+        again = answers(tried, settings) if tried else []
         for i, steps, answer in zip(varying, tried, again, strict=True):
             if answer.log_likelihood > found[i].log_likelihood + _CLEAR:
                 tracks[i], found[i] = steps, answer
