@@ -3,15 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from xml.etree.ElementTree import Element, SubElement, indent, register_namespace, tostring
+from html import escape
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.points import Points, points
 from torchfra.tables import printable
 
 KML, GX = "http://www.opengis.net/kml/2.2", "http://www.google.com/kml/ext/2.2"
+_FILE = """<?xml version="1.0" encoding="UTF-8"?>
+<kml xmlns="{kml}" xmlns:gx="{gx}"><Document>
+{styles}
+<Schema id="steps">
+{fields}
+</Schema>
+{folders}
+</Document></kml>
+"""
+_STYLE = """<Style id="{}"><LineStyle><color>{color}</color><width>{}</width></LineStyle>
+<IconStyle><color>{color}</color><scale>0.6</scale></IconStyle></Style>"""
 _STYLES = {"track": ("ffb27200", 3), "manoeuvre": ("ff009fe6", 5), "rejected": ("ff005ed5", 1)}
 """Colour, as alpha, blue, green and red, and width of a line."""
+_MODES = {2: "<altitudeMode>clampToGround</altitudeMode>", 3: "<altitudeMode>absolute</altitudeMode>"}
+"""Whether a place of so many numbers is on the ground or has an altitude above the sea."""
+_MARK = "<Placemark><name>{}</name><styleUrl>#{}</styleUrl>\n{}\n</Placemark>"
 
 
 def encode(results: Sequence[Cleaned]) -> bytes:
@@ -20,80 +34,47 @@ def encode(results: Sequence[Cleaned]) -> bytes:
     Raises:
         ValueError: a recording without latitudes.
     """
-    register_namespace("", KML)
-    register_namespace("gx", GX)
-    root = Element(f"{{{KML}}}kml")
-    document = _add(root, "Document")
-    for name, (colour, width) in _STYLES.items():
-        style = _add(document, "Style", id=name)
-        line, icon = _add(style, "LineStyle"), _add(style, "IconStyle")
-        for part in (line, icon):
-            _add(part, "color", colour)
-        _add(line, "width", str(width))
-        _add(icon, "scale", "0.6")
-    schema = _add(document, "Schema", id="steps")
     known = [points(cleaned) for cleaned in results]
-    for name in dict.fromkeys(name for of in known for name in of.attributes):
-        SubElement(schema, f"{{{GX}}}SimpleArrayField", name=name, type="string" if name == "flag" else "float")
-    for of in known:
-        _folder(document, of)
-    indent(root, " ")
-    text = tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+    names = dict.fromkeys(name for of in known for name in of.attributes)
+    return _FILE.format(
+        kml=KML, gx=GX,
+        styles="\n".join(_STYLE.format(name, width, color=color) for name, (color, width) in _STYLES.items()),
+        fields="\n".join(
+            f'<gx:SimpleArrayField name="{name}" type="{"string" if name == "flag" else "float"}"/>' for name in names
+        ),
+        folders="\n".join(map(_folder, known)),
+    ).encode()  # fmt: skip
 
 
-def _folder(document: Element, of: Points) -> None:
-    folder = _add(document, "Folder")
-    _add(folder, "name", printable(of.name))
-    track = _placemark(folder, printable(of.name), "track")
-    _track(track, of) if of.dates is not None else _line(track, of.place.tolist())
+def _folder(of: Points) -> str:
+    name = escape(printable(of.name))
+    path = _geometry("LineString", of.place.tolist()) if of.dates is None else _track(of)
+    marks = [_MARK.format(name, "track", path)]
     for segment, steps in of.manoeuvres:
-        mark = _placemark(folder, f"{segment.kind}, {segment.rate:.2g}", "manoeuvre")
-        _line(mark, of.place[steps].tolist())
+        path = _geometry("LineString", of.place[steps].tolist())
+        marks.append(_MARK.format(f"{segment.kind}, {segment.rate:.2g}", "manoeuvre", path))
     for place, row in zip(of.rejected, of.rejected_rows, strict=True):
-        mark = _placemark(folder, f"rejected, row {row}", "rejected")
-        point = _add(mark, "Point")
-        _mode(point, len(place) == 3)
-        _add(point, "coordinates", _text(place, ","))
+        marks.append(_MARK.format(f"rejected, row {row}", "rejected", _geometry("Point", [place])))
+    return "\n".join([f"<Folder><name>{name}</name>", *marks, "</Folder>"])
 
 
-def _track(mark: Element, of: Points) -> None:
-    track = SubElement(mark, f"{{{GX}}}Track")
-    _mode(track, of.place.shape[1] == 3)
-    for date in of.dates or ():
-        _add(track, "when", date)
-    for place in of.place.tolist():
-        SubElement(track, f"{{{GX}}}coord").text = _text(place if len(place) == 3 else [*place, 0.0], " ")
-    data = SubElement(_add(track, "ExtendedData"), f"{{{KML}}}SchemaData", schemaUrl="#steps")
-    for name, values in of.attributes.items():
-        array = SubElement(data, f"{{{GX}}}SimpleArrayData", name=name)
-        for value in values:
-            SubElement(array, f"{{{GX}}}value").text = "" if value is None else str(value)
+def _track(of: Points) -> str:
+    values = "\n".join(
+        f'<gx:SimpleArrayData name="{name}">\n'
+        + "\n".join(f"<gx:value>{'' if value is None else value}</gx:value>" for value in every)
+        + "\n</gx:SimpleArrayData>"
+        for name, every in of.attributes.items()
+    )
+    whens = "\n".join(f"<when>{date}</when>" for date in of.dates or ())
+    places = "\n".join(f"<gx:coord>{_text([*place, 0.0][:3], ' ')}</gx:coord>" for place in of.place.tolist())
+    data = f'<ExtendedData><SchemaData schemaUrl="#steps">\n{values}\n</SchemaData></ExtendedData>'
+    return f"<gx:Track>{_MODES[of.place.shape[1]]}\n{whens}\n{places}\n{data}</gx:Track>"
 
 
-def _line(mark: Element, places: list[list[float]]) -> None:
-    line = _add(mark, "LineString")
-    _mode(line, bool(places) and len(places[0]) == 3)
-    _add(line, "coordinates", " ".join(_text(place, ",") for place in places))
-
-
-def _placemark(folder: Element, name: str, style: str) -> Element:
-    mark = _add(folder, "Placemark")
-    _add(mark, "name", name)
-    _add(mark, "styleUrl", f"#{style}")
-    return mark
-
-
-def _mode(geometry: Element, high: bool) -> None:
-    """Says whether altitudes are above the sea, or the geometry is on the ground."""
-    _add(geometry, "altitudeMode", "absolute" if high else "clampToGround")
+def _geometry(kind: str, places: list[list[float]]) -> str:
+    mode = _MODES[len(places[0])] if places else ""
+    return f"<{kind}>{mode}<coordinates>{' '.join(_text(place, ',') for place in places)}</coordinates></{kind}>"
 
 
 def _text(place: list[float], between: str) -> str:
     return between.join(f"{v:.{8 if axis < 2 else 3}f}" for axis, v in enumerate(place))
-
-
-def _add(parent: Element, name: str, text: str | None = None, **attributes: str) -> Element:
-    element = SubElement(parent, f"{{{KML}}}{name}", attributes)
-    element.text = text
-    return element
