@@ -33,8 +33,8 @@ _PAGE = """<!DOCTYPE html>
 <style>
 body {{ font-family: sans-serif; margin: 1em auto; max-width: 1400px; padding: 0 1em; }}
 summary {{ cursor: pointer; padding: .4em 0; }}
-.chart {{ width: 100%; height: 760px; }}
-@media (max-width: 700px) {{ .chart {{ height: 1100px; }} h1 {{ font-size: 1.3em; }} body {{ padding: 0 .3em; }} }}
+.chart {{ width: 100%; height: 1100px; }}
+@media (max-width: 700px) {{ h1 {{ font-size: 1.3em; }} body {{ padding: 0 .3em; }} }}
 h1, p, summary {{ overflow-wrap: anywhere; }}
 .wide {{ overflow-x: auto; }}
 table {{ border-collapse: collapse; }}
@@ -47,23 +47,10 @@ th {{ cursor: pointer; border-bottom: 1px solid; }}
 {settings}
 {sections}
 <script>
-function narrow(layout) {{ // the map above the panels, of which each has the whole width
-  layout.title = "";
-  if (!layout.xaxis2) return;
-  layout.xaxis.domain = layout.xaxis2.domain = [0, 1];
-  layout.yaxis.domain = [0.6, 1];
-  layout.legend.y = -0.05;
-  Object.keys(layout).filter(name => /^yaxis[0-9]/.test(name)).forEach(name => {{
-    layout[name].domain = layout[name].domain.map(y => y / 2);
-  }});
-  layout.shapes.forEach(shape => {{ shape.y1 = 0.5; }});
-  layout.annotations.filter(words => words.xref === "x2").forEach(words => {{ words.y = 0.5; }});
-}}
 function draw(section) {{
   const place = section.querySelector(".chart");
   if (!section.open || place.dataset.drawn) return;
   const chart = JSON.parse(section.querySelector("script").textContent);
-  if (window.innerWidth <= 700) narrow(chart.layout);
   Plotly.newPlot(place, chart.data, chart.layout, {{responsive: true, displaylogo: false}});
   place.dataset.drawn = "yes";
 }}
@@ -86,6 +73,8 @@ _SECTION = """<details id="{name}"{opened}><summary>{title}</summary><div class=
 <script type="application/json">{chart}</script></details>"""
 _LETTERS = 60
 """Width of a panel in a narrow window, in characters."""
+_TOP = 0.52
+"""Upper end of the panels below the map, as a share of the height."""
 _MOST_MARKS = 50
 """Largest number of rejected fixes that are marked at the edge of the map."""
 
@@ -186,30 +175,31 @@ class Chart(NamedTuple):
 
 
 def chart(cleaned: Cleaned) -> Chart:
-    """A map on the left, and speed, altitude, innovations and regimes over time on the right."""
+    """A map, and below it speed, altitude, innovations and regimes over time."""
     track = view(cleaned)
-    rows = ["speed, m/s", *(["altitude, m"] if track.altitude else []), "innovation, std"]
-    rows += ["probability"] if track.regimes else []
-    data = _map(track, cleaned) + _band(track, track.speed, 2)
+    panels: list[tuple[str, list[dict[str, Any]], list[float] | None]] = [
+        ("speed, m/s", _band(track, track.speed, 2), [max(0.0, track.speed.limits()[0]), track.speed.limits()[1]])
+    ]
     if track.altitude is not None:
-        data += _band(track, track.altitude, 3)
-    data += _innovations(track, 3 + (track.altitude is not None))
-    data += _regimes(track, len(rows) + 1)
-    layout = _layout(track.title) | _map_axes(track) | _time_axes(track, rows)
+        panels.append(("altitude, m", _band(track, track.altitude, 3), [*track.altitude.limits()]))
+    panels.append(("innovation, std", _innovations(track, len(panels) + 2), [0, 1.05 * MOST_STD]))
+    if track.regimes:
+        panels.append(("probability", _regimes(track, len(panels) + 2), None))
+    layout = _layout(track.title) | _axes(track, {label: limits for label, _, limits in panels})
     edge, _, sentence = beyond(track, *track.window)
     layout["annotations"] = [_words(x, y, "\u25b2", RED) for x, y in edge[:_MOST_MARKS].tolist()] + [
-        _words(middle * track.time[-1], 1.0, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
+        _words(middle * track.time[-1], _TOP, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
         for middle, row, kind in placed(track, _LETTERS)
     ]
     if sentence:
         corner = {"xref": "paper", "yref": "paper", "xanchor": "left"}
         layout["annotations"].append(_words(0.0, 1.0, sentence, RED) | corner)
     layout["shapes"] = [
-        {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
+        {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": _TOP, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
         for begin, end in track.shades
     ]  # fmt: skip
-    return Chart(data, layout)
+    return Chart(_map(track, cleaned) + [line for _, lines, _ in panels for line in lines], layout)
 
 
 def overview(results: Sequence[Cleaned]) -> Chart:
@@ -315,25 +305,19 @@ def _layout(title: str) -> dict[str, Any]:
     }
 
 
-def _map_axes(track: View) -> dict[str, Any]:
+def _axes(track: View, limits: dict[str, list[float] | None]) -> dict[str, Any]:
+    """The axes of the map, and below it a common axis of time of panels, by their labels and limits (None: all)."""
     (left, bottom), (right, top) = track.window
-    east = {"domain": [0, 0.48], "range": [left, right], "zeroline": False, "title": {"text": f"east, {track.unit}"}}
-    north = {"range": [bottom, top], "scaleanchor": "x", "zeroline": False, "title": {"text": f"north, {track.unit}"}}
-    return {"xaxis": east, "yaxis": north}
-
-
-def _time_axes(track: View, rows: Sequence[str]) -> dict[str, Any]:
-    """A common axis of time for all panels, the first of which is on top."""
-    high, gap = 1 / len(rows), 0.03
     axes: dict[str, Any] = {
-        "xaxis2": {"domain": [0.55, 1], "range": [0, float(track.time[-1]) or 1.0], "title": {"text": track.clock},
-                   "anchor": f"y{len(rows) + 1}"}
+        "xaxis": {"range": [left, right], "zeroline": False, "title": {"text": f"east, {track.unit}"}},
+        "yaxis": {"range": [bottom, top], "domain": [_TOP + 0.1, 1], "scaleanchor": "x", "zeroline": False,
+                  "title": {"text": f"north, {track.unit}"}},
+        "xaxis2": {"range": [0, float(track.time[-1]) or 1.0], "title": {"text": track.clock},
+                   "anchor": f"y{len(limits) + 1}"},
     }  # fmt: skip
-    for i, label in enumerate(rows):
-        top = 1 - i * high
-        axes[f"yaxis{i + 2}"] = {"domain": [top - high + gap, top], "title": {"text": label}, "anchor": "x2"}
-    if track.altitude is not None:
-        axes["yaxis3"]["range"] = list(track.altitude.limits())
-    axes["yaxis2"]["range"] = [max(0.0, track.speed.limits()[0]), track.speed.limits()[1]]
-    axes[f"yaxis{rows.index('innovation, std') + 2}"]["range"] = [0, 1.05 * MOST_STD]
+    ends = np.linspace(_TOP, 0, len(limits) + 1).tolist()
+    for number, (label, of) in enumerate(limits.items()):
+        axes[f"yaxis{number + 2}"] = {
+            "domain": [ends[number + 1] + 0.015, ends[number]], "range": of, "title": {"text": label}, "anchor": "x2",
+        }  # fmt: skip
     return axes
