@@ -57,8 +57,8 @@ class Steps(NamedTuple):
 
     def at(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Steps:
         """Some of the steps."""
-        each = (x[chosen] for x in self[:4])
-        return Steps(*each, *self[4:])  # type: ignore[arg-type]  # arrays first
+        time, raw, row, std = self.time[chosen], self.raw[chosen], self.row[chosen], self.std[chosen]
+        return self._replace(time=time, raw=raw, row=row, std=std)
 
 
 def steps_of(recording: Recording, kind: Kind, dt: float | None = None) -> Steps:

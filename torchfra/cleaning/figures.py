@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,20 +13,17 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.summary import summary
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.numbers import Array
 from torchfra.pictures import APART, BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
 from torchfra.plotting.labels import SIZE, beside, in_free_places, show
-from torchfra.plotting.style import TITLE, finish, lay_out, plain_ticks, without_box, words
+from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
 from torchfra.tables import plural
 
 _MANY = 50
 """Rejected fixes whose marks are small, so that the path is seen."""
 _LETTERS = 76
 """Letters of a manoeuvre's name that fit in the width of a panel."""
-_MOST_ROWS = 40
-"""Targets that have a row; of more, those with the largest share of rejected fixes."""
 
 
 def cleaned(track: Cleaned) -> Figure:
@@ -162,27 +158,23 @@ def _finish_time(rows: list[Axes], track: View) -> None:
 
 
 def overview(results: Sequence[Cleaned]) -> Figure:
-    """All tracks on a map, and a row for each target: how far its fixes were moved, how sure it is, what was rejected.
-
-    The axes are labelled ``"map"`` and ``"rows"``.
-    """
-    of = [summary(track) for track in results]
-    order = sorted(range(len(of)), key=lambda i: of[i]["flags"]["outlier"] / max(of[i]["fixes"], 1))[-_MOST_ROWS:]
-    figure = Figure(figsize=(12, max(5.0, 1.6 + 0.19 * len(order))), layout="constrained")
-    panels = figure.subplot_mosaic([["map", "rows"]], width_ratios=[1.15, 1])
-    colours = dict(zip((s["name"] for s in of), APART, strict=False)) if len(of) <= len(APART) else {}
-    paths = _draw_paths(panels["map"], results, colours)
-    _draw_rows(panels["rows"], [of[i] for i in order], colours, len(of))
-    fixes, rejected = sum(s["fixes"] for s in of), sum(s["flags"]["outlier"] for s in of)
-    figure.suptitle(f"{len(of)} {plural(results[0].recording.source.word)}: {fixes:,} fixes, {rejected:,} rejected")
+    """All tracks on a map, which is labelled ``"map"``; of a few each has its colour and its name."""
+    names = [track.recording.name for track in results]
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    (axes,) = figure.subplot_mosaic([["map"]]).values()
+    colours = dict(zip(names, APART, strict=False)) if len(names) <= len(APART) else {}
+    paths = _draw_paths(axes, results, colours)
+    fixes = sum(int((track.row >= 0).sum()) for track in results)
+    rejected = sum(int((track.flag == "outlier").sum()) for track in results)
+    figure.suptitle(f"{len(names)} {plural(results[0].recording.source.word)}: {fixes:,} fixes, {rejected:,} rejected")
     every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
     margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
     window = every.min(0) - margin, every.max(0) + margin
-    show(panels["map"], *window)  # about: the layout needs the numbers at its axes
+    show(axes, *window)  # about: the layout needs the numbers at its axes
     lay_out(figure)
     figure.set_layout_engine("none")
-    show(panels["map"], *window)
-    in_free_places(panels["map"], {name: paths[name] for name in colours if name in paths}, colours)
+    show(axes, *window)
+    in_free_places(axes, {name: paths[name] for name in colours if name in paths}, colours)
     return figure
 
 
@@ -202,30 +194,3 @@ def _draw_paths(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str])
     axes.set_title("cleaned tracks, a dot where each begins", fontsize=10)
     finish(axes)
     return paths
-
-
-def _draw_rows(axes: Axes, rows: list[dict[str, Any]], colours: dict[str, str], count: int) -> None:
-    keys = ("median_correction", "largest_correction", "median_std")
-    values = np.array([[row[key] for key in keys] for row in rows])
-    for i, (row, (median, largest, std)) in enumerate(zip(rows, values, strict=True)):
-        colour = colours.get(row["name"], GREY)
-        axes.plot([median, largest], [i, i], color=colour, linewidth=1.2)
-        axes.plot(median, i, "o", color=colour, markersize=5)
-        axes.plot(std, i, "|", color="black", markersize=8)
-        if rejected := row["flags"]["outlier"]:
-            axes.annotate(f"{rejected:,}", (1.0, i), (4, 0), xycoords=("axes fraction", "data"), color=RED,
-                          textcoords="offset points", va="center", fontsize=SIZE - 1)  # fmt: skip
-    axes.set_yticks(range(len(rows)), [words(row["name"], 24) for row in rows], fontsize=SIZE - 1)
-    for label, row in zip(axes.get_yticklabels(), rows, strict=True):
-        label.set_color(colours.get(row["name"], DARK))
-    known = values[np.isfinite(values) & (values > 0)]
-    low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
-    axes.set(xscale="log", xlim=(low / 1.2, high * 1.2), ylim=(-0.6, len(rows) - 0.4), xlabel="m")
-    some = "" if len(rows) == count else f"the {len(rows)} with most rejected\n"
-    axes.set_title(f"{some}fixes moved: median (dot), most (line); | how sure", fontsize=10)
-    axes.annotate("rejected", (1.0, 1.0), (4, 4), xycoords="axes fraction", textcoords="offset points", color=RED,
-                  ha="center", fontsize=SIZE - 1)  # fmt: skip
-    axes.tick_params(axis="y", length=0)
-    plain_ticks(axes.xaxis)
-    axes.grid(axis="x", alpha=0.25)
-    without_box(axes)
