@@ -118,13 +118,13 @@ def with_outliers(seed, steps=80, outliers=6):
     return z
 
 
-@pytest.mark.parametrize("options", [{}, {"hysteresis": 1.0, "dwell": 1.0}, {"votes": 4}, {"warmup": 3}])
+@pytest.mark.parametrize("options", [{}, {"hysteresis": 1.0, "dwell": 1.0}])
 def test_it_decides_as_the_paper_describes(options):
     several = [with_outliers(seed) for seed in range(2)]  # of which the first jumps for good
     f = presets.alphabeta(LINE, SENSOR, **OPTIONS, **options)
     estimate = f(torch.from_numpy(np.stack(several))[..., None], PRIOR)
     pairs = list(zip(f.alpha().tolist(), f.beta().tolist(), strict=True))
-    names = {"hysteresis": "hyst", "votes": "n"}
+    names = {"hysteresis": "hyst"}
     given = {names.get(key, key): value for key, value in options.items()}
     for i, z in enumerate(several):
         said = oracles.alphabeta_bank(z, 1.0, pairs, 20.0, 70.0, 200.0, [60.0], 60.0, 3.6, **given)
@@ -285,7 +285,6 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, gains.levels(3)), "gains: expected two for constant velocity"),
         (lambda: AlphaBetaBank(LINE, SENSOR, outlier=1.0), "outlier: expected"),
         (lambda: AlphaBetaBank(LINE, SENSOR, level_shares=[0.5, 0.2]), "level_shares"),
-        (lambda: AlphaBetaBank(LINE, SENSOR, votes=3), "votes: expected an even number of 2 or more, received 3"),
         (lambda: AlphaBetaBank(LINE, SENSOR, detect="polar"), "detect"),
         (lambda: AlphaBetaBank(LINE, SENSOR, onset="late"), "onset"),
         (lambda: AlphaBetaBank(LINE, SENSOR, max_gap=0.0), "max_gap"),

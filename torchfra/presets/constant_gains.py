@@ -34,10 +34,7 @@ class LevelsOptions(TypedDict, total=False):
     margin: residual that is never rejected in a manoeuvre, in std; 3 if not given (6).
     hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre; 0.5 if not given (0.7).
     dwell: steps without a vote after which a manoeuvre ends; 3 if not given (20).
-    votes: flags before the newest one, even; 2 if not given.
-    patience: rejections in a row after which the filter restarts; 5 if not given.
     max_gap: seconds without a used measurement after which the filter restarts; never if not given.
-    warmup: measurements before the first decision; 5 if not given.
     detect: in ``"cartesian"`` (if not given) or ``"polar"`` coordinates.
     onset: a manoeuvre begins from the ``"shared"`` state (if not given) or the ``"fastest"`` filter's (fastest).
     temperature: 0, if not given, for hard choices, above for soft ones, to train by.
@@ -53,10 +50,7 @@ class LevelsOptions(TypedDict, total=False):
     margin: Value | None
     hysteresis: Value | None
     dwell: Value | None
-    votes: int
-    patience: int
     max_gap: float
-    warmup: int
     detect: str
     onset: str | None
     temperature: float

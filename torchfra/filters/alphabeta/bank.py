@@ -31,10 +31,14 @@ from torchfra.filters.soft import Soft
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value, one_of
 from torchfra.motion.base import Motion
-from torchfra.numbers import as_number, as_numbers, is_integer
+from torchfra.numbers import as_number, as_numbers
 from torchfra.sensors.base import Sensor
 from torchfra.steps.records import Record
 from torchfra.types import Gaussian
+
+_VOTES = 2  # flags before the newest one
+_PATIENCE = 5  # rejections in a row after which the next one restarts the filter
+_WARMUP = 5  # measurements before the first decision
 
 
 class Earlier(NamedTuple):
@@ -63,7 +67,7 @@ class AlphaBetaBankState(NamedTuple):
     rejected: Tensor
     """``(..., g)`` number of measurements rejected since the last used one."""
     flags: Tensor
-    """``(..., votes, c)`` flags of the last measurements, the newest first; ``c`` is an axis, or range and azimuth."""
+    """``(..., 2, c)`` flags of the last two measurements, the newest first; ``c`` is an axis, or range and azimuth."""
     flag_count: Tensor
     """``(..., g)`` number of flags in the history."""
     manoeuvre: Tensor
@@ -162,10 +166,10 @@ class OutlierTest(NamedTuple):
 class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     """Alpha-beta filters that share one state and switch their gains with the data: small gains for straight flight.
 
-    A residual above ``manoeuvre`` raises a flag; a majority of the last flags votes for a manoeuvre.  Without a
+    A residual above ``manoeuvre`` raises a flag; two of the last three flags vote for a manoeuvre.  Without a
     manoeuvre, a residual beyond ``outlier`` is rejected and the track is extrapolated; in a manoeuvre, only a residual
-    that the target cannot reach is rejected.  After too many rejections the filter restarts from the last two
-    measurements.
+    that the target cannot reach is rejected.  With the sixth rejection in a row the filter restarts from the last two
+    measurements.  Until five measurements are used, the fastest level is in use and nothing votes.
 
     ``Estimate.scale_tril`` is a root of the covariance of errors by the prior and the measurement noise under the gains
     in use: it grows while measurements are missing or rejected.  Errors by manoeuvres are not in it.
@@ -188,10 +192,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         margin: residual in std that is never rejected in a manoeuvre.
         hysteresis: share of ``manoeuvre`` that raises a flag while in a manoeuvre.
         dwell: steps without a vote after which a manoeuvre ends.
-        votes: number of flags before the newest one, even.
-        patience: rejections in a row after which the next rejection restarts the filter.
         max_gap: seconds without a used measurement after which the next measurement restarts the filter.
-        warmup: measurements before the first decision; until then the fastest level is used.
         detect: ``"cartesian"``: each axis decides by itself; ``"polar"``: range and horizontal azimuth from the origin
             decide for all axes.
         onset: the state at the onset of a manoeuvre: ``"shared"`` the one as it is, which lags after small gains, or
@@ -224,10 +225,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         margin: Value = 3.0,
         hysteresis: Value = 0.5,
         dwell: Value = 3.0,
-        votes: int = 2,
-        patience: int = 5,
         max_gap: float = math.inf,
-        warmup: int = 5,
         detect: str = "cartesian",
         onset: str = "shared",
         temperature: float = 0.0,
@@ -235,9 +233,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         confirm: bool = False,
     ) -> None:
         super().__init__(motion, sensor, period)
-        self.votes, self.patience, self.max_gap, self.warmup = votes, patience, max_gap, warmup
-        self.detect, self.onset = detect, onset
-        self.confirm = confirm
+        self.max_gap, self.detect, self.onset, self.confirm = max_gap, detect, onset, confirm
         self._check()
         gains = design.levels(motion.orders) if gains is None else gains
         self._set_levels(gains)
@@ -251,11 +247,6 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
     def _check(self) -> None:
         """Checks all arguments but gains and thresholds."""
         one_of(detect=(self.detect, ("cartesian", "polar")), onset=(self.onset, ("shared", "fastest")))
-        if not (is_integer(self.votes, 2) and self.votes % 2 == 0):
-            raise ValueError(f"votes: expected an even number of 2 or more, received {self.votes!r}")
-        for name, value, least in (("patience", self.patience, 1), ("warmup", self.warmup, 3)):
-            if not is_integer(value, least):
-                raise ValueError(f"{name}: expected a whole number of {least} or more, received {value!r}")
         if not as_number(self.max_gap) > 0:
             raise ValueError(f"max_gap: expected seconds above 0, received {self.max_gap!r}")
         if self.detect == "polar" and self.motion.dims < 2:
@@ -305,7 +296,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
             used=zero,
             since=zero,
             rejected=zero,
-            flags=channels.unsqueeze(-2).expand(*channels.shape[:-1], self.votes, -1),
+            flags=channels.unsqueeze(-2).expand(*channels.shape[:-1], _VOTES, -1),
             flag_count=zero,
             manoeuvre=zero,
             quiet=zero,
@@ -350,8 +341,8 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         threshold = self.manoeuvre(channels).unsqueeze(-1)
         threshold = threshold * (1 - state.manoeuvre * (1 - self.hysteresis(channels).unsqueeze(-1)))
         flag = self._above(channels / threshold, 1.0)
-        enough = self._above(state.used, self.warmup - 0.5) * self._above(state.flag_count, self.votes - 0.5)
-        majority = self._above(reduce(torch.add, state.flags.unbind(-2), flag), (self.votes + 1) / 2)
+        enough = self._above(state.used, _WARMUP - 0.5) * self._above(state.flag_count, _VOTES - 0.5)
+        majority = self._above(reduce(torch.add, state.flags.unbind(-2), flag), (_VOTES + 1) / 2)
         vote = enough * self._any(majority) * innovation.measured
         quiet = (1 - vote) * (state.quiet + innovation.measured)
         lasting = self._above(self.dwell(channels).unsqueeze(-1) - quiet, 0.5)
@@ -367,7 +358,7 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
         expired = (innovation.since > self.max_gap).to(rejected) * measured * any_used
         rejected = torch.maximum(rejected, expired * started) if self.confirm else rejected * (1 - expired)
         in_a_row, accepted = state.rejected + rejected, (1 - rejected) * measured
-        restarted = torch.maximum((in_a_row > self.patience).to(rejected) * (rejected > 0.5), expired)
+        restarted = torch.maximum((in_a_row > _PATIENCE).to(rejected) * (rejected > 0.5), expired)
         if not self.confirm:
             return OutlierTest(rejected, accepted, accepted, in_a_row, restarted, 2 - expired, restarted)
         starting = any_used - started
@@ -399,18 +390,15 @@ class AlphaBetaBank(Soft, ConstantGainFilter[AlphaBetaBankState]):
 
     def _flags_in_a_row(self, state: AlphaBetaBankState) -> Tensor:
         """``(..., g)`` number of successive flags immediately before this step."""
-        count, flagged = torch.zeros_like(state.since), self._any(state.flags[..., 0, :])
-        for i in range(self.votes):
-            count = count + flagged
-            flagged = flagged * self._any(state.flags[..., min(i + 1, self.votes - 1), :])
-        return count
+        last, before = (self._any(flags) for flags in state.flags.unbind(-2))
+        return last + last * before
 
     def choose_level(
         self, state: AlphaBetaBankState, innovation: AxisInnovation, manoeuvre: Tensor, accepted: Tensor
     ) -> Tensor:
         """Shares ``(..., g, N)`` of the levels, a single 1 for hard choices; a rejected step keeps those before."""
         channels = innovation.channels
-        converged = self._above(state.used, self.warmup - 0.5)
+        converged = self._above(state.used, _WARMUP - 0.5)
         degree = channels if self.detect == "cartesian" else channels.amax(-1, keepdim=True)
         degree = degree / self.manoeuvre(degree).unsqueeze(-1)
         zero = torch.zeros_like(converged)
