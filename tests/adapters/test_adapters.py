@@ -236,7 +236,7 @@ def test_what_stone_soup_has_and_torchfra_has_not_is_refused(soup):
         soup.detections(torch.zeros(2, 2), [START])
 
 
-# ---------------------------------------------------------------- pandas and traffic
+# ---------------------------------------------------------------- pandas
 
 
 @pytest.fixture
@@ -284,53 +284,3 @@ def test_estimates_and_cleaned_tracks_become_tables(frames):
     table = table_of([cleaned, cleaned])
     assert len(table) == 120
     assert {"seconds", "x", "y", "outlier", "flag"} <= set(table.columns)
-
-
-class Flight:
-    """What a flight of traffic is to the adapter."""
-
-    def __init__(self, data):
-        self.data = data
-
-
-@pytest.fixture
-def flight():
-    pd = pytest.importorskip("pandas")
-    steps = np.arange(120)
-    rng = np.random.default_rng(3)
-    return pd.DataFrame({
-        "timestamp": pd.Timestamp("2024-05-01 12:00", tz="utc") + pd.to_timedelta(steps * 4, unit="s"),
-        "icao24": "3c6444", "callsign": "DLH1",
-        "latitude": 50 + 0.007 * steps + 3e-4 * rng.standard_normal(120),
-        "longitude": 8 + 3e-4 * rng.standard_normal(120),
-        "altitude": 30000.0 + 0 * steps, "groundspeed": 380.0, "track": 1.0, "vertical_rate": 0.0,
-    })  # fmt: skip
-
-
-def check_flight(cleaned, raw):
-    assert list(cleaned.columns) == [*raw.columns, "outlier"]
-    assert len(cleaned) == len(raw)
-    knots = 0.007 * 60 / 4 * 3600  # a minute of arc is a nautical mile
-    assert cleaned["groundspeed"].median() == pytest.approx(knots, rel=0.02)
-    rough, smooth = (np.abs(np.diff(frame["longitude"], 2)).mean() for frame in (raw, cleaned))
-    assert smooth < 0.2 * rough
-    assert abs(np.median(cleaned["altitude"]) - 30000) < 50
-
-
-@pytest.mark.slow
-def test_a_flight_comes_back_cleaned(flight):
-    from torchfra.cleaning.frames import clean_flight
-
-    found = clean_flight(Flight(flight))
-    assert isinstance(found, Flight)
-    check_flight(found.data, flight)
-
-
-def test_a_flight_of_traffic_comes_back_cleaned(flight):
-    core = pytest.importorskip("traffic.core", exc_type=ImportError)
-    from torchfra.cleaning.frames import clean_flight
-
-    found = clean_flight(core.Flight(flight))
-    assert isinstance(found, core.Flight)
-    assert found.callsign == "DLH1"
-    check_flight(found.data, flight)

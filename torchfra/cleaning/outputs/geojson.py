@@ -41,7 +41,7 @@ def _features(of: Points) -> list[dict[str, Any]]:
     ]  # fmt: skip
     rejected = {
         "type": "Feature",
-        "geometry": {"type": "MultiPoint", "coordinates": _rounded(of.rejected)},
+        "geometry": {"type": "MultiPoint", "coordinates": of.rejected},
         "properties": {"name": of.name, "what": "rejected fixes", "row": of.rejected_rows},
     }
     return [track, *manoeuvres, *([rejected] if len(of.rejected) else [])]
@@ -59,11 +59,5 @@ def _nested(values: Sequence[Any], pieces: list[NDArray[np.intp]]) -> list[Any]:
 
 
 def _line(place: Array, pieces: list[NDArray[np.intp]]) -> dict[str, Any]:
-    coordinates = _rounded(place.tolist())
     kind = "LineString" if len(pieces) == 1 else "MultiLineString"
-    return {"type": kind, "coordinates": _nested(coordinates, pieces)}
-
-
-def _rounded(place: list[list[float]]) -> list[list[float]]:
-    """Degrees to a millimetre, and metres too."""
-    return [[round(v, 8 if axis < 2 else 3) for axis, v in enumerate(point)] for point in place]
+    return {"type": kind, "coordinates": _nested(place.tolist(), pieces)}

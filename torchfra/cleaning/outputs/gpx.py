@@ -54,9 +54,7 @@ def _add(file: Any, of: Points) -> None:
 
 
 def _degrees(place: list[float]) -> dict[str, Any]:
-    """Latitude, longitude and altitude, to a millimetre."""
-    names = zip(("longitude", "latitude", "elevation"), (8, 8, 3), place, strict=False)
-    return {name: round(value, digits) for name, digits, value in names}
+    return dict(zip(("longitude", "latitude", "elevation"), place, strict=False))
 
 
 def _element(name: str, text: str | None, **attributes: Any) -> Element:

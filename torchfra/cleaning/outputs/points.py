@@ -25,7 +25,7 @@ class Points(NamedTuple):
 
     name: str
     place: Array
-    """``(T, 2 or 3)`` longitude and latitude in degrees, altitude in m."""
+    """``(T, 2 or 3)`` longitude and latitude in degrees, altitude in m, to a millimetre as all places here."""
     dates: list[str] | None
     """UTC, ISO 8601; None where the times of the input are no dates."""
     attributes: dict[str, list[Any]]
@@ -56,10 +56,10 @@ def points(cleaned: Cleaned) -> Points:
     ]
     return Points(
         cleaned.recording.name,
-        _place(cleaned.position[good], origin),
+        _place(np.stack(to_geodetic(cleaned.position[good], origin)[: cleaned.raw.shape[1]])),
         None if stamps is None else [stamps[i] for i in at],
         attributes,
-        [[lon, lat, *filter(isfinite, up)] for lat, lon, *up in recorded(cleaned, origin).T[rejected].tolist()],
+        [[*filter(isfinite, place)] for place in _place(recorded(cleaned, origin)[:, rejected]).tolist()],
         table["row"][rejected].tolist(),
         manoeuvres,
     )
@@ -77,9 +77,9 @@ def origin_of(recording: Recording) -> Origin:
     return recording.origin
 
 
-def _place(position: Array, origin: Origin) -> Array:
-    latitude, longitude, altitude = to_geodetic(position, origin)
-    return np.stack([longitude, latitude, altitude][: position.shape[1]], 1)
+def _place(geodetic: Array) -> Array:
+    """Longitudes, latitudes and altitudes ``(T, 2 or 3)``, of latitudes, longitudes and altitudes ``(2 or 3, T)``."""
+    return np.column_stack([geodetic[1::-1].round(8).T, geodetic[2:].round(3).T])
 
 
 def _known(name: str, values: NDArray[Any]) -> list[Any]:
