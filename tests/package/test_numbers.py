@@ -10,7 +10,6 @@ import torch
 
 from torchfra import Gaussian, association, presets
 from torchfra.association.gates import Candidates
-from torchfra.filters import FixedLag
 from torchfra.motion import ConstantVelocity
 from torchfra.numbers import as_tensor
 from torchfra.sensors import Position, RangeBearing
@@ -70,13 +69,6 @@ def test_compiled_smoothing_with_a_number_is_eager_smoothing(filters, name, call
     found, expected = (CALLS[call](filters[name, engine], z, prior, 0.1) for engine in ("compiled", "eager"))
     deviations = expected.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
     assert ((found.mean - expected.mean).abs() < 1e-4 * deviations).all()
-
-
-def test_a_fixed_lag_takes_numbers_of_numpy():
-    z, prior = far_track()
-    lagged = FixedLag(presets.srckf(ConstantVelocity(1e-6), Position(1e-3)), 1)
-    each = [lagged.step(lagged.init(prior), z[0], dt=dt)[0].lagged.mean for dt in (np.float64(0.1), 0.1)]
-    assert torch.equal(*each)
 
 
 def test_a_number_becomes_a_tensor_with_all_its_digits():

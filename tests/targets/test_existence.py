@@ -8,7 +8,7 @@ import torch
 from joint import plane
 from oracles.events import joint_existence
 
-from torchfra import presets, tree
+from torchfra import presets
 from torchfra.association import ChiSquare, Clutter, associate
 from torchfra.filters.scans.scan import associate_uncertain
 from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint
@@ -126,16 +126,6 @@ def test_a_batch_of_scenes_is_each_scene_alone(birth):
         K = alone.identity.shape[-1]
         assert together.identity[i, :K].tolist() == alone.identity.tolist()
         torch.testing.assert_close(together.mean[i, :K], alone.mean, equal_nan=True, rtol=1e-9, atol=1e-9)
-
-
-def test_a_stream_that_was_saved_goes_on_to_the_same_bits():
-    targets, scans = manager(Existence(), birth=TwoPoint(10.0)), dense(1, 8, 2)
-    state = run(targets, scans[:, :5])[-1]
-    again = targets.restored(targets.saved(state))
-    for z in scans[:, 5:].unbind(1):
-        state, again = targets.step(state, z), targets.step(again, z)
-    for one, other in zip(tree.flatten(state), tree.flatten(again), strict=True):
-        assert torch.equal(one, other)
 
 
 def check_gradients(targets, scans):
