@@ -37,15 +37,6 @@ def test_variances_are_standard_deviations_of_each_axis(write, places, names, si
     np.testing.assert_allclose(track.sigma, np.sqrt(VARIANCES + 0.5))
 
 
-def test_a_covariance_of_unknown_type_is_missing(write):
-    types = [0 if i % 10 == 4 else 2 for i in range(ROWS)]
-    (track,) = read(write(table(FIX, "field.position_covariance{}", 3, types)))
-    assert track.repairs == {"sigmas filled with their median": 3}
-    (track,) = read(write(table(FIX, "field.position_covariance{}", 3, [0] * ROWS)))
-    assert track.sigma is None
-    assert not any("sigma" in note for note in track.source.notes)
-
-
 def test_the_covariance_of_a_speed_is_none_of_positions(write):
     (track,) = read(write(table(POSE, "field.twist.covariance{}", 6)))
     assert track.sigma is None

@@ -5,7 +5,6 @@ import pytest
 
 import torchfra
 from torchfra.readers import read
-from torchfra.readers.degrees import degrees_of
 from torchfra.readers.options import AskError
 
 ROWS = 40
@@ -27,43 +26,8 @@ def track(tmp_path):
     return track
 
 
-def sexagesimal(value, form, side=""):
-    """Degrees, minutes and seconds in a form."""
-    seconds = round(3600 * value, 3)
-    return form.format(int(seconds // 3600), int(seconds // 60 % 60), seconds % 60, side)
-
-
-@pytest.mark.parametrize(
-    "form", ["{0}\u00b0{1}'{2:.3f}\"{3}", "{0} {1} {2:.3f} {3}", "{3}{0}:{1:02}:{2:06.3f}", "{0} {1} {2:.3f}"]
-)
-def test_degrees_minutes_and_seconds_are_read(track, form):
-    found = track(lat=[sexagesimal(v, form, "N") for v in LATITUDE], lon=[sexagesimal(v, form, "E") for v in LONGITUDE])
-    assert found.origin[:2] == pytest.approx((47.5, 8.25))
-    assert np.linalg.norm(np.diff(found.position, axis=0), axis=1) == pytest.approx(13.4, rel=0.02)
-
-
-def test_letters_of_the_south_and_the_west_are_below_zero(track):
-    found = track(lat=[f"{v}S" for v in LATITUDE], lon=[f"{v} W" for v in LONGITUDE])
-    assert found.origin[:2] == pytest.approx((-47.5, -8.25))
-
-
-@pytest.mark.parametrize(
-    ("lat", "lon"), [("ns", "ew"), ("N/S", "E/W"), ("lat_dir", "lon_dir"), ("latHemisphere", "lonRef")]
-)
-def test_columns_of_sides_are_read_with_the_degrees(track, lat, lon):
-    found = track(**{"lat": LATITUDE, lat: ["S"] * ROWS, "lon": LONGITUDE, lon: ["W"] * ROWS})
-    assert found.origin[:2] == pytest.approx((-47.5, -8.25))
-    assert f"sides of lat and lon: {lat} and {lon}" in found.source.notes
-
-
 def test_columns_of_sides_say_nothing_new_of_degrees_with_signs(track):
     assert track(lat=-LATITUDE, ns=["S"] * ROWS, lon=LONGITUDE, ew=["E"] * ROWS).origin[0] == -47.5
-
-
-@pytest.mark.parametrize("text", ["47 N 8", "47.5 30", "47 61", "47 12 61", "8 E", "-8 S", "north", "1e3 2"])
-def test_what_is_no_latitude_is_refused(text):
-    with pytest.raises(ValueError, match="expected degrees"):
-        degrees_of(text, "NS")
 
 
 @pytest.mark.parametrize("number", ["-999", "-9999.0", "99999"])

@@ -405,12 +405,6 @@ def test_times_may_be_words_for_nothing(write):
     assert track.repairs == {"rows without time dropped": 8}
 
 
-def test_minutes_of_degrees_may_have_decimal_commas(write):
-    degrees = [f"{int(lat)}° {(lat % 1) * 60:.4f}' N;{int(lon):03}° {(lon % 1) * 60:.4f}' E" for lat, lon in PLACES]
-    (track,) = read(write(["t;lat;lon", *(f"{i};{cells}".replace(".", ",") for i, cells in enumerate(degrees))]))
-    assert_in_place(track)
-
-
 def test_numbers_of_tracks_are_targets(write):
     rows = [f"{i},{i % 2},{i + 9000 * (i % 2)},{i}" for i in range(ROWS)]
     assert [track.name for track in read(write(["t,TRACK_NO,x,y", *rows]))] == ["0", "1"]

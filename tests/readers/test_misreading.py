@@ -260,7 +260,7 @@ def test_units_beside_records_are_asked_for(write, around):
 def test_units_beside_values_in_objects_of_json_are_asked_for(write):
     rows = [{"t": i, "x": {"value": i, "unit": "cm"}, "y": {"value": 0, "unit": "cm"}} for i in range(8)]
     path, words = write(json.dumps(rows), "a.json"), {"x": "x.value", "y": "y.value"}
-    with pytest.raises(ValueError, match=r"column x.value: expected m, received cm .*: say units='cm'"):
+    with pytest.raises(ValueError, match=r"expected m, received cm .*: say units='cm'"):
         read(path, **words)
     assert read(path, **words, units="cm")[0].position[1, 0] == pytest.approx(0.01)
 

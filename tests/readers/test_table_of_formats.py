@@ -67,8 +67,6 @@ FILES = {
         lambda i, a, o: f"219000001,{day(i)},{a},{o},FERRY"),
     "Wildlife Computers": table("DeployID,Ptt,Date,Type,Quality,Latitude,Longitude",
         lambda i, a, o: f"S1,9,08:15:{i:02} 03-Jun-2024,Argos,{'AB3'[i % 3]},{a},{o}"),
-    "Columbus": table("INDEX,TAG,DATE,TIME,LATITUDE N/S,LONGITUDE E/W,HEIGHT",
-        lambda i, a, o: f"{i},T,240603,0815{i:02},{a}N,{o}E,1000"),
     "Movebank": table("event-id,visible,timestamp,location-long,location-lat,individual-local-identifier",
         lambda i, a, o: f"{i},true,{day(i)}.000,{o},{a},seal"),
     "Argos": table("id,date,loc_class,lon,lat", lambda i, a, o: f"t1,{day(i)},{'AB3'[i % 3]},{o},{a}"),

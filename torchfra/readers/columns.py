@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.numbers import Array as Array
-from torchfra.readers.degrees import degrees_of
 from torchfra.readers.times import count_of, counted, seconds_of, usual_iso_seconds
 
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
@@ -75,9 +74,7 @@ class Kind:
     absent: tuple[float, ...] = ()
     """Numbers that stand for a missing one."""
     joined: tuple[str, ...] = ()
-    """Columns whose cells together are one of this: a date and a time of the day, or degrees and their side."""
-    sides: str = ""
-    """Of degrees: the letters for above and below 0 (``degrees.degrees_of``)."""
+    """Columns whose cells together are one of this, such as a date and a time of the day."""
     words: tuple[tuple[str, float], ...] = ()
     """Of text: the words that there may be, in small letters, and the number of each."""
     others: bool = False
@@ -195,19 +192,9 @@ def _converter(kind: Kind) -> Callable[[Any], float]:
         return instant
     if kind.words:
         return partial(_of_word, numbers=dict(kind.words), others=kind.others)
-    if kind.decimal == "." and not kind.sides:
+    if kind.decimal == ".":
         return number
-
-    def plain(cell: Any) -> float:
-        if isinstance(cell, str) and kind.decimal == ",":
-            cell = cell.replace(".", "_").replace(",", ".")
-        with suppress(ValueError):
-            return number(cell)
-        if not kind.sides or not isinstance(cell, str):
-            raise ValueError
-        return degrees_of(cell, kind.sides) / kind.unit
-
-    return plain
+    return lambda cell: number(cell.replace(".", "_").replace(",", ".") if isinstance(cell, str) else cell)
 
 
 def _of_word(cell: Any, numbers: Mapping[str, float], others: bool) -> float:

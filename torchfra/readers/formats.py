@@ -113,8 +113,6 @@ FORMATS = (
     Format("ECEF", "xecef|ecefx", refused=_ECEF),
     Format("VBOX", begins=r"(?s).{0,9999}^\[column names\]", header=r"^\[column names\]\s*\n", rows=r"^\[data\]\s*\n",
            sign=" ", columns={"altitude": "height", "longitude": "long"}, time="%H%M%S", degrees=(1 / 60, -1 / 60)),
-    Format("Columbus", "latitudens longitudeew", columns={"time": "date time", "latitude": "latitudens",
-           "longitude": "longitudeew"}, time="%y%m%d %H%M%S"),
     Format("PLT of OziExplorer", begins="OziExplorer Track|Geolife trajectory", rows=r"(?:.*\n){6}",
            header="latitude,longitude,begins,altitude,days,date,clock", columns={"time": "days"}, time="excel",
            units={"altitude": "ft"}, missing={"altitude": -777.0}),

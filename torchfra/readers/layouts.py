@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from torchfra.readers.names import (
     OTHER_UNIT,
     TIMES,
     found,
+    in_brackets,
     name_words,
     plain,
     unit,
@@ -30,23 +30,18 @@ from torchfra.readers.noises import noise_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
 from torchfra.readers.recording import Source
 
-_SIDES = {"latitude": "NS", "longitude": "EW"}
-_WORDS = {"NORTH": "N", "SOUTH": "S", "EAST": "E", "WEST": "W"}
 _LIMITS = {"latitude": 90.0, "longitude": 180.0}
-_SIDE = re.compile(
-    "(?P<latitude>(?:ns|northsouth)(?:ind|indicator|hemisphere)?|lat(?:itude)?(?:ns|dir|direction|hem|hemisphere|ref))"
-    "|(?P<longitude>(?:ew|eastwest)(?:ind|indicator|hemisphere)?|lon(?:g|gitude)?(?:ew|dir|direction|hem|hemisphere|ref))"
-)
-"""Names of columns that say on which side of the equator or of Greenwich a fix is."""
-_FINER = "(?:min(?:ute)?s?|m[mn]?|sec(?:ond)?s?|ss?)"
-"""Behind the name of degrees, that of a column with their minutes or seconds."""
+_BELOW = {"latitude": {"s", "south"}, "longitude": {"w", "west"}}
+_ABOVE = {"latitude": {"n", "north"}, "longitude": {"e", "east"}}
+"""Words for the sides of degrees below and above 0, which here have a sign."""
+_BESIDE = {"lat", "latitude", "lon", "long", "longitude", "ns", "ew", "hemisphere", "indicator"}
+"""Words of names of columns that may say on which side a fix is."""
 _PRIVATE = ("call", "update", "second", "valid", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 0.0, "yes": 1.0, "no": 0.0}
 """What marks say, in small letters."""
 _COUNTERS = {"id", "name", "uuid", "object", "objectid", "track", "trip", "tripid", "entityid"}
 """Names that may number the rows instead of the targets."""
-_HEIGHTS = ("altitude", "z")
 _OPTIONS = {"latitude": "lat", "longitude": "lon", "altitude": "alt"}
 _ADVICE = (
     ": latitudes and longitudes may be swapped, or be degrees and minutes in one number (4730.5), parts of degrees "
@@ -105,48 +100,38 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     for one in (format, format_of(head.names)):
         if one is not None and one.refused and not asked.keys() & {"x", "latitude", "time"}:
             raise ValueError(f"{one.name}: {one.refused}")
-    of_format = _of_format(format, head) if format else {}
-    said = (*head.said, *([f"format: {format.name}"] if format else []))
-    roles = {**of_format, **asked}
+    roles = {**(_of_format(format, head) if format else {}), **asked}
     columns = _places(head, roles)
-    if options.decimal == "," or (options.decimal is None and head.commas and _has_commas(head, [*columns.values()])):
-        head, said, comma = head._replace(cells=_with_points(head)), (*said, "decimal commas"), True
-    else:
-        comma = False
+    said = (*head.said, *([f"format: {format.name}"] if format else []))
+    comma = options.decimal == "," or (options.decimal is None and head.commas and _has_commas(head, columns.values()))
+    if comma:
+        head, said = head._replace(cells=_with_points(head)), (*said, "decimal commas")
     rest = [one for one in head.names if one not in columns.values() or one in roles.get("time", ())]
     try:
         clock, unused = clock_of(head._replace(names=rest), options, roles, format)
     except LookupError:
         moments = [one for one in rest if isinstance(cells := head.cells(one), np.ndarray) and cells.dtype.kind == "M"]
         if len(moments) != 1:
-            known = {_OPTIONS.get(role, role): column for role, column in columns.items() if role not in _HEIGHTS}
-            raise unclear(head, "a time", known) from None
+            raise unclear(head, "a time", _stated(columns)) from None
         clock, unused = clock_of(head, options, {"time": (moments[0],)}, None)
     word = head.word or (format.word if format else "") or "target"
     columns |= _labels(head, roles, word)
     length = _length(columns, options, format, head)
     if not options.time_format:
         _check_units(head, [clock.column], clock.form, "time_format", TIMES)
-    if not options.units:
-        lengths = [column for role, column in columns.items() if role in ("x", "y", *_HEIGHTS)]
-        _check_units(head, lengths, next((one for one, of in METRES.items() if of == length), "FL"), "units", LENGTHS)
     noise = noise_of(head, roles, 1.0 if "latitude" in columns else length, word == "ship",
                      stated=options.sigma_column is not None)  # fmt: skip
     wanted: dict[str, Kind | None] = {clock.column: clock.kind}
     wanted |= {column: _kind(role, column, length, format, options) for role, column in columns.items()}
     wanted |= noise.columns
-    sides = _sides(head, columns)
-    wanted |= {column: replace(kind, joined=(column, sides[column])) for column, kind in wanted.items()
-               if kind is not None and column in sides}  # fmt: skip
     if comma:
         wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
-    used = {*clock.columns, *columns.values(), *noise.columns, *sides.values(), *roles.get("id", ())}
+    used = {*clock.columns, *columns.values(), *noise.columns, *roles.get("id", ())}
     ignored = [column for column in head.names if column and column not in used and column not in unused]
     others = f"; not {listed(unused)} (option time takes another)" if unused else ""
     lines = (
         *said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}", *_said(columns, length, options),
-        *([f"sides of {' and '.join(sides)}: {' and '.join(sides.values())}"] if sides else []), *noise.said,
-        *([f"ignored: {listed(ignored)}"] if ignored else []),
+        *noise.said, *([f"ignored: {listed(ignored)}"] if ignored else []),
     )  # fmt: skip
     public = {role: column for role, column in columns.items() if role not in _PRIVATE}
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns[-2:], strict=True))
@@ -167,51 +152,61 @@ def _of_format(format: Format, head: Head) -> dict[str, tuple[str, ...]]:
     return columns
 
 
+def _stated(columns: Mapping[str, str]) -> dict[str, str]:
+    """Columns by the options that name them."""
+    return {_OPTIONS.get(role, role): name for role, name in columns.items() if role not in ("altitude", "z")}
+
+
 def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
-    """Columns of the coordinates, of degrees where there are both of these."""
-
-    def chosen(*several: str) -> dict[str, str]:
-        best = {role: list(roles[role]) if role in roles else found(head.names, role) for role in several}
-        return {role: columns[0] for role, columns in best.items() if columns}
-
-    degrees, metres = chosen("latitude", "longitude", "altitude"), chosen("x", "y", "z")
-    places = [roles[role][0] for role in ("latitude", "longitude", "altitude", "x", "y", "z") if roles.get(role)]
-    if len({*places}) < len(places):
-        raise ValueError(f"expected a column for each coordinate, received {listed(places)}")
-    if not {"latitude", "longitude"} <= degrees.keys() or "x" in roles:
-        if {"x", "y"} <= metres.keys():
-            return _one_pair(head, roles, metres, ("x", "y"))
-        times = roles.get("time") or found(head.names, "time")[:1]
-        known = {
-            _OPTIONS.get(role, role): column for role, column in {**metres, **degrees}.items() if role not in _HEIGHTS
-        }
-        known |= {"time": ",".join(times)} if times else {}
-        raise unclear(
-            head, "a position (x and y, or latitude and longitude)" if times else "a time and a position", known
-        )
-    return _one_pair(head, roles, degrees, ("latitude", "longitude"))
-
-
-def _one_pair(
-    head: Head, roles: Mapping[str, tuple[str, ...]], columns: dict[str, str], pair: tuple[str, str]
-) -> dict[str, str]:
-    """The columns, if no other has as good a name, as ``pos_lat`` beside ``gps_lat``.
+    """Columns of the coordinates, of degrees where there are both of these.
 
     Raises:
-        ValueError: another is: which is meant nobody says.
+        ValueError: there are none, or others are named as well, as ``pos_lat`` beside ``gps_lat``; or degrees have no
+            sign.
     """
-    for role in pair:
-        whole = re.sub("(?:deg(?:ree)?s?|dd?)$", "", "".join(name_words(columns[role])))
-        finer = [one for one in head.names if re.fullmatch(whole + _FINER, "".join(name_words(one)))]
-        if role in _SIDES and finer and not (values_of(head.cells(columns[role])) % 1).any():
-            raise ValueError(f"column {columns[role]}: expected degrees with their parts, received whole ones beside "
-                             f"{listed(finer)}: write one column of degrees + minutes / 60")  # fmt: skip
+    axes = ("latitude", "longitude", "altitude", "x", "y", "z")
+    best = {role: [*roles[role]] if role in roles else found(head.names, role) for role in axes}
+    every = {role: columns[0] for role, columns in best.items() if columns}
+    stated = [roles[role][0] for role in axes if roles.get(role)]
+    if len({*stated}) < len(stated):
+        raise ValueError(f"expected a column for each coordinate, received {listed(stated)}")
+    degrees = {"latitude", "longitude"} <= every.keys() and "x" not in roles
+    if not degrees and not {"x", "y"} <= every.keys():
+        times = roles.get("time") or found(head.names, "time")[:1]
+        lacking = "a position (x and y, or latitude and longitude)" if times else "a time and a position"
+        known = {axis: every[axis] for axis in ("x", "y", "latitude", "longitude") if axis in every}
+        raise unclear(head, lacking, _stated(known) | ({"time": ",".join(times)} if times else {}))
+    columns = {role: every[role] for role in (axes[:3] if degrees else axes[3:]) if role in every}
+    for role in axes[:2] if degrees else axes[3:5]:
+        if degrees:
+            _check_signs(head, role, columns)
         words = plain(columns[role]), len(name_words(columns[role]))
-        alike = [one for one in found(head.names, role) if (plain(one), len(name_words(one))) == words]
-        if role not in roles and len(alike) > 1:
-            options = {_OPTIONS.get(one, one): columns[one] for one in pair}
-            raise AskError(f"expected one column of {role}, received {listed(alike)}: say which, such as ", options)
+        alike = [one for one in best[role] if (plain(one), len(name_words(one))) == words]
+        if len(alike) > 1:
+            raise AskError(f"expected one column of {role}, received {listed(alike)}: say which, such as ",
+                           _stated({axis: every[axis] for axis in (axes[:2] if degrees else axes[3:5])}))  # fmt: skip
     return columns
+
+
+def _check_signs(head: Head, role: str, columns: Mapping[str, str]) -> None:
+    """Refuses degrees whose side or minutes another column says."""
+    column, names = columns[role], head.names
+    values, whole = values_of(head.cells(column)), re.sub("(?:deg(?:ree)?s?|dd?)$", "", "".join(name_words(column)))
+    for i, name in enumerate(names):
+        words, cells = {*name_words(name)}, texts_of(head.cells(name))
+        sides = {cell.lower() for cell in cells} if all(re.fullmatch("[A-Za-z]{1,5}", cell) for cell in cells) else ()
+        letters = {*"".join(sides)} if all(len(side) < 3 for side in sides) else sides
+        near = words & _BESIDE or names[i - 1] in columns.values()
+        turned = near and sides and letters & _BELOW[role] and letters <= {*"nsew"} | {"north", "south", "east", "west"}
+        if name == column:
+            turned = words & _BELOW[role] and not words & _ABOVE[role]
+        if turned and not (len(values) and min(values) < 0):
+            raise ValueError(f"column {column}: expected degrees that grow to the north and east, received others, as "
+                             f"{name} says: write a sign in front of each")  # fmt: skip
+        finer = re.fullmatch(f"{whole}(?:min(?:ute)?s?|m[mn]?|sec(?:ond)?s?|ss?)", "".join(name_words(name)))
+        if finer and not (values % 1).any():
+            raise ValueError(f"column {column}: expected degrees with their parts, received whole ones beside {name}: "
+                             "write one column of degrees + minutes / 60")  # fmt: skip
 
 
 def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict[str, str]:
@@ -238,11 +233,15 @@ def _counts(name: str, head: Head) -> bool:
 
 
 def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | None, head: Head) -> float:
-    """Metres in the unit of x, y and z, or of altitudes."""
-    up = [columns[role] for role in _HEIGHTS if role in columns]
+    """Metres in the unit of x, y and z, or of altitudes.
+
+    Raises:
+        ValueError: it is not known, columns have several, or grow downwards.
+    """
     lengths = [columns[role] for role in ("altitude", "x", "y", "z") if role in columns]
     for column in [columns[role] for role in ("latitude", "longitude") if role in columns] + lengths:
-        word = unit(column)
+        word, bracketed = unit(column), in_brackets(column)
+        flat = column not in (columns.get("altitude"), columns.get("z"))
         if OTHER_UNIT.fullmatch(word) and not (options.units and "x" in columns):
             if word == "nm":
                 raise AskError(
@@ -250,16 +249,14 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
                 )
             advice = (", or ", *instead_of(word)) if "x" in columns else ()
             raise AskError(f"column {column}: expected metres or degrees, received {word}: convert them", *advice)
-        bracketed = re.findall(r"[\[(]\s*([^\W\d][^\[\]()]*?)\s*[\])]\s*$", column) if column not in up else ()
-        other = "" if word in LENGTHS or options.units or column not in lengths else word or "".join(bracketed)
-        if other and (column not in up or "deg" in other):
+        other = "" if word in LENGTHS or options.units or column not in lengths else word or flat * bracketed
+        if other and (flat or "deg" in other):
             raise AskError(f"column {column}: expected lengths, received {other}: degrees are named by ",
                            {"lat": "LAT", "lon": "LON"}, ", a unit by ", {"units": "m"}, ", say")  # fmt: skip
     if down := [column for column in lengths if {"down", "depth"} & {*name_words(column)} or plain(column) == "posd"]:
         raise ValueError(f"column {down[0]}: expected heights, which grow upwards: name a column of its negative")
     zones = {cell for name in head.names if plain(name) in ("zone", "utmzone") for cell in texts_of(head.cells(name))}
-    if plain(columns.get("x", "")) in ("easting", "east") and "id" not in columns and len(zones) > 1 and (
-            all(re.fullmatch("[0-9]{1,2} ?[A-Z]?", zone) for zone in zones)):  # fmt: skip
+    if plain(columns.get("x", "")) in ("easting", "east") and "id" not in columns and len(zones) > 1:
         raise ValueError(
             f"expected one zone of the grid, received {listed(sorted(zones))}: convert all to one, or to degrees"
         )
@@ -270,18 +267,19 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
     if len({*filter(None, units.values())}) > 1:
         raise ValueError(f"expected one unit of lengths, received {listed(units)}: convert one, or leave it out")
     one = next(filter(None, units.values()), "m")
+    _check_units(head, lengths, one, "units", LENGTHS)
     return FLIGHT_LEVEL if one == "FL" else METRES[one]
 
 
 def _check_units(head: Head, columns: Iterable[str], read: str, option: str, words: Mapping[str, str]) -> None:
     """Refuses units in a column of their own that are others than those in which columns are read."""
-    for column, name in product(columns, head.names):
+    bare = [plain(column).removesuffix("value") for column in columns]
+    for name in head.names if bare else ():
         of_all = plain(name) in ("unit", "units") and option == "units"
-        bare = plain(column).removesuffix("value")
-        if of_all or re.fullmatch(f"{bare}units?|units?{bare}", "".join(name_words(name))):
+        if of_all or any(re.fullmatch(f"{one}units?|units?{one}", "".join(name_words(name))) for one in bare):
             for cell in texts_of(head.cells(name)):
                 if words.get(cell.lower(), read if of_all else "") != read:
-                    raise AskError(f"column {column}: expected {read}, received {cell} in the column {name}: say ",
+                    raise AskError(f"expected {read}, received {cell} in the column {name}: say ",
                                    {option: words.get(cell.lower(), read)})  # fmt: skip
 
 
@@ -299,44 +297,11 @@ def _kind(role: str, column: str, length: float, format: Format | None, options:
     if unit(column) in ("semicircles", "e7"):
         degrees = 180 / 2**31 if unit(column) == "semicircles" else 1e-7
     limit = _LIMITS[role] / abs(degrees) * (1 + 1e-9)
-    kind = Kind(f"at most {limit:g}", limit=limit, unit=degrees, absent=absent, advice=_ADVICE)
-    if degrees != 1:
-        return kind
-    return replace(kind, said=f"degrees within +-{_LIMITS[role]:g}", sides=_SIDES[role])
+    said = f"degrees within +-{_LIMITS[role]:g}" if degrees == 1 else f"at most {limit:g}"
+    return Kind(said, limit=limit, unit=degrees, absent=absent, advice=_ADVICE)
 
 
-def _sides(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
-    """Columns with the letters of the sides, by the columns of latitudes and longitudes that have no signs.
-
-    Raises:
-        ValueError: other columns say that degrees are south or west, or the names of these do.
-    """
-    sides = dict[str, str]()
-    for role, letters_of in _SIDES.items():
-        plus, minus = [*letters_of]
-        column = columns.get(role, "")
-        values = values_of(head.cells(column)) if column else ()
-        for before, name in pairwise(["", *head.names]) if column and not (len(values) and min(values) < 0) else ():
-            cells = texts_of(head.cells(name)) if name not in columns.values() else []
-            letters = {_WORDS.get(cell.upper(), cell.upper()) for cell in cells}
-            if letters and all(re.fullmatch("[NS][EW]", cell) for cell in letters):  # a letter for each of both
-                letters, before = {cell[role == "longitude"] for cell in letters}, column
-            if name == column and minus.lower() in name_words(name) and plus.lower() not in name_words(name):
-                letters, before = {minus}, column
-            named = _SIDE.fullmatch(re.sub("[^a-z]", "", name.lower()))
-            if not letters or not letters <= {plus, minus}:
-                continue
-            beside = named is not None and named.lastgroup == role
-            if beside and all(len(cell) == 1 for cell in cells):
-                sides[column] = name
-            elif (beside or before == column) and minus in letters:
-                raise ValueError(f"column {column}: expected degrees that grow to the north and east, received others, "
-                                 f"as {name} says: write a sign in front of each, or leave out a column of other "
-                                 "directions")  # fmt: skip
-    return sides
-
-
-def _has_commas(head: Head, columns: list[str]) -> bool:
+def _has_commas(head: Head, columns: Iterable[str]) -> bool:
     """Whether a coordinate or a time is written as 1,5."""
     cells = [str(cell) for name in (*columns, *found(head.names, "time")) for cell in head.cells(name)]
     parted = re.compile(r"[+-]?[0-9]*,[0-9]*(?:[eE][+-]?[0-9]+)?")

@@ -27,8 +27,8 @@ aniMotum (Jonsen et al., 2023).
 """
 _CLASS = Kind("a class of Argos", unit=_OF_A_RADIUS, words=tuple(_CLASSES.items()))
 _ELLIPSE = ("semi_major", "semi_minor", "orientation")
-_COVARIANCE = re.compile(r"(?:(?:field|gps|gnss|fix|pose|position) )*covariance ?(?P<place>[0-9]{1,2}|type)")
-"""Words of names of columns with the entries of a covariance, row by row, as robots write them; and of its type."""
+_COVARIANCE = re.compile(r"(?:(?:field|gps|gnss|fix|pose|position) )*covariance ?(?P<place>[0-9]{1,2})")
+"""Words of names of columns with the entries of a covariance, row by row, as robots write them."""
 
 
 class Noise(NamedTuple):
@@ -62,12 +62,11 @@ def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
 
 
 def roots_of_variances(columns: Sequence[Array]) -> list[Array]:
-    """Standard deviations of variances east, north and up; NaN where a fourth column says 0, of an unknown covariance.
+    """Standard deviations of variances east, north and up; NaN where one is 0, of an unknown covariance.
 
     Source: ROS, sensor_msgs/NavSatFix.
     """
-    known = columns[3] != 0 if len(columns) == 4 else True
-    return [np.where(known & (variance > 0), np.sqrt(np.abs(variance)), np.nan) for variance in columns[:3]]
+    return [np.where(variance > 0, np.sqrt(np.abs(variance)), np.nan) for variance in columns]
 
 
 def noise_of(
@@ -94,7 +93,7 @@ def noise_of(
     if len(axes) >= 2 and "sigma" not in asked:
         return Noise({column: Kind(unit=metres(column, unit)) for column in axes}, (f"sigma: {', '.join(axes)}",))
     if "sigma" not in asked and (variances := _variances(head)):
-        said = f"sigma: roots of {', '.join(variances[:3])}"
+        said = f"sigma: roots of {', '.join(variances)}"
         return Noise(dict.fromkeys(variances, Kind(unit=unit**2)), (said,), roots_of_variances)
     words = {
         column: {*map(word_of, head.cells(column))} - {""}
@@ -124,11 +123,13 @@ def noise_of(
 
 
 def _variances(head: Head) -> list[str]:
-    """Columns of the variances of x, y and z in a covariance of 3 or of 6 rows, and of its type, if these are known."""
-    places = {
-        match["place"]: name for name in head.names if (match := _COVARIANCE.fullmatch(" ".join(name_words(name))))
-    }
-    kinds = [places.pop(kind) for kind in ("type",) if kind in places]
-    rows = next((rows for rows in (3, 6) if places.keys() == {*map(str, range(rows**2))}), 0)
-    columns = [places[str(i * (rows + 1))] for i in range(3)] + kinds if rows else []
-    return columns if all(any(word_of(cell).strip("0.") for cell in head.cells(name)) for name in columns) else []
+    """Columns of the variances of x, y and z in a covariance of 3 or of 6 rows, if these are known."""
+    matches = ((_COVARIANCE.fullmatch(" ".join(name_words(name))), name) for name in head.names)
+    places = {int(match["place"]): name for match, name in matches if match}
+    rows = math.isqrt(len(places))
+    columns = [places.get(i * (rows + 1), "") for i in range(3)] if rows in (3, 6) else []
+    unknown = [name for name in head.names if plain(name).endswith("covariancetype")]
+    if any("0" in map(word_of, head.cells(name)) for name in unknown):
+        return []
+    known = all(one and any(word_of(cell).strip("0.") for cell in head.cells(one)) for one in columns)
+    return columns if known else []
