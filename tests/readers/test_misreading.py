@@ -47,44 +47,6 @@ def test_times_of_the_day_go_on_after_midnight(write):
 # ---------------------------------------------------------------- formats
 
 
-@pytest.mark.parametrize("name", ["walk.gpx", "walk.kml", "walk.nmea", "line.geojson"])
-def test_the_bound_on_memory_holds_for_every_format(write, name):
-    text = FILES[name] if isinstance(FILES[name], str) else json.dumps(FILES[name], default=float)
-    weight = 24 if name.endswith("json") else 32
-    size = len(text) * weight if not name.endswith("nmea") else max(len(text), 64 * (text.count("\n") + 1))
-    assert len(read(write(text, name), max_bytes=size)[0].time) == 6
-    with pytest.raises(ValueError, match=r"--max-bytes\) raises that"):
-        read(write(text, name), max_bytes=size - weight)
-
-
-@pytest.mark.parametrize("kind", ["parquet", "feather"])
-def test_the_bound_on_memory_holds_for_columns_that_are_packed_well(tmp_path, kind):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import feather, parquet
-
-    data = pyarrow.table({"t": np.arange(200_000.0), "x": np.zeros(200_000), "y": np.zeros(200_000)})
-    path = tmp_path / f"a.{kind}"
-    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
-    assert len(read(path)[0].time) == 200_000
-    with pytest.raises(ValueError, match="of columns, of which a row counts for 64 or more"):
-        read(path, max_bytes=10_000_000)
-
-
-@pytest.mark.parametrize("kind", ["parquet", "feather"])
-def test_texts_that_are_packed_well_are_refused_before_they_unfold(tmp_path, kind):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import feather, parquet
-
-    names = pyarrow.array(["x" * 2**14 + str(i % 500) for i in range(1000)])
-    data = pyarrow.table({"t": np.arange(1000.0), "x": np.zeros(1000), "y": np.zeros(1000), "id": names})
-    path = tmp_path / f"a.{kind}"
-    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
-    assert path.stat().st_size < 1_000_000
-    with pytest.raises(ValueError, match="of columns, of which a row counts for 64 or more"):
-        read(path, max_bytes=5_000_000)
-    assert len(read(path)) == 500
-
-
 @pytest.mark.parametrize("kind", ["parquet", "feather"])
 def test_a_damaged_table_of_columns_is_read_or_refused_with_a_value_error(tmp_path, kind):
     pyarrow = pytest.importorskip("pyarrow")

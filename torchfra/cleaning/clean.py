@@ -70,7 +70,7 @@ def clean(
         compile: whether to run compiled, which saves time on long tracks; needs the extra ``compiler``.
         jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
             each; with more than 1 a script needs ``if __name__ == "__main__":``.
-        max_bytes: of text that a file may hold.
+        max_bytes: that a file may hold, unpacked.
         words: columns by name, such as ``time="when", lat="breite"``, and their formats: see
             ``readers.ReadOptions``.
 
@@ -102,7 +102,7 @@ def clean(
         points = None if words.keys() & _PLACES else _points(data)
         table = data if points is None else data.drop(columns=points.name).assign(**_coordinates(points))
         reading = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
-        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", max_bytes=max_bytes, **reading)
+        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", **reading)
         results = clean_tracks(recordings, **settings)
         joined = _joined(data, results)
         joined = joined if points is None else _with_points(joined, points)
@@ -110,7 +110,7 @@ def clean(
         return joined
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
         return clean_tracks(data, **settings)
-    (cleaned,) = clean_tracks([_recording_of_arrays(data, max_bytes, words)], **settings)
+    (cleaned,) = clean_tracks([_recording_of_arrays(data, words)], **settings)
     return cleaned
 
 
@@ -219,7 +219,7 @@ def _joined(frame: Any, several: Sequence[Cleaned]) -> Any:
 # ---------------------------------------------------------------- arrays
 
 
-def _recording_of_arrays(data: object, max_bytes: int, words: dict[str, Any]) -> Recording:
+def _recording_of_arrays(data: object, words: dict[str, Any]) -> Recording:
     """The track of times and positions; where a position is NaN it has a step too, without a fix.
 
     Raises:
@@ -244,7 +244,7 @@ def _recording_of_arrays(data: object, max_bytes: int, words: dict[str, Any]) ->
     table = {"t": time, **{axis: position[:, i] for i, axis in enumerate("xyz"[: position.shape[1]])}}
     sheet = Sheet([*table], [(len(time), table.__getitem__)])
     third = {"z": "z"} if "z" in table else {}  # by its name, so that it stays one where it is constant
-    (recording,) = read_sheet(sheet, "data", max_bytes=max_bytes, **third, **words)
+    (recording,) = read_sheet(sheet, "data", **third, **words)
     assert recording.row is not None
     if not np.array_equal(recording.row, np.arange(len(time))):
         received = ", ".join(f"{count} {what}" for what, count in recording.repairs.items())

@@ -46,7 +46,7 @@ def reading_of(options: argparse.Namespace) -> dict[str, str | None]:
 
 def add_bound_option(add: Callable[..., object], default: int | None = MAX_BYTES) -> None:
     """Adds ``--max-bytes N`` by a parser's ``add_argument``; with None as ``default`` one sees whether it was given."""
-    about = f"largest size of a file's text, unpacked, bytes; a row counts for 64 or more (default: {MAX_BYTES})"
+    about = f"largest size of a file, unpacked, bytes (default: {MAX_BYTES})"
     add("--max-bytes", type=int, default=default, metavar="N", help=about)
 
 

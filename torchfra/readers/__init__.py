@@ -22,8 +22,7 @@ else by these rules:
 What neither the table nor the rules say is refused, with the columns and the options that name them
 (``ReadOptions``): nothing is guessed from values.  A column may be named by its number from 1 on, header or not.  So
 are refused cells that are no numbers, columns or keys that come twice, tracks that no target of their kind can follow,
-and files that hold more than ``max_bytes`` of text: they are read piece by piece, so that a few packed bytes do not
-fill the memory.  ``Source.notes`` states which columns were read as what.
+and files that hold more than ``max_bytes``, unpacked.  ``Source.notes`` states which columns were read as what.
 
 ``read_ranges`` reads ranges from anchors instead of positions.
 """

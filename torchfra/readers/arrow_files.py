@@ -1,13 +1,12 @@
-"""Parquet and Feather (Arrow) files, read batch by batch once it is known that their contents are within the bound."""
+"""Parquet and Feather (Arrow) files, read batch by batch."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
+from torchfra.readers.bounded import check_size
 from torchfra.readers.columns import Cells
 from torchfra.readers.sheets import Sheet
 from torchfra.running.optional import optional
@@ -23,7 +22,7 @@ def is_arrow(start: bytes) -> bool:
     return start[:4] == b"PAR1" or start[:6] == b"ARROW1"
 
 
-def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
+def arrow_sheet(data: bytes, max_bytes: int) -> Sheet:
     """The columns of numbers, moments and text of a file.
 
     Raises:
@@ -32,7 +31,7 @@ def arrow_sheet(path: Path, start: bytes, max_bytes: int) -> Sheet:
     """
     pyarrow = optional("pyarrow", "Parquet and Feather", "formats")
     try:
-        schema, batches = _batches(path, start, max_bytes)
+        schema, batches = _batches(data, max_bytes)
     except (pyarrow.ArrowException, OSError) as error:
         raise damaged(error) from error
     return Sheet([field.name for field in schema if is_flat(field.type)], _parts(batches, max_bytes))
@@ -49,10 +48,6 @@ def damaged(error: Exception) -> ValueError:
     return ValueError(f"expected a complete Parquet or Feather file, received none ({' '.join(str(error).split())})")
 
 
-def _too_large(max_bytes: int) -> ValueError:
-    return too_large(max_bytes, f"of columns, of which a row counts for {BYTES_OF_A_ROW} or more")
-
-
 def is_flat(kind: Any) -> bool:
     """Whether a column has numbers, moments or text; others may unfold to any size."""
     from pyarrow import types
@@ -62,40 +57,37 @@ def is_flat(kind: Any) -> bool:
     return any(test(kind) for test in tests)
 
 
-def _batches(path: Path, start: bytes, max_bytes: int) -> tuple[Any, Iterator[Any]]:
+def _batches(data: bytes, max_bytes: int) -> tuple[Any, Iterator[Any]]:
     """The schema and the batches of a file; of Feather as of the stream that it is.
 
-    The sizes of Parquet are those that its metadata states.  A forged page may unfold to more, up to 2 GiB, before
-    pyarrow finds that: it has no bound of its own, and only another reader of the pages could have one.
+    The size of Parquet is the one that its metadata states.
     """
-    from pyarrow import ipc, memory_map, parquet, types
+    from pyarrow import BufferReader, ipc, parquet, types
 
-    if start[:4] != b"PAR1":
-        stream = memory_map(str(path))
+    if data[:4] != b"PAR1":
+        stream = BufferReader(data)
         stream.seek(_MAGIC)
         reader = ipc.open_stream(stream)
         return reader.schema, reader
-    file = parquet.ParquetFile(path)
-    facts, schema = file.metadata, file.schema_arrow
-    groups = [facts.row_group(i) for i in range(facts.num_row_groups)]
+    facts = parquet.ParquetFile(BufferReader(data))
+    groups = [facts.metadata.row_group(i) for i in range(facts.metadata.num_row_groups)]
     unpacked = sum(group.column(i).total_uncompressed_size for group in groups for i in range(group.num_columns))
-    if max(facts.num_rows * BYTES_OF_A_ROW, unpacked) > max_bytes:
-        raise _too_large(max_bytes)
+    check_size(unpacked, max_bytes, " of columns")
+    schema = facts.schema_arrow
     flat = [field.name for field in schema if is_flat(field.type)]
     # as dictionaries, so that a long text that comes again and again takes no more memory than it has in the file
     texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
-    return schema, parquet.ParquetFile(path, read_dictionary=texts).iter_batches(_ROWS, columns=flat)
+    return schema, parquet.ParquetFile(BufferReader(data), read_dictionary=texts).iter_batches(_ROWS, columns=flat)
 
 
 def _parts(batches: Iterator[Any], max_bytes: int) -> Iterator[tuple[int, Cells]]:
     import pyarrow
 
-    rows = size = 0
+    size = 0
     try:
         for batch in batches:
-            rows, size = rows + batch.num_rows, size + batch.nbytes
-            if max(rows * BYTES_OF_A_ROW, size) > max_bytes:
-                raise _too_large(max_bytes)
+            size += batch.nbytes
+            check_size(size, max_bytes, " of columns")
             batch.validate(full=True)
             yield batch.num_rows, partial(_cells, batch)
     except (pyarrow.ArrowException, OSError) as error:

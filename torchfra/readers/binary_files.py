@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import io
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
-from torchfra.readers.bounded import BYTES_OF_A_ROW, too_large
+from torchfra.readers.bounded import check_size
 from torchfra.readers.sheets import Sheet, records_sheet
 from torchfra.running.optional import optional
 
@@ -54,7 +53,7 @@ def is_workbook(start: bytes, suffix: str) -> bool:
     return start[:4] == b"PK\x03\x04" and (suffix in (".xlsx", ".xlsm") or b"[Content_Types].xml" in start[:200])
 
 
-def workbook_text(path: Path, max_bytes: int) -> bytes:
+def workbook_text(file: Any, max_bytes: int) -> str:
     """The first sheet of a workbook with two rows or more, as CSV.
 
     Raises:
@@ -63,17 +62,16 @@ def workbook_text(path: Path, max_bytes: int) -> bytes:
     """
     openpyxl, text = optional("openpyxl", "A workbook of a spreadsheet", "formats"), io.StringIO(newline="")
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        book = openpyxl.load_workbook(file, read_only=True, data_only=True)
     except Exception as error:
         raise ValueError(f"expected a complete workbook, received none ({error})") from error
     for sheet in book.worksheets:
-        rows, writer = 0, csv.writer(text)
-        for rows, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        writer = csv.writer(text)
+        for row in sheet.iter_rows(values_only=True):
             moments = (cell.isoformat(" ") if isinstance(cell, datetime) else cell for cell in row)
             writer.writerow("" if cell is None else str(cell).removesuffix(" 00:00:00") for cell in moments)
-            if text.tell() > max_bytes or rows * BYTES_OF_A_ROW > max_bytes:
-                raise too_large(max_bytes)
-        if rows > 1:
-            return text.getvalue().encode()
+            check_size(text.tell(), max_bytes)
+        if text.getvalue().count("\n") > 1:
+            return text.getvalue()
         text = io.StringIO(newline="")
     raise ValueError("expected a workbook with a track, received an empty one")

@@ -9,24 +9,22 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import islice
-from typing import Any
 
-from torchfra.readers.bounded import LONGEST_ROW, Rows
 from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
 from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in, plain
 from torchfra.readers.names import unit as unit_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
-from torchfra.readers.sheets import WINDOWS, Sheet, repeated
+from torchfra.readers.sheets import Sheet, repeated
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
 """How lines begin that are for people."""
-_IN_FRONT = " \t%#/"
-"""What stands in front of a header that is a comment."""
 _ABOVE, _BENEATH = 100, 3
 """Lines before a header, and of units beneath it, that loggers write."""
+_CELLS = 2**17
+"""Cells that are in memory at a time, about."""
 _LENGTH = re.compile(
     r"\b(?:(?:milli|centi|kilo)met(?:er|re)s?|inch(?:es)?|f(?:ee|oo)?t|[mcdknu]m|\u00b5m|yards?|yd|mi(?:les?)?|nmi|px|pixels?|"
     r"m?rad(?:ians?)?)\b",
@@ -41,36 +39,25 @@ _WORDS = re.compile(r"(?:[0-9]{1,4}: *)?[^\W\d][^0-9]{0,40}|°|\(.*\)|\[.*\]", r
 """A unit, or a source as racing loggers number them, where a row would have a number."""
 
 
-def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int) -> Sheet:
-    """The rows of a file.
+def csv_sheet(text: str, options: ReadOptions | None) -> Sheet:
+    """The rows of a text.
 
     Args:
-        file: open for reading.
+        text: the file.
         options: of the caller, which may name columns by their numbers, from 1 on; None of a file of ranges, whose
             first line has the names.
-        max_bytes: of text.
 
     Raises:
         ValueError: there is no header, or a column comes twice; later, a row of another length.
     """
-    start = file.peek(2)
-    wide = start[:2] in (b"\xff\xfe", b"\xfe\xff")  # as spreadsheets write it
-    windows = not wide and len(start.decode("utf-8", "ignore").encode()) < len(start) - 3
-    rows = Rows(io.TextIOWrapper(file, "utf-16" if wide else "utf-8-sig", WINDOWS, newline=""), max_bytes)
-    format = format_of_text(rows.head) if options is not None else None
+    format, said = format_of_text(text) if options is not None else None, list[str]()
     if format is not None and format.refused:
         raise ValueError(f"{format.name}: {format.refused}")
-    said, sign = list[str](), ","
-    try:
-        if format is not None and (format.header or format.lines):
-            sign = _begin_of_format(rows, format)
-        else:
-            sign, said = _begin(rows, options)
-        rows.start(sign, format.lines.rstrip(",") if format else "")
-        names = [name.strip() for name in rows.first()]
-    except csv.Error as error:
-        raise _no_csv(error) from error
-    if not names:
+    if format is not None and (format.header or format.lines):
+        sign, names, rest = _begin_of_format(text, format)
+    else:
+        sign, names, rest, said = _begin(text, options)
+    if not any(names):
         raise ValueError("expected a track, received an empty file")
     if len(names) == 1 and options is not None:
         raise ValueError(f"expected a header with a time and x,y[,z] or lat,lon[,alt]; received {listed(names)}")
@@ -79,9 +66,7 @@ def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int) -> Sheet:
             f"expected every column once, received several named {twice}: give each a name of its own in the header"
         )
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
-    said = ["text is no UTF-8: read as cp1252"] * windows + said
-    longer = Counter[str]()
-    place, width = {name: i for i, name in enumerate(names)}, len(names)
+    longer, place, width = Counter[str](), {name: i for i, name in enumerate(names)}, len(names)
     format = format or (format_of(names) if options is not None else None)
     if pair := [name for name in names if format is not None and format.pair and plain(name) == format.pair]:
         said.append(f"latitude, longitude: both in {pair[0]}")
@@ -106,54 +91,59 @@ def csv_sheet(file: Any, options: ReadOptions | None, max_bytes: int) -> Sheet:
         return row[:width]
 
     def parts() -> Iterator[tuple[int, Cells]]:
+        cells, rows, only = list[str](), 0, format.lines.rstrip(",") if format else ""
+        reader = csv.reader(io.StringIO(rest, newline=""), strict=True, delimiter=sign, skipinitialspace=sign == " ")
         try:
-            for cells in rows.parts(width, mended):
-                yield len(cells) // width, partial(_cells, cells, place, width, bool(pair))
+            for row in reader:
+                if row and (not only or row[0] == only):
+                    # no rows: Python's garbage collector would take longer than all else
+                    cells += row if len(row) == width else mended(row, rows + len(cells) // width)
+                if len(cells) > _CELLS:
+                    yield len(cells) // width, partial(_cells, cells, place, width, bool(pair))
+                    rows, cells = rows + len(cells) // width, []
         except csv.Error as error:
-            raise _no_csv(error) from error
+            raise ValueError(f"expected CSV, received other text ({error})") from error
+        yield len(cells) // width, partial(_cells, cells, place, width, bool(pair))
 
     return Sheet([*place], parts(), tuple(said), sign != ",", format, longer=longer)
 
 
-def _begin_of_format(rows: Rows, format: Format) -> str:
-    """Puts the header of a format in front of its rows; returns what separates cells."""
-    text, names, behind = rows.head, format.header, None
+def _begin_of_format(text: str, format: Format) -> tuple[str, list[str], str]:
+    """What separates cells, the names of columns, and the rows of a format."""
+    names, behind, sign = format.header, None, format.sign or ","
     if format.header.startswith("^"):
         behind = re.search(format.header, text, re.MULTILINE)
         if behind is None:
             raise ValueError(f"expected {format.name} with the names of its columns, received none")
         names = text[behind.end() :].splitlines()[0]
         names = names if names.startswith(format.lines) else format.lines + names
-    cells = _split(names, format.sign or ",")
+    cells = _split(names, sign)
     if format.twice:
         cells = [one for name in cells for one in (("date", "time") if re.fullmatch(format.twice, name) else (name,))]
     begin = re.search(format.rows, text, re.MULTILINE) if format.rows else behind
     if format.rows and begin is None:
         raise ValueError(f"expected {format.name} with rows, received none")
     rest = text[begin.end() :] if begin else text
-    rows.head = _line(cells, format.sign or ",") + (rest[rest.find("\n") + 1 :] if begin is behind and behind else rest)
-    return format.sign or ","
+    return sign, cells, rest[rest.find("\n") + 1 :] if begin is behind and behind else rest
 
 
-def _begin(rows: Rows, options: ReadOptions | None) -> tuple[str, list[str]]:
+def _begin(text: str, options: ReadOptions | None) -> tuple[str, list[str], str, list[str]]:
     """Leaves out what stands before the header, and units beneath it; numbers the columns where there is no header.
 
     Returns:
-        What separates cells, and what is said.
+        What separates cells, the names of columns, the rows, and what is said.
     """
-    lines, said = [*islice(io.StringIO(rows.head, newline=""), _ABOVE + _BENEATH + 2)], list[str]()
+    lines, said = [*islice(io.StringIO(text, newline=""), _ABOVE + _BENEATH + 2)], list[str]()
     at = next((i for i, line in enumerate(lines) if not _is_comment(line)), len(lines))
     fixed = [options.sign] if options is not None and options.sign else []
     sign = (fixed or _likely("".join(lines[at : at + 1])))[0]
     *_, (at, sign) = (at, sign), *_headers(lines, at if options is None else _ABOVE, options)
-    above, names = lines[:at], _split(lines[at].lstrip(_IN_FRONT), sign) if at < len(lines) else []
+    above, names = lines[:at], _split(lines[at].lstrip(" \t%#/"), sign) if at < len(lines) else []
     if kept := [line for line in above if not _is_comment(line)]:
         said.append(f"lines before the header left out: {len(kept)}")
-    rest = rows.head[sum(map(len, lines[: at + 1])) :]
-    if at == len(lines) - 1 and len(rows.head) >= LONGEST_ROW and not lines[at].endswith("\n"):
-        raise ValueError(f"expected rows of at most {LONGEST_ROW} characters, received a longer one")
+    begin = sum(map(len, lines[: at + 1]))
     if options is not None and len(names) > 1 and _is_row(names) and not places_in(names):
-        rest, names = "".join(lines[at : at + 1]) + rest, [str(i + 1) for i in range(len(names))]
+        begin, names = begin - len(lines[at]), [str(i + 1) for i in range(len(names))]
         if not options.columns:
             several = [_split(line, sign) for line in lines[at : at + _ABOVE]]
             full = [row for row in several if len(row) == len(names)]
@@ -162,10 +152,9 @@ def _begin(rows: Rows, options: ReadOptions | None) -> tuple[str, list[str]]:
     elif options is not None:
         for line in above:
             _check_said(line, names, options)
-        rest, names, more = _beneath(rest, lines[at + 1 :], names, sign, options, above)
-        said += more
-    rows.head = _line(names, sign) + rest
-    return sign, said
+        units, names, more = _beneath(lines[at + 1 :], names, sign, options, above)
+        begin, said = begin + units, said + more
+    return sign, names, text[begin:], said
 
 
 def _headers(lines: list[str], last: int, options: ReadOptions | None) -> Iterator[tuple[int, str]]:
@@ -177,7 +166,7 @@ def _headers(lines: list[str], last: int, options: ReadOptions | None) -> Iterat
     for i, line in enumerate(lines[: last + 1]):
         below = next((other for other in lines[i + 1 :] if not _is_comment(other)), "")
         for sign in [options.sign] if options is not None and options.sign else _likely(line):
-            cells = _split(line.lstrip(_IN_FRONT), sign)
+            cells = _split(line.lstrip(" \t%#/"), sign)
             places = bool(places_in(cells))
             fits = not _is_comment(line) or len(_split(below, sign)) - len(cells) in (0, 1)
             if not (fits and _is_header(cells, options) and (places or not _is_row(cells))):
@@ -210,27 +199,21 @@ def _check_said(line: str, names: list[str], options: ReadOptions) -> None:
 
 
 def _beneath(
-    rest: str, lines: list[str], names: list[str], sign: str, options: ReadOptions, above: list[str]
-) -> tuple[str, list[str], list[str]]:
+    lines: list[str], names: list[str], sign: str, options: ReadOptions, above: list[str]
+) -> tuple[int, list[str], list[str]]:
     """Leaves out lines beneath the header with words where the rows have positions, and adds units to names.
 
     Returns:
-        The text behind them, the names with their units, and what is said.
-
-    Raises:
-        ValueError: positions are in a unit that is not known.
+        The length of these lines, the names with their units, and what is said.
     """
     asked = [name for role in ("x", "y", "latitude", "longitude") for name in options.columns.get(role, ())]
-    places = [name for name in asked or places_in(names) if name in names]
+    places = [names.index(name) for name in asked or places_in(names) if name in names]
     words = list[list[str]]()
     for line in lines[:_BENEATH]:
         cells = _split(line, sign)
-        at = [names.index(place) for place in places]
-        if (
-            len(cells) != len(names)
-            or not at
-            or not all(_WORDS.fullmatch(cells[i]) and not is_missing(cells[i]) for i in at)
-        ):
+        if len(cells) != len(names) or not places:
+            break
+        if not all(_WORDS.fullmatch(cells[i]) and not is_missing(cells[i]) for i in places):
             break
         words.append(cells)
     comment = _split(above[-1].lstrip(' \t"#%/'), sign) if above and _is_comment(above[-1]) and sign != " " else []
@@ -240,17 +223,15 @@ def _beneath(
     best = max(stated, key=lambda line: sum(one != name for one, name in zip(line, names, strict=True)), default=names)
     said = [f"lines of units beneath the header: {len(words)}"] if words else []
     said += ["units in the comment before the header"] if best != names and not words else []
-    return rest[sum(map(len, lines[: len(words)])) :], best, said
+    return sum(map(len, lines[: len(words)])), best, said
 
 
 def _is_unit(cell: str, name: str, beneath: bool) -> bool:
     """Whether a cell above or beneath a name is its unit, as of x and y all words beneath them are, known or not."""
     word = cell.strip("[]()").lower().removesuffix(" msl")
-    return (
-        word in {*LENGTHS, *TIMES}
-        or OTHER_UNIT.fullmatch(word) is not None
-        or ((word in DEGREES or (beneath and word != "")) and bool(found([name], "x") or found([name], "y")))
-    )
+    if word in {*LENGTHS, *TIMES} or OTHER_UNIT.fullmatch(word):
+        return True
+    return (word in DEGREES or (beneath and word != "")) and bool(found([name], "x") or found([name], "y"))
 
 
 def _is_header(names: list[str], options: ReadOptions | None) -> bool:
@@ -290,16 +271,6 @@ def _split(line: str, sign: str) -> list[str]:
         return [name.strip() for name in next(csv.reader([line.strip("\r\n")], delimiter=sign), [])]
     except csv.Error:
         return []
-
-
-def _line(cells: list[str], sign: str) -> str:
-    text = io.StringIO(newline="")
-    csv.writer(text, delimiter=sign).writerow(cells)
-    return text.getvalue()
-
-
-def _no_csv(error: csv.Error) -> ValueError:
-    return ValueError(f"expected CSV, received other text ({error})")
 
 
 def _cells(cells: list[str], place: dict[str, int], width: int, pair: bool, name: str) -> list[str]:

@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 from itertools import accumulate, pairwise
 from typing import Any
 
-from torchfra.readers.sheets import WINDOWS, Sheet, points_sheet, whole_text
+from torchfra.readers.sheets import Sheet, points_sheet
 
 _FIX = re.compile(
     r"B([01][0-9]|2[0-3])([0-5][0-9])([0-5][0-9])([0-9]{2})([0-9]{5})([NS])([0-9]{3})([0-9]{5})([EW])([AV])"
@@ -23,7 +23,7 @@ def is_igc(start: bytes, suffix: str) -> bool:
     return suffix == ".igc" or (start[:1] == b"A" and b"\nHFDTE" in start)
 
 
-def igc_sheet(file: Any, max_bytes: int) -> Sheet:
+def igc_sheet(text: str) -> Sheet:
     """The fixes of a flight: ms since 1970, degrees, and metres by GNSS, or by pressure where no fix has others.
 
     Without satellites (V) a recorder may hold the position before, which is none.
@@ -33,7 +33,6 @@ def igc_sheet(file: Any, max_bytes: int) -> Sheet:
     Raises:
         ValueError: no date or several, or no fixes.
     """
-    text = whole_text(file, max_bytes, "IGC", WINDOWS)
     fixes = [fix.groups() for line in text.splitlines() if (fix := _FIX.match(line))]
     dates = {*_DATE.findall(text)}
     if not dates or not fixes:

@@ -8,7 +8,7 @@ from typing import Any
 
 from torchfra.readers.columns import short
 from torchfra.readers.names import found, places_in, plain
-from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated, whole_text
+from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
 """How deep the places of a geometry are nested."""
@@ -25,13 +25,12 @@ _DEEPEST = 5
 """Objects in another that are looked into."""
 
 
-def json_sheet(file: Any, max_bytes: int) -> Sheet:
+def json_sheet(content: str) -> Sheet:
     """The records, columns or features of a file.
 
     Raises:
         ValueError: it is no JSON, or neither of these.
     """
-    content = whole_text(file, max_bytes, "JSON")
     if not content.strip():
         raise ValueError("expected a track, received an empty file")
     try:

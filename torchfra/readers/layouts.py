@@ -174,7 +174,7 @@ def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
     if not degrees and not {"x", "y"} <= every.keys():
         times = roles.get("time") or found(head.names, "time")[:1]
         lacking = "a position (x and y, or latitude and longitude)" if times else "a time and a position"
-        known = {axis: every[axis] for axis in ("x", "y", "latitude", "longitude") if axis in every}
+        known = {axis: name for axis, name in every.items() if axis not in ("altitude", "z")}
         raise unclear(head, lacking, _stated(known) | ({"time": ",".join(times)} if times else {}))
     columns = {role: every[role] for role in (axes[:3] if degrees else axes[3:]) if role in every}
     for role in axes[:2] if degrees else axes[3:5]:
@@ -194,7 +194,7 @@ def _check_signs(head: Head, role: str, columns: Mapping[str, str]) -> None:
     values, whole = values_of(head.cells(column)), re.sub("(?:deg(?:ree)?s?|dd?)$", "", "".join(name_words(column)))
     for i, name in enumerate(names):
         words, cells = {*name_words(name)}, texts_of(head.cells(name))
-        sides = {cell.lower() for cell in cells} if all(re.fullmatch("[A-Za-z]{1,5}", cell) for cell in cells) else ()
+        sides = {cell.lower() for cell in cells if all(re.fullmatch("[A-Za-z]{1,5}", cell) for cell in cells)}
         letters = {*"".join(sides)} if all(len(side) < 3 for side in sides) else sides
         near = words & _BESIDE or names[i - 1] in columns.values()
         turned = near and sides and letters & _BELOW[role] and letters <= {*"nsew"} | {"north", "south", "east", "west"}

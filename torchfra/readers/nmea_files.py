@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from torchfra.readers.bounded import short_lines
 from torchfra.readers.columns import number
 from torchfra.readers.sheets import Sheet
 from torchfra.running.optional import optional
@@ -34,15 +33,15 @@ def is_nmea(start: bytes, suffix: str) -> bool:
     return bool(_START.search(first)) or suffix in (".nmea", ".nme", ".nma")
 
 
-def nmea_sheet(file: Any, max_bytes: int) -> Sheet:
+def nmea_sheet(text: str) -> Sheet:
     """The fixes of a file: RMC and GGA of the same moment are one; what stands before or behind a sentence is none.
 
     Raises:
-        ValueError: no fixes, or too many.
+        ValueError: no fixes.
         ImportError: pynmea2 is not installed.
     """
     fixes, lines = _Fixes(), Counter[str]()
-    for line in short_lines(file, max_bytes):
+    for line in map(str.strip, text.splitlines()):
         if (found := _SENTENCE.search(line)) is None:
             lines["AIS" if re.search("!..VD[MO],", line) else "other"] += 1
             continue

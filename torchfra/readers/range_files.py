@@ -65,8 +65,7 @@ def read_ranges(
         source: a folder, a file, or several files of the same recording.
         anchors: a file that says where the anchors are; it goes before what ``source`` says.
         reference: a file with the reference path, instead of one in ``source``.
-        max_bytes: of text that each file may hold, unpacked: a row counts for 64 or more, a name for 4096,
-            a byte of JSON for 24.
+        max_bytes: that each file may hold, unpacked; a byte of JSON counts for 24.
 
     Raises:
         ValueError: a file is broken, too large or of another kind, no range is left, an anchor has no place, two places

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -39,9 +38,7 @@ def read(
         path: the file.
         origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
             first target in the file, or the middle of its way if that has no altitudes and leads around the earth.
-        max_bytes: of text that the file may hold, unpacked: a row counts for 64 or more, a name for 4096, a byte of
-            JSON for 24 and of XML for 32.  Ten million rows of CSV are within the default, 1 GiB, and need 1.6 GiB of
-            memory.
+        max_bytes: that the file may hold, unpacked, 1 GiB by default; a byte of JSON and XML counts for 24.
         words: what the file does not say or says wrongly: see ``ReadOptions``.
 
     Returns:
@@ -60,7 +57,7 @@ def read(
         return _recordings(table, reader, origin, Path(path.name.removesuffix(".gz")).stem)
 
 
-def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: Words) -> list[Recording]:
+def read_sheet(sheet: Sheet, name: str, **words: Words) -> list[Recording]:
     """Reads every target of columns that are in memory, as ``read`` does of a file.
 
     Raises:
@@ -68,7 +65,7 @@ def read_sheet(sheet: Sheet, name: str, *, max_bytes: int = MAX_BYTES, **words: 
     """
     reader = SheetReader(name, words)
     with naming(name):
-        return _recordings(table_of(sheet, reader, max_bytes, reader.options), reader, None, name)
+        return _recordings(table_of(sheet, reader, reader.options), reader, None, name)
 
 
 class SheetReader:
@@ -109,9 +106,7 @@ class SheetReader:
         Raises:
             ValueError: see ``read``.
         """
-        return _recordings(
-            table_of(sheet, lambda _: self.layout.wanted, sys.maxsize), self, None, self.name, apart=True
-        )
+        return _recordings(table_of(sheet, lambda _: self.layout.wanted), self, None, self.name, apart=True)
 
 
 def _recordings(

@@ -7,11 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from torchfra.readers.bounded import too_large
 from torchfra.readers.columns import Cells
-
-_WEIGHTS = {"JSON": 24, "XML": 32, "IGC": 16}
-"""What a byte counts for: it is read as a whole, and takes up more memory."""
 
 WINDOWS = "torchfra.windows"
 """Name of what reads bytes that are no UTF-8 as the letters that Windows has for western Europe."""
@@ -43,19 +39,6 @@ class Sheet(NamedTuple):
 def repeated(names: Iterable[str]) -> str:
     """The names that come twice, for an error message; "" if none does."""
     return ", ".join(name for name, count in Counter(names).items() if count > 1 and name)[:200]
-
-
-def whole_text(file: Any, max_bytes: int, what: str, errors: str = "strict") -> str:
-    """All text of a file of ``"JSON"``, ``"XML"`` or ``"IGC"``.
-
-    Raises:
-        ValueError: there is too much.
-    """
-    most = max_bytes // _WEIGHTS[what]
-    data = file.read(most + 1)
-    if len(data) > most:
-        raise too_large(max_bytes, f"of text, of which one of {what} counts for {_WEIGHTS[what]}")
-    return str(data.decode("utf-8-sig", errors))
 
 
 def points_sheet(columns: dict[str, list[Any]], said: tuple[str, ...]) -> Sheet:

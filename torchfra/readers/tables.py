@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 import io
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,14 +15,14 @@ import numpy as np
 
 from torchfra.readers.arrow_files import arrow_sheet, is_arrow
 from torchfra.readers.binary_files import fit_sheet, is_workbook, workbook_text
-from torchfra.readers.bounded import BYTES_OF_A_TEXT, MAX_BYTES, check_bound, open_bounded, too_large
+from torchfra.readers.bounded import MAX_BYTES, PARSED, check_size, contents
 from torchfra.readers.columns import HEAD, Array, Cells, Head, Kind, joined, numbers, text
 from torchfra.readers.csv_files import csv_sheet
 from torchfra.readers.igc_files import igc_sheet, is_igc
 from torchfra.readers.json_files import json_sheet
 from torchfra.readers.nmea_files import is_nmea, nmea_sheet
 from torchfra.readers.options import ReadOptions, named
-from torchfra.readers.sheets import Sheet
+from torchfra.readers.sheets import WINDOWS, Sheet
 from torchfra.readers.xml_files import xml_sheet
 
 Wanted: TypeAlias = dict[str, Kind | None]
@@ -67,51 +65,47 @@ def read_table(
     Args:
         path: the file.
         choose: which columns to read; it may raise a ``ValueError``.
-        max_bytes: of text; a row counts for 64 bytes or more, a name for 4096, a byte of JSON for 24 and of XML for 32.
+        max_bytes: that the file may hold, unpacked; a byte of JSON and XML counts for 24.
         options: how cells are written.
 
     Raises:
         ValueError: the file is empty, broken, too large or of no known format.
         ImportError: what reads it is not installed.
     """
-    check_bound(max_bytes)
-    suffix = Path(path.name.removesuffix(".gz")).suffix.lower()
+    suffix, data = Path(path.name.removesuffix(".gz")).suffix.lower(), contents(path, max_bytes)
+    start = data[:9999].removeprefix(b"\xef\xbb\xbf").lstrip()
 
-    def sheet_of(file: io.BufferedReader) -> Sheet:
-        """The rows of a file by how it begins, or its ending."""
-        start = file.peek(1).removeprefix(b"\xef\xbb\xbf").lstrip()
-        if is_igc(start, suffix):
-            return igc_sheet(file, max_bytes)
-        if suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and start[:1] == b"["):
-            return json_sheet(file, max_bytes)
-        if is_arrow(start):
-            return arrow_sheet(path, start, max_bytes)
-        if start[8:12] == b".FIT":
-            return fit_sheet(file)
-        if is_workbook(start, suffix):
-            file = io.BufferedReader(io.BytesIO(workbook_text(path, max_bytes)))
-        elif start[:1] == b"<":
-            return xml_sheet(file, max_bytes)
-        elif is_nmea(start, suffix):
-            return nmea_sheet(file, max_bytes)
-        elif {*start[:16]} & {*_NO_TEXT} and start[:1] not in b"\xff\xfe":
-            raise ValueError(_OTHER_FILE)
-        return csv_sheet(file, options, max_bytes)
+    def whole(errors: str = "strict") -> str:
+        check_size(PARSED * len(data), max_bytes, f", of which one of JSON and XML counts for {PARSED}")
+        return data.decode("utf-8-sig", errors)
 
-    try:
-        with open_bounded(path, max_bytes) as file:
-            return table_of(sheet_of(file), choose, max_bytes, options)
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise ValueError(f"expected a complete gzip file, received none ({error})") from error
+    if is_igc(start, suffix):
+        sheet = igc_sheet(whole(WINDOWS))
+    elif suffix in (".json", ".geojson") or start[:1] == b"{" or (suffix != ".csv" and start[:1] == b"["):
+        sheet = json_sheet(whole())
+    elif is_arrow(start):
+        sheet = arrow_sheet(data, max_bytes)
+    elif start[8:12] == b".FIT":
+        sheet = fit_sheet(io.BytesIO(data))
+    elif is_workbook(start, suffix):
+        sheet = csv_sheet(workbook_text(io.BytesIO(data), max_bytes), options)
+    elif start[:1] == b"<":
+        sheet = xml_sheet(whole())
+    elif is_nmea(start, suffix):
+        sheet = nmea_sheet(data.decode("ascii", "replace"))
+    elif {*start[:16]} & {*_NO_TEXT} and start[:1] not in b"\xff\xfe":
+        raise ValueError(_OTHER_FILE)
+    else:
+        wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")  # as spreadsheets write it
+        sheet = csv_sheet(data.decode("utf-16" if wide else "utf-8-sig", WINDOWS), options)
+    return table_of(sheet, choose, options)
 
 
-def table_of(
-    sheet: Sheet, choose: Callable[[Head], Wanted], max_bytes: int, options: ReadOptions | None = None
-) -> Table:
+def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], options: ReadOptions | None = None) -> Table:
     """The columns that are chosen of a sheet; those of a target that are several are one.
 
     Raises:
-        ValueError: a cell is of another kind, or there are too many.
+        ValueError: a cell is of another kind.
     """
     ids = options.among(sheet.names).get("id", ()) if options and options.id and sheet.names else ()
     together = {" ".join(ids): ids} if len(ids) > 1 else {}
@@ -134,8 +128,6 @@ def table_of(
         for name, kind in kinds.items():
             grown[name].append(numbers(joined(cells, kind.joined) if kind.joined else cells(name), kind, name, rows))
         rows += count
-        if len(known) * BYTES_OF_A_TEXT > max_bytes:
-            raise too_large(max_bytes, f"of text, of which each name counts for {BYTES_OF_A_TEXT} or more")
     # Column by column, so that no more than one is in memory twice.
     whole = {name: np.concatenate(grown.pop(name)) for name in kinds}
     return Table(sheet.names, rows, whole, texts, sheet.longer or Counter())

@@ -11,7 +11,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from torchfra.readers.columns import DECIMAL, short
-from torchfra.readers.sheets import Sheet, points_sheet, whole_text
+from torchfra.readers.sheets import Sheet, points_sheet
 from torchfra.running.optional import optional
 
 _NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
@@ -25,14 +25,14 @@ _DEEPEST = 64
 """Elements around another; some ten in files of people."""
 
 
-def xml_sheet(file: Any, max_bytes: int) -> Sheet:
+def xml_sheet(text: str) -> Sheet:
     """The points of GPX or KML.
 
     Raises:
         ValueError: none of these, or it defines entities.
         ImportError: gpxpy is needed and not installed.
     """
-    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", whole_text(file, max_bytes, "XML"))
+    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
     try:
         tree = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Tree()))
     except (ElementTree.ParseError, UnicodeError) as error:
