@@ -214,7 +214,7 @@ def test_units_above_the_names_are_those_of_the_columns(write):
 ])  # fmt: skip
 def test_units_beside_records_are_asked_for(write, around):
     path = write(json.dumps(around([{"t": i, "x": i, "y": 0} for i in range(8)])), "a.json")
-    with pytest.raises(ValueError, match=r"received cm in the column .*unit: say units='cm'"):
+    with pytest.raises(ValueError, match=r"received cm in the column .*units?: say units='cm'"):
         read(path)
     assert read(path, units="cm")[0].position[1, 0] == pytest.approx(0.01)
 

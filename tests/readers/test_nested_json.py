@@ -17,8 +17,8 @@ def fixes(lat=47.0):
 @pytest.mark.parametrize(
     ("whole", "said"),
     [
-        ({"data": [{"id": "A", "gps": fixes()}, {"id": "B", "gps": fixes(48.0)}]}, "lists of records in them (gps)"),
-        ([{"id": "A", "way": {"points": fixes()}}], "lists of records in them (way.points)"),
+        ({"data": [{"id": "A", "gps": fixes()}, {"id": "B", "gps": fixes(48.0)}]}, "expected a time and a position"),
+        ([{"id": "A", "way": {"points": fixes()}}], "expected a time and a position"),
         ({"one": fixes(), "two": {"more": fixes()}}, "expected one list of records, received one, two.more"),
         ([fixes()[:9], fixes()[9:]], "received list instead of an object"),
         ({name: {"data": [fix[name] for fix in fixes()]} for name in fixes()[0]}, "column time: expected times"),

@@ -191,7 +191,7 @@ def _chosen(columns: tuple[str, ...], texts: list[str]) -> Clock:
         ValueError: in none that is known, in several, or in a zone that the name of the column says.
     """
     name, forms = ",".join(columns), forms_of(texts) or forms_of(texts[:1])
-    choices = [part for form in forms for part in (" or ", {"time": name, "time_format": form})][1:]
+    choices = [part for form in forms for part in (" or ", {"time_format": form})][1:]
     if len(forms) > 1:
         raise AskError(f"column {name}: {texts[0]!r} may have the day or the month first: say ", *choices)
     if not forms:

@@ -23,6 +23,8 @@ _ROWS = {
 _READSB = ("time", "hex", "callsign", "lat", "lon", "alt_baro")
 _DEEPEST = 5
 """Objects in another that are looked into."""
+_OF_ALL = {"unit", "units", "fps", "framerate"}
+"""What an object around records may say of them besides their target."""
 
 
 def json_sheet(content: str) -> Sheet:
@@ -57,19 +59,28 @@ def json_sheet(content: str) -> Sheet:
         if objects and all(isinstance(one.get(key), list) for one in several):
             heard = [fix for one in several for fix in fixes_of(one)]
             return points_sheet({name: [fix[name] for fix in heard] for name in _READSB}, (f"JSON: {key} of readsb",))
-    if isinstance(parsed, dict):
-        lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
-        flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
-        if len(lists) > 1 and flat and len({len(column) for column in lists.values()}) == 1:
-            count = len(next(iter(lists.values())))
-            lists = {name: [unit] * count for name, unit in _units(parsed).items()} | lists
-            return Sheet([*lists], [(count, lists.__getitem__)])
-        columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
-        if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
-            keys = [*next(iter(columns.values()))]
-            return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
-    records, of = _records(parsed)
-    return records_sheet(records, (f"JSON: records in {of}",) if of else ())
+    if not isinstance(parsed, dict):
+        return records_sheet(_flat(several), ())
+    lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
+    around, nested = _around(parsed, "")
+    flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
+    if len(lists) > 1 and flat and len({len(column) for column in lists.values()}) == 1:
+        count = len(next(iter(lists.values())))
+        lists = {name: [cell] * count for name, cell in around.items()} | lists
+        return Sheet([*lists], [(count, lists.__getitem__)])
+    columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
+    if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
+        keys = [*next(iter(columns.values()))]
+        return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
+    every = {path: _flat(records) for path, records in nested.items()}
+    placed = {path: records for path, records in every.items() if places_in({key for one in records for key in one})}
+    if len(placed or every) > 1:
+        raise ValueError(
+            f"expected one list of records, received {', '.join([*(placed or every)][:5])}: write a row for each"
+        )
+    for path, records in (placed or every).items():
+        return records_sheet([around | record for record in records], (f"JSON: records in {path}",))
+    return records_sheet(_flat([parsed]), ())
 
 
 def _parsed(content: str) -> Any:
@@ -92,51 +103,26 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return whole
 
 
-def _records(parsed: Any) -> tuple[list[dict[str, Any]], str]:
-    """The records of parsed JSON, with the target that the objects around them name, and what their list is called.
-
-    They are the objects of a list, or of the only list in objects whose own names say where something was.
-    """
-    lists = [*_lists(parsed, "", {})] if isinstance(parsed, dict) else [("", parsed, {})]
-    every = [(name, _flat_records(records), named) for name, records, named in lists]
-    placed = [one for one in every if places_in({key for record in one[1] for key in record})]
-    if len(placed) > 1 or (not placed and len(every) > 1):
-        raise ValueError(
-            f"expected one list of records, received {', '.join(name for name, *_ in (placed or every)[:5])}: write a "
-            "row for each"
-        )
-    if not every:
-        return _flat_records([parsed]), ""
-    name, records, named = (placed or every)[0]
-    named = _units(parsed) | named if isinstance(parsed, dict) else named
-    return [named | record for record in records], name
-
-
-def _units(parsed: dict[str, Any], depth: int = 0) -> dict[str, Any]:
-    """Cells with the units that objects around records, or beside them, state of all columns or of some; or frames."""
-    units = dict[str, Any]()
+def _around(parsed: dict[str, Any], path: str) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+    """What objects around records say of all of them: the target, units, frames a second; and the lists of records."""
+    cells, lists = dict[str, Any](), dict[str, list[Any]]()
     for key, value in parsed.items():
-        if (name := plain(key).replace("units", "unit")) in ("unit", "fps", "framerate"):
-            several = {f"{one} unit": of for one, of in value.items()} if isinstance(value, dict) else {name: value}
-            units |= {one: of for one, of in several.items() if isinstance(of, str | int | float)}
-        elif isinstance(value, dict) and depth < _DEEPEST:
-            units |= _units(value, depth + 1)
-    return units
+        if isinstance(value, dict) and path.count(".") < _DEEPEST:
+            inner, more = _around(value, f"{path}{key}.")
+            cells, lists = inner | cells, lists | more
+        elif isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
+            lists[f"{path}{key}"] = value
+        elif isinstance(value, str | int | float) and (found([key], "id") or plain(key) in _OF_ALL):
+            cells[key] = value
+    units = parsed.get("units", parsed.get("unit"))
+    if isinstance(units, dict):
+        cells |= {f"{one} unit": of for one, of in units.items() if isinstance(of, str)}
+    return cells, lists
 
 
-def _lists(parsed: dict[str, Any], path: str, named: dict[str, Any]) -> Iterator[tuple[str, list[Any], dict[str, Any]]]:
-    """The lists of objects in an object, with their names and the target that the objects around them name."""
-    named = named | {key: parsed[key] for key in found(parsed, "id")[:1] if isinstance(parsed[key], str | int)}
-    for key, inner in parsed.items():
-        if isinstance(inner, dict) and path.count(".") < _DEEPEST:
-            yield from _lists(inner, f"{path}{key}.", named)
-        elif isinstance(inner, list) and inner and all(isinstance(one, dict) for one in inner):
-            yield f"{path}{key}", inner, named
-
-
-def _flat_records(several: Any) -> list[dict[str, Any]]:
+def _flat(several: list[Any]) -> list[dict[str, Any]]:
     """Objects as records; an object in one is its cells, ``coords.latitude``, and a few numbers are ``point.1``."""
-    records, several = [], several if isinstance(several, list) else [several]
+    records = list[dict[str, Any]]()
     for value in several:
         if not isinstance(value, dict):
             kind = type(value).__name__
@@ -144,17 +130,9 @@ def _flat_records(several: Any) -> list[dict[str, Any]]:
         records.append(record := dict[str, Any]())
         _add(record, "", value)
     full = {name for record in records for name, cell in record.items() if cell is not None}
-    for row, record in enumerate(records, 1):
-        for name in record:
-            column = name.rpartition(".")[0]
-            if column in full:  # an object in one record, and not in another
-                raise ValueError(f"expected a number in data row {row}, column {column}, received an object or a list")
-    nested = {name for record in records for name, cell in record.items() if _holds_records(cell)}
-    if nested and not places_in({name for record in records for name in record}):
-        raise ValueError(
-            f"expected records with places, received lists of records in them ({', '.join(nested)}): write a row for "
-            "each, with the name of its target"
-        )
+    for column in (name.rpartition(".")[0] for record in records for name in record):
+        if column in full:  # an object in one record, and not in another
+            raise ValueError(f"expected numbers in column {column}, received an object or a list in one of the records")
     return records
 
 
@@ -169,10 +147,6 @@ def _add(record: dict[str, Any], path: str, value: dict[str, Any]) -> None:
             record.update({f"{name}.{i + 1}": one for i, one in enumerate(cell)})
         else:
             record[name] = cell
-
-
-def _holds_records(cell: Any) -> bool:
-    return isinstance(cell, list) and bool(cell) and all(isinstance(one, dict) for one in cell)
 
 
 def _of_trace(one: dict[str, Any]) -> Iterator[dict[str, Any]]:

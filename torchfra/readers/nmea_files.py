@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from array import array
 from collections import Counter
 from datetime import date
 from typing import Any
@@ -15,7 +14,7 @@ from torchfra.readers.columns import number
 from torchfra.readers.sheets import Sheet
 from torchfra.running.optional import optional
 
-_NAMES = ("day", "second", "latitude", "longitude", "altitude", "hdop")
+_NAMES = ("latitude", "longitude", "altitude", "hdop")
 _DAY = 86_400.0
 _AIS = "AIS must be decoded before, such as by pyais (pip install pyais), to CSV with the columns time, mmsi, lat, lon"
 _START = re.compile(rb"(?m)^[^\n$!]{0,80}(?:\$[GBP][A-Z]{2,4},|!(?:AI|AB|BS|SA)VD[MO],)")
@@ -29,7 +28,7 @@ _LINES = 20
 
 def is_nmea(start: bytes, suffix: str) -> bool:
     """Whether a file is one, by one of its first lines or its ending."""
-    first = b"\n".join(start[:9999].splitlines()[:_LINES])
+    first = b"\n".join(start.splitlines()[:_LINES])
     return bool(_START.search(first)) or suffix in (".nmea", ".nme", ".nma")
 
 
@@ -40,92 +39,59 @@ def nmea_sheet(text: str) -> Sheet:
         ValueError: no fixes.
         ImportError: pynmea2 is not installed.
     """
-    fixes, lines = _Fixes(), Counter[str]()
-    for line in map(str.strip, text.splitlines()):
+    parse, lines = optional("pynmea2", "NMEA 0183", "formats").parse, Counter[str]()
+    fixes, kinds, several = list[list[float]](), dict[str, list[float]](), 0
+    for line in text.splitlines():
         if (found := _SENTENCE.search(line)) is None:
             lines["AIS" if re.search("!..VD[MO],", line) else "other"] += 1
             continue
         try:
-            fixes.add(_parsed(found[0]))
+            kind, fix = _fix(parse(found[0], check=True))
         except (ValueError, TypeError, AttributeError):
             lines["damaged"] += 1
-    if fixes.several > _SEVERAL * len(fixes.values["second"]):
-        raise ValueError(f"expected one position for each moment, received {fixes.several:,} others in sentences "
-                         "of one kind, as of several receivers, or of times in whole seconds: write one receiver to "
-                         "a file, or its positions as CSV")  # fmt: skip
-    columns = fixes.columns()
-    if not len(columns["time"]):
+            continue
+        if fixes and fixes[-1][0] == fix[0]:
+            fixes[-1] = [new if math.isnan(old) else old for old, new in zip(fixes[-1], fix, strict=True)]
+        else:
+            fixes.append(fix)
+            kinds = {}
+        several += kinds.setdefault(kind, fix[2:4]) != fix[2:4] and not math.isnan(fix[2])
+    if several > _SEVERAL * len(fixes):
+        raise ValueError(f"expected one position for each moment, received {several:,} others in sentences of one "
+                         "kind, as of several receivers, or of times in whole seconds: write one receiver to a file, "
+                         "or its positions as CSV")  # fmt: skip
+    if not fixes:
         ais = f"; {_AIS}" if lines["AIS"] else ""
         raise ValueError(f"expected NMEA 0183 with RMC or GGA, received {dict(lines) or 'no'} lines{ais}")
+    second, day, *cells = np.array(fixes).T
+    known = np.flatnonzero(np.isfinite(day))
+    nights = np.cumsum(np.diff(second, prepend=second[:1]) < -_DAY / 2)
+    time: Any = second + _DAY * nights
+    if len(known):
+        before = known[(np.searchsorted(known, np.arange(len(day)), "right") - 1).clip(0)]
+        time = np.rint((time + _DAY * (day - nights)[before]) * 1e6).astype(np.int64).view("datetime64[us]")
     more = f"; {lines['damaged']} damaged sentences left out" if lines["damaged"] else ""
     more += f"; {lines['AIS']} AIS messages left out" if lines["AIS"] else ""
-    more += "" if columns["time"].dtype.kind == "M" else "; no date, as there is no RMC"
-    full = {name: cells for name, cells in columns.items() if cells.dtype.kind == "M" or np.isfinite(cells).any()}
-    return Sheet([*full], [(len(full["time"]), full.__getitem__)], (f"NMEA 0183: RMC and GGA{more}",))
+    more += "" if len(known) else "; no date, as there is no RMC"
+    full = {"time": time} | {name: of for name, of in zip(_NAMES, cells, strict=True) if np.isfinite(of).any()}
+    return Sheet([*full], [(len(fixes), full.__getitem__)], (f"NMEA 0183: RMC and GGA{more}",))
 
 
-def _parsed(sentence: str) -> Any:
-    """A sentence of a receiver.
+def _fix(sentence: Any) -> tuple[str, list[float]]:
+    """The kind of a sentence, and its second of the day, day since 1970, latitude, longitude, altitude and HDOP.
 
     Raises:
-        ValueError: it is damaged.
-        ImportError: pynmea2 is not installed.
+        ValueError: a sentence without a time, or with something else for a number; or another error.
     """
-    return optional("pynmea2", "NMEA 0183", "formats").parse(sentence, check=True)
-
-
-class _Fixes:
-    """What sentences say of one moment after the other."""
-
-    def __init__(self) -> None:
-        self.values = {name: array("d") for name in _NAMES}
-        self.day = math.nan
-        self.kinds = dict[str, tuple[float, float]]()
-        """Places of the last moment by the kind of sentence."""
-        self.several = 0
-        """Sentences whose moment has another place by one of their kind."""
-
-    def add(self, sentence: Any) -> None:
-        """Adds what a sentence says to the fix of its moment.
-
-        Raises:
-            ValueError: a sentence without a time, or with something else for a number.
-        """
-        time, values = sentence.timestamp, self.values
-        second = time.hour * 3600 + time.minute * 60 + time.second + time.microsecond / 1e6
-        place = (sentence.latitude, sentence.longitude) if sentence.lat and sentence.lon else (math.nan, math.nan)
-        altitude = hdop = math.nan
-        if sentence.sentence_type == "RMC":
-            if isinstance(sentence.datestamp, date):
-                self.day = float((sentence.datestamp - date(1970, 1, 1)).days)
-            place = place if sentence.status == "A" else (math.nan, math.nan)
-        elif sentence.gps_qual:
-            hdop, altitude = number(sentence.data[7]), number(sentence.data[8])
-        else:
-            place = (math.nan, math.nan)
-        before = values["second"][-1] if values["second"] else second
-        if before - second > _DAY / 2 and sentence.sentence_type == "GGA":
-            self.day += 1  # its RMC is still to come
-        new = (self.day, second, *place, altitude, hdop)
-        self.kinds = self.kinds if before == second else {}
-        self.several += self.kinds.setdefault(sentence.sentence_type, place) != place
-        if values["second"] and before == second:
-            for column, value in zip(values.values(), new, strict=True):
-                column[-1] = value if math.isnan(column[-1]) else column[-1]
-        else:
-            for column, value in zip(values.values(), new, strict=True):
-                column.append(value)
-
-    def columns(self) -> dict[str, Any]:
-        """Columns by name; times with their date where a sentence has it."""
-        columns = {name: np.array(values) for name, values in self.values.items()}
-        day, second = columns.pop("day"), columns.pop("second")
-        known = np.isfinite(day)
-        if not known.any():
-            wraps = np.cumsum(np.diff(second, prepend=second[:1]) < -_DAY / 2)
-            return {"time": second + _DAY * wraps} | columns
-        early = np.flatnonzero(known)[0]
-        wraps = np.cumsum(np.diff(second[: early + 1], prepend=second[:1]) < -_DAY / 2)
-        day[:early] = day[early] - wraps[-1] + wraps[:early]
-        time = np.rint((day * _DAY + second) * 1e6).astype(np.int64).view("datetime64[us]")
-        return {"time": time} | columns
+    clock, kind = sentence.timestamp, sentence.sentence_type
+    second = clock.hour * 3600 + clock.minute * 60 + clock.second + clock.microsecond / 1e6
+    day = altitude = hdop = math.nan
+    if kind == "RMC":
+        good = sentence.status == "A"
+        if isinstance(sentence.datestamp, date):
+            day = float((sentence.datestamp - date(1970, 1, 1)).days)
+    elif good := bool(sentence.gps_qual):
+        hdop, altitude = number(sentence.data[7]), number(sentence.data[8])
+    there = good and sentence.lat and sentence.lon
+    place = [sentence.latitude, sentence.longitude] if there else [math.nan, math.nan]
+    return kind, [second, day, *place, altitude, hdop]

@@ -8,21 +8,18 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from torchfra.readers.bounded import MAX_BYTES
 from torchfra.readers.columns import DECIMAL, Array, Head, Kind, grouped
 from torchfra.readers.options import listed
 from torchfra.readers.ranges import RangeRecording
 from torchfra.readers.recording import Recording
-from torchfra.readers.tables import Table, Wanted, naming, read_table
+from torchfra.readers.tables import Wanted, naming, read_table
 
 _PATTERNS = ("*.csv", "*.csv.gz", "*.json", "*.json.gz")
-_Columns: TypeAlias = dict[str, str]
-"""Names of the columns of a table, by the key of ``_NAMES`` that says what they hold."""
 _HEADERS = "expected a header with t,range[,anchor][,x,y[,z]]; or t,x,y[,z]; or anchor,x,y[,z], separated by commas"
 _NAMES = {
     "time": ("stamp", "timestamp", "t", "time"),
@@ -80,13 +77,12 @@ def read_ranges(
     for path in _tables_in(paths[0]) if folder else paths:
         _add(path, found, max_bytes, any_kind=folder)
     for stated, what, columns in ((anchors, "places", "anchor,x,y[,z]"), (reference, "paths", "t,x,y[,z]")):
-        if stated is None:
-            continue
-        _add(Path(stated), other := _Found(), max_bytes)
-        if not getattr(other, what):
-            raise ValueError(f"{stated}: expected rows with the columns {columns}, received a file of another kind")
-        found.places |= other.places
-        found.paths = other.paths or found.paths
+        if stated is not None:
+            _add(Path(stated), other := _Found(), max_bytes)
+            if not getattr(other, what):
+                raise ValueError(f"{stated}: expected rows with the columns {columns}, received a file of another kind")
+            found.places |= other.places
+            found.paths = other.paths or found.paths
     return _recording(name, found)
 
 
@@ -107,16 +103,12 @@ def _tables_in(folder: Path, *, below: bool = False) -> list[Path]:
     return files
 
 
-class _OtherKindError(Exception):
-    """A file holds neither ranges nor places nor a path."""
-
-
 @dataclass
 class _Found:
     """What the files of a recording hold."""
 
-    anchors: list[tuple[tuple[str, ...], Array, Array, Array]] = field(default_factory=list)
-    """Names of an anchor, the first its own; times ``(k,)`` and ranges, and its place ``(3,)``, NaN where not said."""
+    anchors: list[tuple[tuple[str, ...], Array, Array]] = field(default_factory=list)
+    """Names of an anchor, the first its own; times and ranges ``(k, 2)``; its place ``(3,)``, NaN where not said."""
     places: dict[str, Array] = field(default_factory=dict)
     paths: list[Recording] = field(default_factory=list)
     repairs: Counter[str] = field(default_factory=Counter)
@@ -124,39 +116,51 @@ class _Found:
 
 def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -> None:
     """Adds what a file holds; a file of another kind is counted if ``any_kind`` may come."""
+    columns, stem, other = dict[str, str](), Path(path.name.removesuffix(".gz")).stem, False
 
     def choose(head: Head) -> Wanted:
-        try:
-            _kind_of(head.names)
-        except ValueError as error:
-            if any_kind and not all(map(DECIMAL.fullmatch, head.names)):
-                raise _OtherKindError from error
-            raise
+        nonlocal columns, other
+        columns = _columns_of(head.names)
+        if other := any_kind and not _kind_of(columns) and not all(map(DECIMAL.fullmatch, head.names)):
+            return {}
+        if not _kind_of(columns):
+            raise ValueError(f"{_HEADERS}; received {listed(head.names)}")
         kinds = {"time": _TIME, "anchor": None}
-        return {name: kinds.get(what, _METRES) for what, name in _columns_of(head.names).items()}
+        return {name: kinds.get(what, _METRES) for what, name in columns.items()}
 
     with naming(path):
-        try:
-            table = read_table(path, choose, max_bytes=max_bytes)
-            kind = _kind_of(table.names)
-        except _OtherKindError:
+        table = read_table(path, choose, max_bytes=max_bytes)
+        if other:
             found.repairs["files of another kind left out"] += 1
             return
-        columns, stem = _columns_of(table.names), Path(path.name.removesuffix(".gz")).stem
+        columns = columns or _columns_of(table.names)
+        kind = _kind_of(columns)
         position = np.stack([table.column(columns.get(axis, "")) for axis in "xyz"], 1)
         rows = grouped(table.texts.get(columns.get("anchor", ""), []))
-        if kind == "ranges":
-            data = np.column_stack([_seconds(table, columns), table.column(columns["range"])])
-            found.anchors += _anchors_in(data, position, rows, stem, columns.get("anchor", ""), found.repairs)
-        elif kind == "path":
+        if kind == "places":
+            found.places.update({name: _place(position[i], name) for name, i in rows.items() if name})
+            return
+        time = _seconds(table.column(columns["time"]))
+        if kind == "path":
             position = position[:, :2] if np.isnan(position[:, 2]).all() else position
-            data, repairs = np.column_stack([_seconds(table, columns), position]), Counter[str]()
-            data = data[_in_order(data, "position", repairs)]
+            repairs = Counter[str]()
+            data = _in_order(np.column_stack([time, position]), "position", repairs)
             if len(data) < 2:
                 raise ValueError(f"expected 2 or more rows with time and position, received {len(data)}")
             found.paths.append(Recording(stem, data[:, 0], data[:, 1:], None, dict(+repairs)))
+            return
+        data, known = np.column_stack([time, table.column(columns["range"])]), [label for label in rows if label]
+        several: dict[tuple[str, ...], Any] = {(label,): rows[label] for label in known}
+        if len(known) <= 1:  # an anchor that is not named, or only by its id, has the name of its file
+            own = (*known, stem) if "anchor" in columns.get("anchor", "").lower() else (stem, *known)
+            several = {own: slice(None)}
         else:
-            found.places.update({name: _place(position[i], name) for name, i in rows.items() if name})
+            found.repairs["rows without anchor dropped"] += len(rows.get("", ()))
+        for names, i in several.items():
+            ranges = _in_order(data[i], "range", found.repairs)
+            good = ranges[:, 1] > 0
+            found.repairs["ranges that are not above 0 dropped"] += int((~good).sum())
+            found.anchors.append((names, ranges[good], _place(position[i], names[0])))
 
 
 def _recording(name: str, found: _Found) -> RangeRecording:
@@ -172,14 +176,14 @@ def _recording(name: str, found: _Found) -> RangeRecording:
         received = ", ".join(path.name for path in found.paths)
         raise ValueError(f"{name}: expected one reference path, received {received}")
     stated = found.places
-    places = np.stack([next((stated[n] for n in known if n in stated), place) for known, _, _, place in heard])
+    places = np.stack([next((stated[n] for n in known if n in stated), place) for known, _, place in heard])
     for one, place in zip(names, places, strict=True):
         if not np.isfinite(place[:2]).all():
             raise ValueError(f"{name}: expected x and y of every anchor, received none for {one}")
     high = np.isfinite(places[:, 2])
     if high.any() and not high.all():
         raise ValueError(f"{name}: expected z of every anchor or of none, received none for {names[high.argmin()]}")
-    _, times, ranges, _ = zip(*heard, strict=True)
+    times, ranges = (tuple(data[:, i] for _, data, _ in heard) for i in range(2))
     anchors = places if high.all() else places[:, :2]
     path = found.paths[0] if found.paths else None
     return RangeRecording(name, tuple(names), anchors, times, ranges, path, dict(+found.repairs))
@@ -188,7 +192,7 @@ def _recording(name: str, found: _Found) -> RangeRecording:
 # ---------------------------------------------------------------- from tables of cells
 
 
-def _columns_of(names: list[str]) -> _Columns:
+def _columns_of(names: list[str]) -> dict[str, str]:
     """Which of the columns of these names holds what."""
     plain: dict[str, list[str]] = {}
     for name in names:
@@ -200,39 +204,14 @@ def _columns_of(names: list[str]) -> _Columns:
     return {what: same[0] for what, same in found.items()}
 
 
-def _kind_of(names: list[str]) -> str:
-    """What a table with columns of these names holds: ``"ranges"``, a ``"path"`` or ``"places"``."""
-    columns = _columns_of(names)
-    for kind, needed in (("ranges", "time range"), ("path", "time x y"), ("places", "anchor x y")):
-        if all(name in columns for name in needed.split()):
-            return kind
-    raise ValueError(f"{_HEADERS}; received {listed(names)}")
+def _kind_of(columns: dict[str, str]) -> str:
+    """What a table with these columns holds: ``"ranges"``, a ``"path"`` or ``"places"``; "" where that is not known."""
+    kinds = (("ranges", "time range"), ("path", "time x y"), ("places", "anchor x y"))
+    return next((kind for kind, needed in kinds if {*needed.split()} <= columns.keys()), "")
 
 
-def _anchors_in(
-    data: Array, places: Array, rows: dict[str, NDArray[np.intp]], stem: str, column: str, repairs: Counter[str]
-) -> list[tuple[tuple[str, ...], Array, Array, Array]]:
-    """The anchors of a table, in the order of their first rows.
-
-    Args:
-        data: times and ranges ``(rows, 2)``.
-        places: of the anchors ``(rows, 3)``.
-        rows: of each name.
-        stem: of the file's name, which an anchor has that the table does not name or only by its ``id``.
-        column: with the names.
-        repairs: where to count them.
-    """
-    known = [label for label in rows if label]
-    if len(known) <= 1:
-        names = (*known, stem) if "anchor" in column.lower() else (stem, *known)
-        return [(names, *_ranges(data, repairs), _place(places, stem))]
-    repairs["rows without anchor dropped"] += len(rows.pop("", ()))
-    return [((label,), *_ranges(data[i], repairs), _place(places[i], label)) for label, i in rows.items()]
-
-
-def _seconds(table: Table, columns: _Columns) -> Array:
-    """The times of a table, in whichever unit they are."""
-    time = table.column(columns["time"])
+def _seconds(time: Array) -> Array:
+    """Times, in whichever unit they are."""
     known = np.abs(time[np.isfinite(time)])
     if not len(known):
         return time
@@ -242,27 +221,19 @@ def _seconds(table: Table, columns: _Columns) -> Array:
     return time / units[0]
 
 
-def _ranges(data: Array, repairs: Counter[str]) -> tuple[Array, Array]:
-    """Times and ranges ``(k,)`` that are left of rows ``(rows, 2)``."""
-    kept = data[_in_order(data, "range", repairs)]
-    good = kept[:, 1] > 0
-    repairs["ranges that are not above 0 dropped"] += int((~good).sum())
-    return kept[good, 0], kept[good, 1]
+def _in_order(data: Array, what: str, repairs: Counter[str]) -> Array:
+    """The rows of times and values ``(rows, 1 + d)`` that have all, in order of time, one of each moment."""
 
+    def keep(data: Array, mask: Any, why: str) -> Array:
+        repairs[why] += len(data) - int(mask.sum())
+        return np.asarray(data[mask])
 
-def _in_order(data: Array, what: str, repairs: Counter[str]) -> NDArray[np.intp]:
-    """Which rows ``(rows, 1 + d)`` of times and values to keep, in order of time."""
-
-    def keep(index: NDArray[np.intp], mask: Any, why: str) -> NDArray[np.intp]:
-        repairs[why] += len(index) - int(mask.sum())
-        return np.asarray(index[mask])
-
-    index = keep(np.arange(len(data)), np.isfinite(data[:, 0]), "rows without time dropped")
-    index = keep(index, np.isfinite(data[index, 1:]).all(1), f"rows without {what} dropped")
-    time = data[index, 0]
+    data = keep(data, np.isfinite(data[:, 0]), "rows without time dropped")
+    data = keep(data, np.isfinite(data[:, 1:]).all(1), f"rows without {what} dropped")
+    time = data[:, 0]
     repairs["rows put in time order"] += int((time < np.maximum.accumulate(time)).sum())
-    index = index[np.argsort(time, kind="stable")]
-    return keep(index, np.diff(data[index, 0], prepend=-math.inf) > 0, "duplicate times dropped")
+    data = data[np.argsort(time, kind="stable")]
+    return keep(data, np.diff(data[:, 0], prepend=-math.inf) > 0, "duplicate times dropped")
 
 
 def _place(places: Array, name: str) -> Array:

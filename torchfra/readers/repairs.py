@@ -206,8 +206,8 @@ class _Columns:
         time = self.time[index]
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
         order = np.argsort(time, kind="stable")
-        self._check_order(time, index, order)
         self._check_same_times(index[order])
+        self._check_order(time, index, order)
         index = index[order]
         again = np.diff(self.time[index], prepend=-math.inf) == 0
         index = keep(index, ~(again & self.sent[index]), "held positions dropped")
