@@ -16,7 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra import readers
-from torchfra.geodesy import to_geodetic
 from torchfra.readers import Recording, read, resample
 from torchfra.readers.options import AskError
 
@@ -183,13 +182,6 @@ def test_the_origin_may_be_given(write: Write) -> None:
     track = only(path, origin=(46.99, 8.0, 304.8))
     assert track.origin == (46.99, 8.0, 304.8)
     np.testing.assert_allclose(track.position[0, 1], 1111.8, rtol=2e-4)
-
-
-def test_a_way_around_the_earth_without_altitudes_is_about_its_middle(write: Write) -> None:
-    track = only(write("p.csv", "t,lat,lon\n" + "".join(f"{k},{5 + 0.1 * k},{k}\n" for k in range(0, 121, 10))))
-    assert track.origin is not None
-    np.testing.assert_allclose(track.origin[1], 60, atol=1)
-    np.testing.assert_allclose(to_geodetic(track.position, track.origin)[1], range(0, 121, 10), atol=1e-8)
 
 
 def test_an_outlier_on_the_other_side_of_the_earth_is_no_way_there(write: Write) -> None:

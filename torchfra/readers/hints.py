@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 
 from torchfra.readers.columns import Head, texts_of, values_of
-from torchfra.readers.names import LENGTHS, found, name_words, plain, unit
+from torchfra.readers.names import LENGTHS, found, name_words, unit
 from torchfra.readers.options import AskError
 
 _COLUMNS, _CELLS, _LONGEST = 20, 3, 24
@@ -17,7 +17,7 @@ _OTHER = re.compile(
     r"range|rssi|snr|counter|index|idx|seq|ecef|[agmvw][xyz]|q[xyzw])\b"
 )
 """In the words of a name, what is no position of the target."""
-_TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp", "clock"}
+_TIMES = {"time", "timestamp", "ts", "date", "datetime", "stamp", "clock", "frame", "frames"}
 _PAIRS = (("lat", "lon", "latitude", "longitude"), ("lat", "lon", "lat", "lng"), ("lat", "lon", "lat", "lon"),
           ("x", "y", "x", "y"), ("x", "y", "east", "north"))  # fmt: skip
 """Two options, and the words of names that tell their columns apart."""
@@ -34,25 +34,19 @@ def unclear(head: Head, lacking: str, known: Mapping[str, str]) -> AskError:
     options = {**_likely(head, known), **known}
     pair = next((pair for pair in (("lat", "lon"), ("x", "y")) if options.keys() & {*pair}), ("x", "y"))
     degrees = () if options.keys() & {*pair} else (" (or ", {"lat": "LAT", "lon": "LON"}, ")")
-    options = {name: options.get(name, name.upper()) for name in ("time", *pair)} | {
-        name: options[name] for name in ("time_format", "units") if name in options}  # fmt: skip
+    options = {name: options.get(name, name.upper()) for name in ("time", *pair)}
     cells = {name: texts_of(head.cells(name))[:_CELLS] for name in head.names[:_COLUMNS] if name}
     listed = [f"{name} ({', '.join(text[:_LONGEST] for text in texts) or 'empty'})" for name, texts in cells.items()]
     more = f" and {len(head.names) - _COLUMNS} more" if len(head.names) > _COLUMNS else ""
     return AskError(f"expected {lacking}, which no name of a column says: name columns, or number them from 1 on, such "
-                    "as ",
-                    options, *degrees, f"; columns: {', '.join(listed)}{more}")  # fmt: skip
+                    "as ", options, *degrees, f"; columns: {', '.join(listed)}{more}")  # fmt: skip
 
 
 def _likely(head: Head, known: Mapping[str, str]) -> dict[str, str]:
     """Options for the columns whose names say it."""
     names = [name for name in head.names if name and name not in known.values()]
-    times = [
-        one for one in names if {*name_words(one)} & _TIMES or found([one], "time") or plain(one).startswith("frame")
-    ]
+    times = [one for one in names if {*name_words(one)} & _TIMES or found([one], "time")]
     options = {"time": times[0]} if times else {}
-    if plain(known.get("time", times[0] if times else "")).startswith("frame"):
-        options["time_format"] = "25fps"
     keys = {" ".join(name_words(name)): name for name in names if name not in times}
     for one, other, first, second in _PAIRS:
         for key, name in keys.items():
@@ -60,6 +54,5 @@ def _likely(head: Head, known: Mapping[str, str]) -> dict[str, str]:
                 partner = keys.get(key[:at] + second + key[at + len(first) :], "")
                 whole = len(values_of(texts := texts_of(head.cells(name)[:200]))) == len(texts) > 0
                 if partner and whole and not (one == "lat" and unit(name) in LENGTHS):
-                    return options | {one: name, other: partner} | (
-                        {"units": "mm"} if unit(name) in ("px", "pixel") else {})  # fmt: skip
+                    return options | {one: name, other: partner}
     return options

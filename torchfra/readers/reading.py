@@ -37,7 +37,7 @@ def read(
     Args:
         path: the file.
         origin: latitude, longitude in degrees and altitude in m that become (0, 0, 0); if None, the first fix of the
-            first target in the file, or the middle of its way if that has no altitudes and leads around the earth.
+            first target in the file.
         max_bytes: that the file may hold, unpacked, 1 GiB by default; a byte of JSON and XML counts for 24.
         words: what the file does not say or says wrongly: see ``ReadOptions``.
 
@@ -144,28 +144,23 @@ def _without_constant_z(table: Table, layout: Layout) -> Layout:
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:
-    """What becomes (0, 0, 0): by default the first fix, or the middle of a way without altitudes around the earth."""
-    height = 0.0 if first.height is None else float(first.height[0])
-    lat, lon, up = (float(first.place[0, 0]), float(first.place[0, 1]), height) if origin is None else origin
-    if origin is None and first.height is None and _beyond(first, (lat, lon, up), 60):
-        latitude, longitude = np.radians(first.place.T)
-        x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
-        x, y, z = x.mean(), y.mean(), np.sin(latitude).mean()
-        lat, lon = math.degrees(math.atan2(z, math.hypot(x, y))), math.degrees(math.atan2(y, x))
+    """What becomes (0, 0, 0): by default the first fix."""
+    if origin is None:
+        return (
+            float(first.place[0, 0]),
+            float(first.place[0, 1]),
+            0.0 if first.height is None else float(first.height[0]),
+        )
+    lat, lon, up = origin
     if not (abs(lat) <= 90 and abs(lon) <= 180 and math.isfinite(up)):
         raise ValueError(f"origin: expected latitude, longitude in degrees and altitude in m, received {origin}")
     return lat, lon, up
 
 
-def _beyond(target: Target, origin: Origin, degrees: float) -> bool:
-    """Whether several of a target's fixes, and a tenth or more, are as far: so many are no outliers."""
-    near = cosine(target.place[:, 0], target.place[:, 1], origin) > math.cos(math.radians(degrees))
-    return bool(near.mean() <= 0.9 and (~near).sum() > 1)
-
-
 def _hidden(target: Target, origin: Origin) -> bool:
-    """Whether a target without altitudes goes where no plane about the origin shows it."""
-    return target.height is None and _beyond(target, origin, 85)
+    """Whether a tenth of a target without altitudes is where no plane about the origin shows it: no few outliers."""
+    near = cosine(target.place[:, 0], target.place[:, 1], origin) > math.cos(math.radians(85))
+    return target.height is None and bool(near.mean() <= 0.9 and (~near).sum() > 1)
 
 
 def _recording(target: Target, layout: Layout, origin: Origin | None) -> Recording:

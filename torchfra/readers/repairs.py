@@ -29,9 +29,8 @@ _RARELY, _APART = 0.1, 3.0
 neighbours in time alone may be as those in the file."""
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
-_HOUR = 3600.0
-_COARSE = (60.0, 1.0)
-"""Whole minutes and seconds, in which several rows may be."""
+_HOUR, _COARSE = 3600.0, (60.0, 1.0)
+"""Seconds; whole minutes and seconds, in which several rows may be."""
 _NEIGHBOURS = 1.5
 """How much farther apart rows of a moment may be than those of two moments, if all are of one target."""
 _PLACEHOLDERS, _ENOUGH, _NULL_ISLAND = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0), 25, 1.0
@@ -71,24 +70,32 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     down = 0
     if ids is not None:
         ids, down = _filled_down(ids, asked=layout.stated.id is not None)
-    members = {"": np.arange(table.rows)} if ids is None else grouped(ids)
-    columns, targets = _Columns(table, layout, members), []
-    for name, rows in members.items():
+    columns, targets = _Columns(table, layout), []
+    for name, rows in ({"": np.arange(table.rows)} if ids is None else grouped(ids)).items():
         index, repairs = columns.rows_to_keep(rows)
         call = "" if calls is None else next((calls[i] for i in index if calls[i]), "")
         height, filled = columns.heights(index, repairs)
         sigma = columns.sigmas(index, repairs, 2 if height is None else 3)
         full = f"{name} {call}".strip() or stem
-        place = np.stack([columns.first[index], columns.second[index]], 1)
-        targets.append(Target(full, columns.time[index], place, height, filled, sigma, index.astype(np.int64), repairs))
+        place, row = columns.place[index], index.astype(np.int64)
+        targets.append(Target(full, columns.time[index], place, height, filled, sigma, row, repairs))
     good = [target for target in targets if len(target.time) >= 2]
     if not good:
-        raise TooFewError(_too_few(targets, layout.source.word))
+        same = f" of the same {layout.source.word}" if len(targets) > 1 else ""
+        received = max(len(target.time) for target in targets)
+        counts = sum((target.repairs for target in targets), Counter[str]())
+        after = f" after repairs: {in_words(counts)}" if counts else ""
+        raise TooFewError(f"expected 2 or more rows with time and position{same}, received {received}{after}")
     # The counts of all targets sum to those of the file.
     good[0].repairs[dropped(layout)] = len(targets) - len(good)
     good[0].repairs["rows named as the target above them"] = down
     good[0].repairs.update(table.repairs)
     return good
+
+
+def dropped(layout: Layout) -> str:
+    """What became of targets that have no 2 fixes."""
+    return f"{plural(layout.source.word)} of one fix or none dropped"
 
 
 def _filled_down(ids: list[str], *, asked: bool) -> tuple[list[str], int]:
@@ -104,20 +111,6 @@ def _filled_down(ids: list[str], *, asked: bool) -> tuple[list[str], int]:
         last = name or last
         filled.append(last)
     return filled, ids.count("")
-
-
-def dropped(layout: Layout) -> str:
-    """What became of targets that have no 2 fixes."""
-    return f"{plural(layout.source.word)} of one fix or none dropped"
-
-
-def _too_few(targets: list[Target], word: str) -> str:
-    """An error message."""
-    same = f" of the same {word}" if len(targets) > 1 else ""
-    received = max(len(target.time) for target in targets)
-    repairs = sum((target.repairs for target in targets), Counter[str]())
-    after = f" after repairs: {in_words(repairs)}" if repairs else ""
-    return f"expected 2 or more rows with time and position{same}, received {received}{after}"
 
 
 def _check_placeholders(several: Mapping[str, Array], stated: str | None) -> None:
@@ -138,52 +131,45 @@ def _check_placeholders(several: Mapping[str, Array], stated: str | None) -> Non
 class _Columns:
     """The columns of a table by what they hold."""
 
-    def __init__(self, table: Table, layout: Layout, members: Mapping[str, NDArray[np.intp]]) -> None:
+    def __init__(self, table: Table, layout: Layout) -> None:
         def column(*roles: str) -> Array:
             return table.column(next((layout.columns[role] for role in roles if role in layout.columns), ""))
 
-        self.layout, self.table, self.clock = layout, table, layout.clock
+        self.layout, self.clock, self.dated = layout, layout.clock, layout.clock.dated
         self.time = layout.clock.whole(table.column(layout.clock.column))
-        self.first, self.second = column("latitude", "x"), column("longitude", "y")
-        self.height, self.spare = column("altitude", "z"), column("second")
-        null = (self.first == 0) & (self.second == 0)
-        near = (np.abs(self.first) < _NULL_ISLAND) & (np.abs(self.second) < _NULL_ISLAND) & ~null
-        self.absent = null & (layout.degrees and not near.any() and not null.all())
+        self.place = np.stack([column("latitude", "x"), column("longitude", "y")], 1)
+        self.height, self.spare, self.update = column("altitude", "z"), column("second"), column("update")
+        null = (self.place == 0).all(1)
+        near = (np.abs(self.place) < _NULL_ISLAND).all(1) & ~null
+        absent = null & (layout.degrees and not near.any() and not null.all())
         zero = self.height == 0
         self.no_height = zero & (layout.degrees and (zero | np.isnan(self.height)).all())
         self.height = np.where(self.no_height, np.nan, self.height)
         if "none" not in (layout.stated.missing or "").split(","):
-            names = {role: layout.columns[role] for role in ("x", "y", "altitude", "z") if role in layout.columns}
-            columns = {names[role]: column(role) / layout.source.unit for role in names}
-            if not layout.degrees:
-                _check_placeholders({names[role]: columns[names[role]] for role in ("x", "y")}, layout.stated.missing)
-            for height in [names[role] for role in ("altitude", "z") if role in names]:
-                _check_placeholders({height: columns[height]}, layout.stated.missing)
-        self.update = column("update")
-        self.sent = self._times_of_positions()
-        self.time = np.where(self.sent, self._updated(), self.time)
+            groups = (("altitude",), ("z",)) if layout.degrees else (("x", "y"), ("z",))
+            for roles in groups:
+                names = {layout.columns[role]: column(role) / layout.source.unit
+                         for role in roles if role in layout.columns}  # fmt: skip
+                if names:
+                    _check_placeholders(names, layout.stated.missing)
+        self.sent = np.zeros(len(self.time), dtype=bool)
+        if self.dated and layout.stated.time is None:
+            # State vectors of OpenSky are of a moment up to a minute after that of the position.
+            updated = np.where(self.update > 1e11, self.update / 1e3, self.update)
+            sent = (self.time - updated > -_SOONER) & (self.time - updated < _OLDEST)
+            if sent.sum() > _OFTEN * len(sent):
+                self.sent, self.time = sent, np.where(sent, updated, self.time)
         self.noise = layout.per_axis([table.column(name) for name in layout.noise])
-        self.marked = column("visible") == 0
-        for role in MARKS[1:]:
-            self.marked |= column(role) == 1
-        self.valid = column("valid") != 0
-        self.may_be_held = layout.source.word == "aircraft"
-        self.dated = layout.clock.dated
-
-    def _updated(self) -> Array:
-        """Moments of the updates of positions: seconds since 1970, or milliseconds."""
-        return np.where(self.update > 1e11, self.update / 1e3, self.update)
-
-    def _times_of_positions(self) -> NDArray[np.bool_]:
-        """Rows ``(rows,)`` whose position is of the moment of its update, as state vectors of OpenSky have it.
-
-        Their own time is that of the state, up to a minute later.
-        """
-        if not self.clock.dated or self.layout.stated.time is not None:
-            return np.zeros(len(self.time), dtype=bool)
-        age = self.time - self._updated()
-        sent = (age > -_SOONER) & (age < _OLDEST)
-        return sent if sent.sum() > _OFTEN * len(sent) else np.zeros_like(sent)
+        marked = np.any([column("visible") == 0, *(column(role) == 1 for role in MARKS[1:])], axis=0)
+        old = self.time < (YEAR_1980 if self.dated else -math.inf)
+        self.tests: tuple[tuple[str, NDArray[np.bool_]], ...] = (
+            ("rows without time dropped", np.isfinite(self.time)),
+            ("rows without position dropped", np.asarray(np.isfinite(self.place).all(1))),
+            ("rows marked as outliers dropped", np.asarray(~marked)),
+            ("rows marked as invalid dropped", np.asarray(column("valid") != 0)),
+            ("rows at 0, 0 degrees dropped", ~absent),
+            ("rows from before 1980 dropped", ~old),
+        )
 
     def rows_to_keep(self, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], Counter[str]]:
         """Which of the rows of a target to keep, in order of time, and the count of the repairs."""
@@ -194,14 +180,9 @@ class _Columns:
             return index if mask.all() else index[mask]
 
         repairs["times taken from the update of the position"] = int(self.sent[rows].sum())
-        index = keep(rows, np.isfinite(self.time[rows]), "rows without time dropped")
-        index = keep(index, np.isfinite(self.first[index]) & np.isfinite(self.second[index]),
-                     "rows without position dropped")  # fmt: skip
-        index = keep(index, ~self.marked[index], "rows marked as outliers dropped")
-        index = keep(index, self.valid[index], "rows marked as invalid dropped")
-        index = keep(index, ~self.absent[index], "rows at 0, 0 degrees dropped")
-        if self.dated:
-            index = keep(index, self.time[index] >= YEAR_1980, "rows from before 1980 dropped")
+        index = rows
+        for what, good in self.tests:
+            index = keep(index, good[index], what)
         repairs["times within whole seconds spread by the order of rows"] = self._spread(index)
         time = self.time[index]
         repairs["rows put in time order"] = int((time < np.maximum.accumulate(time)).sum())
@@ -212,10 +193,10 @@ class _Columns:
         again = np.diff(self.time[index], prepend=-math.inf) == 0
         index = keep(index, ~(again & self.sent[index]), "held positions dropped")
         index = keep(index, np.diff(self.time[index], prepend=-math.inf) > 0, "duplicate times dropped")
-        moved = np.zeros(len(index), dtype=bool)
-        for column in (self.first, self.second, self.update) if self.may_be_held else (self.first, self.second):
-            moved |= np.diff(np.nan_to_num(column[index], nan=1e16), prepend=2e16) != 0
-        if not self.may_be_held and not self._are_held(index, moved):
+        aircraft = self.layout.source.word == "aircraft"
+        cells = np.column_stack([self.place, self.update if aircraft else np.zeros(len(self.place))])
+        moved = (np.diff(np.nan_to_num(cells[index], nan=1e16), axis=0, prepend=2e16) != 0).any(1)
+        if not aircraft and not self._are_held(index, moved):
             return index, repairs
         return keep(index, moved, "held positions dropped"), repairs
 
@@ -235,7 +216,7 @@ class _Columns:
         usual = int(np.median(counts[1:-1] if len(counts) > 2 else counts))
         if (steps == 0).sum() < _OFTEN * len(time) and np.median(counts) < 2:
             return 0
-        place = np.stack([self.first[index], self.second[index]], 1)
+        place = self.place[index]
         near, far = (np.median(np.linalg.norm(place[lag:] - place[:-lag], axis=1)) for lag in (1, usual))
         if near > _NEIGHBOURS * far or (np.diff(place, axis=0) == 0).all(1)[steps == 0].mean() > _OFTEN:
             return 0
@@ -254,7 +235,7 @@ class _Columns:
         starts = np.flatnonzero(moved)
         if len(starts) < _HELD or (np.diff(starts) < 2).mean() > _ONCE:
             return False
-        places = np.stack([self.first[index][starts], self.second[index][starts]], 1)
+        places = self.place[index][starts]
         if len(np.unique(places, axis=0)) < _NEW * len(starts):
             return False
         unit = 1.0 if self.layout.degrees else self.layout.source.unit
@@ -267,12 +248,9 @@ class _Columns:
         late, new = time < np.maximum.accumulate(time), np.flatnonzero(np.diff(order) != 1)
         if not late.any() or (np.diff(time) <= 0).all():
             return
-
-        def apart(rows: NDArray[np.intp]) -> Array:
-            return np.asarray(np.hypot(np.diff(self.first[rows]), np.diff(self.second[rows])))
-
+        ways, inside = (np.linalg.norm(np.diff(self.place[of], axis=0), axis=1) for of in (index, index[order]))
         anew = not self.dated and ((late[1:] & late[:-1]).any() or late.sum() > max(1, _RARELY * len(late)))
-        if anew or np.median(apart(index[order])[new]) > _APART * np.median(apart(index)):
+        if anew or np.median(inside[new]) > _APART * np.median(ways):
             raise AskError(f"expected times that go on, received earlier ones from data row {index[late.argmax()] + 1} "
                            f"on, column {self.clock.column}, as of a clock that is put back or begins anew, or of "
                            "several targets: put the rows in order, or name another column, or one that tells pieces "
@@ -281,9 +259,7 @@ class _Columns:
     def _check_same_times(self, index: NDArray[np.intp]) -> None:
         """Refuses rows of several targets in one: many have the time of another row and another position."""
         same = np.diff(self.time[index], prepend=-math.inf) == 0
-        moved = np.zeros(len(index), dtype=bool)
-        for column in (self.first, self.second):
-            moved[1:] |= np.diff(column[index]) != 0
+        moved = (np.diff(self.place[index], axis=0, prepend=self.place[index[:1]]) != 0).any(1)
         count = int((same & moved).sum())
         if count > _MANY * len(index) and len(index) > 10:
             if not any(self.layout.unread) and count_of(self.clock.form):

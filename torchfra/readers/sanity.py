@@ -47,10 +47,8 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
         recording, said = next(iter(wrong.items()))
         raise AskError(f"{said} of {source.word} {recording.name}; ", *_cause(layout))
     if wrong:
-        names, word = (
-            listed(recording.name for recording in wrong),
-            plural(source.word) if len(wrong) > 1 else source.word,
-        )
+        names = listed(recording.name for recording in wrong)
+        word = plural(source.word) if len(wrong) > 1 else source.word
         good[0].repairs[f"fixes of {word} {names} dropped, of impossible speed"] = fixes
     return good
 
@@ -64,8 +62,7 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
     speeds = [speed_across(recording) for recording in judged]
     if not layout.stated.time_format and _FASTEST_METRES < min(speeds) < _FASTEST:
         raise AskError(f"expected metres in {x} and {y}, received a speed of {min(speeds):,.0f} m/s: say their unit, "
-                       "such as ",
-                       {"units": "mm"}, ", or ", {"units": "m"}, " if they are metres")  # fmt: skip
+                       "such as ", {"units": "mm"}, ", or ", {"units": "m"}, " if they are metres")  # fmt: skip
     places = np.concatenate([recording.position[:, :2] for recording in judged])
     steps = np.concatenate([np.abs(np.diff(recording.position[:, :2], axis=0)).max(1) for recording in judged])
     fine = np.abs(1e4 * places - np.rint(1e4 * places)).max(1) > 1e-3
@@ -73,8 +70,7 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
     lies = (np.abs(places).max(0) <= _DEGREES).all() and np.abs(np.median(places, 0)).max() > 1
     if lies and moved > 5 * np.median(steps) and fine.mean() > 0.5 and _AS_DEGREES[0] < max(speeds) < _AS_DEGREES[1]:
         raise AskError(f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: "
-                       "say ",
-                       {"lat": y, "lon": x}, "; or ", {"units": "m"}, " if they are metres")  # fmt: skip
+                       "say ", {"lat": y, "lon": x}, "; or ", {"units": "m"}, " if they are metres")  # fmt: skip
 
 
 def _impossible(recording: Recording) -> str:
@@ -84,7 +80,8 @@ def _impossible(recording: Recording) -> str:
         return ""
     if time[-1] - time[0] < _SHORTEST:
         return f"expected more than {_SHORTEST:g} s, received {len(time)} fixes within {time[-1] - time[0]:.3g} s"
-    if (speed := _speed(recording)) > _FASTEST:
+    speed = float(np.median(np.linalg.norm(np.diff(recording.position, axis=0), axis=1) / np.diff(time)))
+    if speed > _FASTEST:
         return f"expected speeds below {_FASTEST / 1000:g} km/s, received {speed / 1000:.3g} km/s as the median"
     ship = recording.source.word == "ship" and not recording.name.startswith(_RESCUE)
     if ship and (speed := speed_across(recording)) > _FASTEST_SHIP:
@@ -105,12 +102,6 @@ def speed_across(recording: Recording, share: float = 0.5) -> float:
         return 0.0
     speed = np.linalg.norm(position[later] - position, axis=1)[there] / passed[there]
     return float(np.quantile(speed, share))
-
-
-def _speed(recording: Recording) -> float:
-    """The median between fixes, m/s."""
-    legs = np.linalg.norm(np.diff(recording.position, axis=0), axis=1)
-    return float(np.median(legs / np.diff(recording.time)))
 
 
 def _cause(layout: Layout) -> tuple[str | dict[str, str], ...]:
