@@ -39,11 +39,6 @@ def test_times_in_utc_are_taken_before_local_ones(write):
     assert track.source.columns["time"] == "datetime(utc)"
 
 
-def test_time_stamps_of_an_autopilot_are_microseconds(write):
-    (track,) = read(write(table("timestamp,timestamp_sample,lat,lon", lambda i: f"{i * 10**6},{i},{lat(i)},8.3")))
-    assert track.time[-1] == ROWS - 1
-
-
 @pytest.mark.parametrize(
     ("beside", "values", "unit"),
     [("Bank,Pitch,g Load", "1,2,1.0", 0.3048), ("gameId,playId,nflId", "1,2,3", 0.9144)],
@@ -96,11 +91,3 @@ def test_a_column_called_msg_is_no_message_of_a_receiver(write):
 def test_columns_without_names_may_hold_units(write):
     (track,) = read(write(["time,lat,,lon,,", *(f"{i},{lat(i)},N,8.3,E," for i in range(ROWS))]))
     assert len(track.time) == ROWS
-
-
-def test_messages_of_receivers_of_aircraft_without_a_header_have_feet_and_targets(write):
-    day = "2024/05/06"
-    rows = (f"MSG,3,1,1,4B180{k},1,{day},10:31:{i:02}.123,{day},10:31:{i:02}.2,,{3000 + i},,,{lat(i)},8.3,,,0,0,0,0"
-            for i in range(ROWS) for k in range(2))  # fmt: skip
-    one, two = read(write(list(rows)))
-    assert (one.name, two.name, one.source.word, one.source.unit) == ("4B1800", "4B1801", "aircraft", 0.3048)

@@ -134,16 +134,6 @@ def test_decimal_commas_may_have_exponents(write):
 PLT = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
 
 
-def test_plt_is_read_in_metres_and_utc(write):
-    rows = [f"{50 + i / 1e4},{7},0,{-777 if i == 3 else 1000},{45_446 + (29_700 + i) / 86_400:.10f},2024-06-03,08:15:00"
-            for i in range(ROWS)]  # fmt: skip
-    (track,) = read(write([*PLT, *rows], "a.plt"))
-    assert track.time[0] == pytest.approx(1_717_402_500, abs=1e-4)
-    assert np.diff(track.time) == pytest.approx(1, abs=1e-4)
-    assert track.origin == pytest.approx((50, 7, 304.8))
-    assert track.repairs == {"altitudes missing": 1}
-
-
 def test_microseconds_are_no_seconds(write):
     for unit in ("\u00b5s", "\u03bcs", "us"):
         (track,) = read(write([f"time [{unit}],x,y", *(f"{1_000_000 * i},{x},0" for i, x in enumerate(EAST))]))

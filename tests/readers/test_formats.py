@@ -179,12 +179,6 @@ def test_names_of_gpx_may_have_a_prefix(write):
     np.testing.assert_array_equal(prefixed[0].time, plain[0].time)
 
 
-def test_a_file_without_its_reader_says_what_to_install(write, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "gpxpy", None)
-    with pytest.raises(ImportError, match=r'GPX needs the package gpxpy: pip install "torchfra\[formats\]"'):
-        read(write("a.gpx", gpx()))
-
-
 # ---------------------------------------------------------------- ships and aircraft
 
 DANISH = """# Timestamp,Type of mobile,MMSI,Latitude,Longitude,Navigational status,ROT,SOG,COG,Heading,IMO,Callsign,Name
@@ -326,32 +320,12 @@ def test_the_hdop_of_receivers_is_taken(write):
 # ---------------------------------------------------------------- what people's devices write
 
 
-def test_a_flight_with_its_position_in_one_cell_is_read(write):
-    text = "Timestamp,UTC,Callsign,Position,Altitude,Speed,Direction\n" + "".join(
-        f'{START + t},{iso(t)},AB1,"{47 + t / 1e4},{8 + t / 2e4}",1000,300,90\n' for t in STEPS
-    )
-    (track,) = read(write("ab1.csv", text))
-    np.testing.assert_allclose(track.position[:, :2], EAST_NORTH_UP[:, :2], rtol=0, atol=0.05)
-    assert (track.name, track.source.word, track.origin[2]) == ("AB1", "aircraft", 304.8)
-    assert "latitude, longitude: both in Position" in track.source.notes
-    with pytest.raises(ValueError, match=r"degrees within .* in data row 7, column latitude, received 'here'"):
-        read(write("ab1.csv", text + f"{START + 60},{iso(60)},AB1,here,1,1,1\n"))
-
-
 def test_callsigns_part_flights_where_nothing_else_does(write):
     rows = [(iso(t), call, 47 + t / 1e4 + i, 8, 1000) for t in STEPS for i, call in enumerate(("AB1", "CD2"))]
     assert [track.name for track in read(write("a.csv", table("time,callsign,lat,lon,altitude", rows)))] == [
         "AB1",
         "CD2",
     ]
-
-
-def test_whole_numbers_of_an_autopilot_are_parts_of_degrees_and_millimetres(write):
-    rows = [(10**6 * (START + t), round(a * 1e7), round(o * 1e7), round(h * 1e3)) for t, a, o, h in ROWS]
-    rows = [(*row, 3) for row in rows]
-    (track,) = read(write("log.csv", table("time_utc_usec,lat,lon,alt,fix_type", rows)))
-    np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=0.02)
-    assert "altitude: alt, in mm; option units takes others" in track.source.notes
 
 
 def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):

@@ -35,12 +35,6 @@ def g1000(offset="-05:00", units="#yyy-mm-dd, hh:mm:ss,   hh:mm,      degrees,  
     ]  # fmt: skip
 
 
-def test_a_local_date_and_time_with_an_offset_beside_them_are_one_moment(write):
-    (track,) = read(write(g1000()))
-    assert_in_place(track)
-    assert track.source.written(track.time[:1]) == ["2026-05-03T08:15:00Z"]
-
-
 def test_units_above_the_header_count(write):
     (track,) = read(write(g1000()))
     assert track.origin[2] == pytest.approx(304.8)
@@ -89,14 +83,6 @@ FIT = [
 ]
 
 
-def test_fit_as_a_table_has_semicircles_and_seconds_since_1989(write):
-    names = "record.timestamp[s],record.position_lat[semicircles],record.position_long[semicircles],record.altitude[m]"
-    (track,) = read(write([names, *(f"{time},{lat},{lon},408" for time, lat, lon in FIT)]))
-    assert_in_place(track)
-    assert track.origin[2] == 408
-    assert track.source.written(track.time[:1]) == [str(FIT[0][0])]
-
-
 def test_a_table_of_fit_whose_times_count_since_1970_stays_so(write):
     names = "record.timestamp,record.position_lat,record.position_long"
     (track,) = read(write([names, *(f"{time + 631_065_600},{lat},{lon}" for time, lat, lon in FIT)]))
@@ -136,16 +122,6 @@ def state(moment, lat, lon, name="3c6444"):
     return [name, "DLH9LF  ", "Germany", time, time + 1, lon, lat, 3000.0, False, 220.0, 0.0, 0.0, None, 3050.0, "1000"]
 
 
-def test_state_vectors_of_several_moments_are_tracks_of_aircraft(write):
-    lines = []
-    for moment, place in zip(MOMENTS, PLACES, strict=True):
-        states = [state(moment, *place), state(moment, 51, 7, "4b1806")]
-        lines.append(json.dumps({"time": round(moment.timestamp()), "states": states}))
-    track = next(one for one in read(write(lines, "states.jsonl")) if one.name == "3c6444 DLH9LF")
-    assert_in_place(track)
-    assert track.origin[2] == 3000
-
-
 def test_a_moment_without_state_vectors_is_none_of_theirs(write):
     lines = [json.dumps({"time": round(moment.timestamp()), "states": [state(moment, *place)] if i % 4 else None})
              for i, (moment, place) in enumerate(zip(MOMENTS, PLACES, strict=True))]  # fmt: skip
@@ -157,14 +133,6 @@ def test_records_called_states_are_no_state_vectors(write):
     records = [{"t": i, "x": 3 * i, "y": i} for i in range(ROWS)]
     (track,) = read(write(json.dumps({"time": 5, "states": records}), "states.json"))
     assert track.source.columns == {"x": "x", "y": "y", "time": "t"}
-
-
-def test_the_way_of_a_flight_is_a_track(write):
-    path = [[round(moment.timestamp()), lat, lon, 3000, 90, False]
-            for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
-    (track,) = read(write(json.dumps({"icao24": "3c6444", "callsign": "DLH9LF", "path": path}), "a.json"))
-    assert track.name == "3c6444 DLH9LF"
-    assert_in_place(track)
 
 
 def samples():
@@ -208,23 +176,6 @@ def test_degrees_beside_an_altitude_by_gps_are_no_radians(write):
         {"time": i, "Latitude": lat, "Longitude": lon, "GPSAltitude": 408} for i, (lat, lon) in enumerate(PLACES)
     ]
     assert read(write(json.dumps(records), "a.json"))[0].origin[0] == 50
-
-
-def test_fixes_of_owntracks_are_by_its_names(write):
-    lines = [
-        json.dumps({"_type": "location", "acc": 8, "lat": lat, "lon": lon, "tid": "m", "tst": moment.timestamp()})
-        for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)
-    ]
-    (track,) = read(write(['{"_type": "lwt", "tst": 1}', *lines], "2026-05.json"))
-    assert_in_place(track)
-    assert track.name == "m"
-    assert track.sigma == pytest.approx(8 / np.sqrt(-2 * np.log(0.32)))
-
-
-def test_altitudes_of_aeroapi_are_hundreds_of_feet(write):
-    rows = [f"{moment.isoformat()},{lat},{lon},30,C,A" for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]
-    (track,) = read(write(["timestamp,latitude,longitude,altitude,altitude_change,update_type", *rows]))
-    assert track.origin[2] == pytest.approx(914.4)
 
 
 def test_the_time_of_a_fix_goes_before_that_of_the_device(write):

@@ -127,16 +127,6 @@ def test_iso_text_is_a_time_too(write: Write, text: str) -> None:
     np.testing.assert_array_equal(track.time, [START, START + 10])
 
 
-@pytest.mark.parametrize("name", ["s.csv", "s.csv.gz", "s.txt"])
-def test_state_vectors_are_read_in_metres(write: Write, name: str) -> None:
-    path = write(name, states(f"{START},abc,47.0,8.0,AB1,500,550,0", f"{START + 10},abc,47.01,8.0,AB1,510,560,9"))
-    track = only(path)
-    assert track.name == "abc AB1"
-    assert track.origin == (47.0, 8.0, 500.0)
-    np.testing.assert_array_equal(track.time, [START, START + 10])
-    np.testing.assert_allclose(track.position[1], [0, 1111.8, 9.9], rtol=1e-3, atol=1e-6)
-
-
 def test_a_plain_file_takes_columns_in_any_order_and_leaves_others_alone(write: Write) -> None:
     track = only(write("p.q.csv", "z, y,note,x,t\n3,2,a,1,0\n6,5,b,4,0.5\n"))
     assert track.name == "p.q"

@@ -127,12 +127,3 @@ def test_rows_that_come_twice_are_no_other_targets(tmp_path):
     once = straight()
     (track,) = read(path(tmp_path, time=np.repeat(np.arange(ROWS), 2), **{k: np.repeat(v, 2) for k, v in once.items()}))
     assert len(track.time) == ROWS
-
-
-def test_vehicles_of_ngsim_are_in_feet(tmp_path):
-    path = tmp_path / "trajectories.csv"
-    rows = [f"2,{13 + k},437,{1_118_846_980_200 + 100 * k},{16.5 + k},{35.4 + 4 * k}" for k in range(30)]
-    path.write_text("\n".join(["Vehicle_ID,Frame_ID,Total_Frames,Global_Time,Local_X,Local_Y", *rows]))
-    (track,) = read(path, time="Global_Time", x="Local_X", y="Local_Y")
-    assert track.position[-1] == pytest.approx([45.5 * 0.3048, 151.4 * 0.3048])
-    assert "position: Local_X, Local_Y, in feet; option units takes others" in track.source.notes

@@ -10,14 +10,9 @@ from collections import Counter
 from typing import Any
 from xml.etree import ElementTree
 
-from torchfra.readers.columns import DECIMAL, short
+from torchfra.readers.columns import short
 from torchfra.readers.sheets import Sheet, points_sheet
-from torchfra.running.optional import optional
 
-_NUMBERS = re.compile(r"""\s(lat|lon)\s*=\s*["']([^"'<]*)["']|<(?:\w+:)?(ele|hdop)>([^<]*)<""")
-"""Those of a GPX file, which gpxpy reads as Python does."""
-_PREFIX = re.compile(r"<([\w.-]+):gpx\b")
-"""Of the names of GPX where it has no default namespace."""
 _COLUMNS = ("time", "latitude", "longitude", "altitude", "id", "hdop")
 Point = tuple[Any, ...]
 """The cells of a fix, in the order of ``_COLUMNS``."""
@@ -30,7 +25,6 @@ def xml_sheet(text: str) -> Sheet:
 
     Raises:
         ValueError: none of these, or it defines entities.
-        ImportError: gpxpy is needed and not installed.
     """
     text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
     try:
@@ -38,7 +32,7 @@ def xml_sheet(text: str) -> Sheet:
     except (ElementTree.ParseError, UnicodeError) as error:
         raise ValueError(f"expected GPX or KML, received other text ({error})") from error
     if _tag(tree) == "gpx":
-        return _gpx_sheet(text)
+        return _gpx_sheet(tree)
     if _tag(tree) == "kml":
         return _kml_sheet(tree)
     raise ValueError(
@@ -66,29 +60,20 @@ class _Tree(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-def _gpx_sheet(text: str) -> Sheet:
-    gpxpy = optional("gpxpy", "GPX", "formats")
-    if prefix := _PREFIX.search(text):  # gpxpy knows names without one
-        text = re.sub(rf"(</?){re.escape(prefix[1])}:", r"\1", text)
-    for match in _NUMBERS.finditer(text):
-        value = match[2] if match[1] else match[4]
-        if (bare := value.strip()) and not DECIMAL.fullmatch(bare):
-            raise ValueError(f"expected a number as {match[1] or match[3]}, received {short(value)}")
-    try:
-        gpx = gpxpy.parse(text)
-    except (gpxpy.gpx.GPXException, ValueError, TypeError) as error:
-        raise ValueError(f"expected GPX, received other text ({error})") from error
+def _gpx_sheet(root: ElementTree.Element) -> Sheet:
+    """Points of tracks; waypoints and points of routes are no track."""
+    tracks = [one for one in root if _tag(one) == "trk"]
     rows, used = list[Point](), Counter[str]()
-    for number, track in enumerate(gpx.tracks):
-        name = (track.name or "").strip() or (f"track {number + 1}" if len(gpx.tracks) > 1 else "")
+    for number, track in enumerate(tracks):
+        name = _text(track, "name") or (f"track {number + 1}" if len(tracks) > 1 else "")
         used[name] += 1
         label = name if used[name] == 1 else f"{name} {used[name]}"
-        for point in (point for segment in track.segments for point in segment.points):
-            time = None if point.time is None else point.time.isoformat().replace("+00:00", "Z")
-            rows.append((time, point.latitude, point.longitude, point.elevation, label, point.horizontal_dilution))
-    others = len(gpx.waypoints) + sum(len(route.points) for route in gpx.routes)
+        for point in (one for one in track.iter() if _tag(one) == "trkpt"):
+            place = point.get("lat"), point.get("lon")
+            rows.append((_text(point, "time"), *place, _text(point, "ele"), label, _text(point, "hdop")))
+    others = sum(_tag(one) in ("wpt", "rtept") for one in root.iter())
     left_out = f"; waypoints and points of routes left out: {others}" if others else ""
-    return _timed(rows, (f"GPX: {len(gpx.tracks)} track{'s' * (len(gpx.tracks) != 1)}{left_out}",), "GPX")
+    return _timed(rows, (f"GPX: {len(tracks)} track{'s' * (len(tracks) != 1)}{left_out}",), "GPX")
 
 
 def _kml_sheet(root: ElementTree.Element) -> Sheet:
@@ -140,3 +125,8 @@ def _timed(rows: list[Point], said: tuple[str, ...], what: str) -> Sheet:
 def _tag(element: ElementTree.Element) -> str:
     """The name of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
+
+
+def _text(element: ElementTree.Element, name: str) -> str:
+    """The text of an element in another; "" without one."""
+    return next((one.text or "" for one in element if _tag(one) == name), "").strip()
