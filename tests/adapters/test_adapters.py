@@ -258,9 +258,6 @@ def test_columns_of_a_table_become_measurements(frames):
     assert dt.tolist() == [1.0, 3.0, 5.0]
     assert z[:, 1].tolist() == [2.0, 3.0, 1.0, 4.0]
     assert z[1, 0].isnan()
-    z, dt = frames.measurements(frame, ["y"], time="when", by="id")
-    assert z.squeeze(-1).nan_to_num(nan=-1.0).tolist() == [[2.0, 3.0, 1.0], [4.0, -1.0, -1.0]]
-    assert dt.tolist() == [[1.0, 3.0], [1.0, 1.0]]
     with pytest.raises(ValueError, match="names: expected some of when, x, y, id, received speed"):
         frames.measurements(frame, ["speed"], time="when")
 

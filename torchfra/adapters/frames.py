@@ -34,37 +34,25 @@ def estimates(estimate: Estimate, motion: Motion, time: Any = None) -> pd.DataFr
     return pd.DataFrame({name: x.detach().numpy() for name, x in columns.items()}, index=index)
 
 
-def measurements(frame: Any, names: Sequence[str], *, time: str, by: str | None = None) -> tuple[Tensor, Tensor]:
+def measurements(frame: Any, names: Sequence[str], *, time: str) -> tuple[Tensor, Tensor]:
     """Columns of a table as measurements, rows in order of time.
 
     Args:
         frame: a row for each measurement; of pandas or polars.
         names: of the columns that are measured.
         time: of the column that tells when, in seconds or moments.
-        by: of the column that tells whose they are; None for one track.
 
     Returns:
-        ``z (T, m)`` and ``dt (T - 1,)`` seconds from each to the next; with ``by`` ``(B, T, m)`` and ``(B, T - 1)``,
-        shorter tracks filled up with NaN, and with steps of 1 s.
+        ``z (T, m)`` and ``dt (T - 1,)`` seconds from each to the next.
 
     Raises:
         ValueError: a column that is not there.
     """
     frame = frame if isinstance(frame, pd.DataFrame) else frame.to_pandas()
-    for name in (*names, time, *([] if by is None else [by])):
+    for name in (*names, time):
         if name not in frame:
             raise ValueError(f"names: expected some of {', '.join(map(str, frame.columns))}, received {name}")
-    groups = [frame] if by is None else [group for _, group in frame.groupby(by, sort=False)]
-    tracks = [_track(group.sort_values(time, kind="stable"), names, time) for group in groups]
-    if by is None:
-        return tracks[0]
-    most = max(len(z) for z, _ in tracks)
-    pad = torch.nn.functional.pad
-    z = torch.stack([pad(z, (0, 0, 0, most - len(z)), value=torch.nan) for z, _ in tracks])
-    return z, torch.stack([pad(dt, (0, most - 1 - len(dt)), value=1.0) for _, dt in tracks])
-
-
-def _track(frame: pd.DataFrame, names: Sequence[str], time: str) -> tuple[Tensor, Tensor]:
+    frame = frame.sort_values(time, kind="stable")
     when = frame[time]
     seconds = (when - when.iloc[0]).dt.total_seconds() if pd.api.types.is_datetime64_any_dtype(when.dtype) else when
     z = torch.from_numpy(frame[list(names)].to_numpy(dtype=float, na_value=np.nan).copy())

@@ -43,25 +43,20 @@ def jpda(
 
 @preset("ukf_jpda", ScansOptions, words="ukf with data association", scans=True)
 def ukf_jpda(
-    motion: Motion, sensor: Sensor, *, clutter: Clutter, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0,
-    learn: Collection[str] = (), **options: Unpack[ScansOptions],
-) -> JPDA:  # fmt: skip
+    motion: Motion, sensor: Sensor, *, clutter: Clutter, learn: Collection[str] = (), **options: Unpack[ScansOptions]
+) -> JPDA:
     """``jpda`` with the unscented filter of ``iaukf`` under constant measurement noise.
 
     The gate is ``Euclidean(100.0)``, in m, and ``lost`` is 0 if not given.  ``gate=Euclidean(100.0,
     probability=0.9999), lost=1e-3`` are the safeguards of ``iaukf_jpda``.
 
     Args:
-        alpha: spread of the points: ``cubature.unscented``.
-        beta: added to the centre's weight in the covariance: ``cubature.unscented``.
-        kappa: moves points from the centre outwards: ``cubature.unscented``.
         **options
 
     Source: the filter with which Chen, Zou & Wu compare theirs.
     """
     options["gate"] = options.get("gate") or Euclidean(100.0)
-    inner = partial(ukf, alpha=alpha, beta=beta, kappa=kappa)
-    return jpda(motion, sensor, clutter=clutter, inner=inner, **options)
+    return jpda(motion, sensor, clutter=clutter, inner=partial(ukf, alpha=1.0, beta=2.0, kappa=0.0), **options)
 
 
 @preset("iaukf_jpda", NoiseOptions, ScansOptions, words="iaukf with data association", scans=True)
