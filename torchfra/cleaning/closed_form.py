@@ -236,11 +236,6 @@ class Step(NamedTuple):
         return _where(self.missing, self.predicted, self.updated)
 
 
-def filter_forward(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> Predictions:
-    """The filter: predictions of every step."""
-    return predictions_of(steps(fixes, levels, model))
-
-
 def predictions_of(every: Iterable[Step]) -> Predictions:
     """Predictions of all steps, merged over inlier and outlier in the fix before."""
     beliefs, log_weights, *rest = zip(*((*step.predicted[:2], *step[3:]) for step in every), strict=True)

@@ -15,7 +15,6 @@ from torchfra.cleaning.closed_form import (
     OutlierModel,
     Predictions,
     corrected,
-    filter_forward,
     merged,
     predictions_of,
     steps,
@@ -57,7 +56,7 @@ def two_filters(fixes: Fixes, levels: Levels, model: OutlierModel = DEFAULT) -> 
     """
     reverse, chain, count = fixes.backwards(), levels.chain, fixes.z.shape[-1]
     doubled = map_tensors(lambda x, y: torch.cat([x, y], -1), (fixes, levels, model), (reverse, levels, model))
-    every = filter_forward(*doubled)
+    every = predictions_of(steps(*doubled))
     forward = map_tensors(lambda x: x[..., :count], every)
     backward = _in_order_of_time(map_tensors(lambda x: x[..., count:], every))
     # The levels before and after a step change in the shorter of its two gaps: over a long one all become one Gaussian.

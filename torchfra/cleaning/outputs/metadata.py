@@ -7,7 +7,7 @@ from typing import Any
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.summary import summary
-from torchfra.cleaning.outputs.table import about, names_of
+from torchfra.cleaning.outputs.table import about, columns
 from torchfra.running.versions import versions
 
 
@@ -19,7 +19,7 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
         settings: as they were given.
     """
     alike = {(one.raw.shape[1], one.recording.origin is None, one.regimes): one for one in results}
-    names = dict.fromkeys(name for one in alike.values() for name in names_of(one))
+    names = dict.fromkeys(name for one in alike.values() for name in columns(one))
     source = results[0].recording.source
     return {
         "input": source.name,

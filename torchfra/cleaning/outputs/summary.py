@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -25,18 +24,8 @@ _NOUNS = {"climbing": "climb", "descending": "descent", "speeding up": "accelera
 """Nouns for counts of manoeuvres."""
 
 
-_KNOWN: WeakKeyDictionary[Cleaned, dict[str, Any]] = WeakKeyDictionary()
-"""Summaries of tracks: sentences, tables and pictures take the same."""
-
-
 def summary(cleaned: Cleaned) -> dict[str, Any]:
     """Counts, distances in m and the settings of a track."""
-    if cleaned not in _KNOWN:
-        _KNOWN[cleaned] = _summary(cleaned)
-    return dict(_KNOWN[cleaned])
-
-
-def _summary(cleaned: Cleaned) -> dict[str, Any]:
     measured, rejected = cleaned.row >= 0, cleaned.flag == "outlier"
     residual, found, name = cleaned.residual, cleaned.found, cleaned.recording.name
     counts = {flag or "usual": int((cleaned.flag[measured] == flag).sum()) for flag in FLAGS}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -58,14 +57,6 @@ def columns(cleaned: Cleaned) -> Table:
     plain = [re.sub(r"[^\w+-]+", "_", name) for name in cleaned.regimes]
     table |= {f"regime_{name}": cleaned.regime[:, i] for i, name in enumerate(plain)}
     return table | _covariance(cleaned, axes)
-
-
-def names_of(cleaned: Cleaned) -> list[str]:
-    """The names of its ``columns``, from those of its first step."""
-    first: dict[str, Any] = {
-        name: values[:1] for name, values in vars(cleaned).items() if isinstance(values, np.ndarray)
-    }
-    return list(columns(replace(cleaned, **first)))
 
 
 def united(tables: Sequence[Table]) -> Table:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta, timezone
+import numpy as np
 
 from torchfra.cleaning import Cleaned
 from torchfra.readers.clocks import YEAR_1980
-
-_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def dates(cleaned: Cleaned) -> list[str] | None:
@@ -15,4 +13,4 @@ def dates(cleaned: Cleaned) -> list[str] | None:
     times = cleaned.recording.time[0] + cleaned.time
     if times[0] < YEAR_1980:  # it counts from another start
         return None
-    return [f"{_EPOCH + timedelta(milliseconds=round(1000 * t)):%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z" for t in times]
+    return [f"{stamp}Z" for stamp in np.rint(1000 * times).astype("datetime64[ms]").astype(str).tolist()]
