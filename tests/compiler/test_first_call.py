@@ -5,9 +5,10 @@ import threading
 import pytest
 import torch
 from conftest import without_acceleration
+from short_tracks import SMALL_GPB
 
 from torchfra import presets, scenarios
-from torchfra.compiler import run
+from torchfra.compiler import run, step
 from torchfra.compiler.engine import Compiled
 from torchfra.compiler.source import Scan
 
@@ -55,3 +56,24 @@ def test_another_thread_makes_what_is_around_the_steps_while_they_are_compiled_a
             f(tracks.z, tracks.prior, u=tracks.u)
     assert [name for name, _ in events] == ["steps written", "ends made"]
     assert events[1][1] is not threading.main_thread()
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra", "gpb", "rmckf"])
+def test_one_trace_is_enough(name, scenario, monkeypatch):
+    scenario, traces, trace = without_acceleration(scenario), [], step.Step._trace
+    monkeypatch.setattr(step.Step, "_trace", lambda *args, **more: traces.append(1) or trace(*args, **more))
+    f = getattr(presets, name)(scenario.motion, scenario.sensor, **(SMALL_GPB if name == "gpb" else {})).compile()
+    tracks = scenario.simulate(1, 0)
+    f(tracks.z[:, :2], tracks.prior, u=tracks.u[:2])
+    assert len(traces) == 1
+
+
+def test_a_step_that_random_numbers_stop_is_traced_all_the_same(scenario, monkeypatch):
+    def refused(*_):
+        raise ArithmeticError
+
+    scenario = without_acceleration(scenario)
+    tracks, f = scenario.simulate(1, 0), presets.fra(scenario.motion, scenario.sensor)
+    eager = f(tracks.z[:, :2], tracks.prior, u=tracks.u[:2])
+    monkeypatch.setattr("torchfra.compiler.step.staying", refused)
+    torch.testing.assert_close(f.compile()(tracks.z[:, :2], tracks.prior, u=tracks.u[:2]).mean, eager.mean)

@@ -38,12 +38,6 @@ def a_routine():
 ROUTINE = a_routine()
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """Whatever a condition saves is worth a region, and pieces are short."""
-    make_small(monkeypatch.setattr)
-
-
 def make_small(change):
     change(schedule, "_WORTH", 1)
     change(schedule, "_SHARE", 0.0)
