@@ -31,7 +31,7 @@ def arrow_sheet(data: bytes, max_bytes: int) -> Sheet:
     """
     pyarrow = optional("pyarrow", "Parquet and Feather", "formats")
     try:
-        schema, batches = _batches(data, max_bytes)
+        schema, batches = _batches(data)
     except (pyarrow.ArrowException, OSError) as error:
         raise damaged(error) from error
     return Sheet([field.name for field in schema if is_flat(field.type)], _parts(batches, max_bytes))
@@ -57,11 +57,8 @@ def is_flat(kind: Any) -> bool:
     return any(test(kind) for test in tests)
 
 
-def _batches(data: bytes, max_bytes: int) -> tuple[Any, Iterator[Any]]:
-    """The schema and the batches of a file; of Feather as of the stream that it is.
-
-    The size of Parquet is the one that its metadata states.
-    """
+def _batches(data: bytes) -> tuple[Any, Iterator[Any]]:
+    """The schema and the batches of a file; of Feather as of the stream that it is."""
     from pyarrow import BufferReader, ipc, parquet, types
 
     if data[:4] != b"PAR1":
@@ -70,9 +67,6 @@ def _batches(data: bytes, max_bytes: int) -> tuple[Any, Iterator[Any]]:
         reader = ipc.open_stream(stream)
         return reader.schema, reader
     facts = parquet.ParquetFile(BufferReader(data))
-    groups = [facts.metadata.row_group(i) for i in range(facts.metadata.num_row_groups)]
-    unpacked = sum(group.column(i).total_uncompressed_size for group in groups for i in range(group.num_columns))
-    check_size(unpacked, max_bytes, " of columns")
     schema = facts.schema_arrow
     flat = [field.name for field in schema if is_flat(field.type)]
     # as dictionaries, so that a long text that comes again and again takes no more memory than it has in the file

@@ -50,7 +50,6 @@ _ISO = re.compile(
 _MONTHS = ("january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
            "december")  # fmt: skip
 _WEEKDAYS = re.compile("(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*", re.IGNORECASE)
-_WORD = re.compile("[A-Za-z]{3,9}")
 _UTC = r"(?: ?Z| ?UTC| ?GMT|\+00:00)?"
 _USUAL = re.compile(
     rf"(?:(?:[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}[T ][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}(?:\.[0-9]{{1,6}})?{_UTC})?\n)*"
@@ -121,7 +120,8 @@ def seconds_of(text: str, form: str) -> float:
     if re.search("%[aA]", bare):
         text, bare = _WEEKDAYS.sub("", text, count=1).strip(), re.sub("%[aA]", "", bare).strip()
     if re.search("%[bB]", bare):  # as numbers: names in ``strptime`` are those of the locale
-        text, bare = _WORD.sub(_number_of_month, text, count=1), re.sub("%[bB]", "%m", bare)
+        word = "[A-Za-z]{3,9}" if "%B" in bare else "[A-Za-z]{3}(?![A-Za-z])"
+        text, bare = re.sub(word, _number_of_month, text, count=1), re.sub("%[bB]", "%m", bare)
     moment = datetime.strptime(re.sub(" +", " ", text), bare)
     seconds = float(parts[0].replace(",", ".")) if parts else 0.0
     if is_clock(form):
