@@ -452,18 +452,22 @@ def without_outliers(
     for block in q.blocks:
         first, m = is_first(block, z, q), compared(belief, z, block, model, k, q.line)
         R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
-        noise.append(about_noise(belief, m, R, first))
+        noise.append(about_noise(belief, m, R, first, block, z))
         score, *after = updated(belief, m, R, 1.0, first, 0.0)
         belief, total = (after[0], after[1]), total + score
     return total, belief, noise
 
 
-def about_noise(belief: Belief, m: Measured, R: Array, first: bool) -> Array:
-    """Derivative (2,) of an inlier's log density by the log of its noise's scale, and how sharp it is."""
-    P = belief[1][:READS, :READS]
+def about_noise(belief: Belief, m: Measured, R: Array, first: bool, block: list[int], z: Array) -> Array:
+    """Of the elements of a block that is an inlier (3,m), in units of its noise: the residual after the update, its
+    square minus what it is expected to be, and its expected square; 0 where missing."""
+    measured = [i for i in block if not math.isnan(z[i])]
+    P, about = belief[1][:READS, :READS], np.zeros((3, len(z)))
     Pzz = m.Pzz if first else m.Pxz.T @ np.linalg.inv(P) @ m.Pxz + R
     S, root = np.linalg.inv(Pzz), np.linalg.cholesky(R)
-    return 0.5 * np.array([m.e @ S @ R @ S @ m.e - np.trace(S @ R), (np.diag(root.T @ S @ root) ** 2).sum()])
+    residual, square = root.T @ S @ m.e, np.diag(root.T @ S @ root)
+    about[:, measured] = residual, residual**2 - square, square
+    return about
 
 
 def with_outliers(
@@ -499,7 +503,7 @@ def with_outliers(
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
-        noise.append(weights[0] * about_noise(belief, m, R, first))
+        noise.append(weights[0] * about_noise(belief, m, R, first, block, z))
         belief = matched([(w, *part[1:]) for w, part in zip(weights, parts, strict=True)])
         outlier.append(sum(weights[1:]))
         total += score
@@ -559,6 +563,7 @@ class State(NamedTuple):
     last: Array  # (m,) the measurement
     elapsed: float = 0.0  # s since the last measurement
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
+    waiting: Array | None = None  # (4,m) of each element: what its last residual says once the next one has come
     count: float = 0  # of the measurements; minus the binary log of a mean of 1/2^count where these differ
     wider: float = 1.0  # than the inflated prior, at the first of them
 
@@ -571,7 +576,8 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
         log_regimes = np.log(np.array([share * first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
-    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise)
+    waiting = np.zeros((4, len(nothing)))
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise, waiting)
 
 
 class Hypothesis(NamedTuple):
@@ -583,7 +589,7 @@ class Hypothesis(NamedTuple):
     log_weight: float
     belief: Belief
     outlier: Array  # (B,)
-    noise: Array  # (B,2)
+    noise: Array  # (3,m) from `about_noise`
 
 
 def hypotheses(
@@ -603,14 +609,14 @@ def hypotheses(
         score, belief, noise = without_outliers(predictions[before, r], z, q, model, k)
         weight = log_chance[before, r]
         found.append(
-            Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, np.zeros(len(prior)), np.array(noise))
+            Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, np.zeros(len(prior)), np.sum(noise, axis=0))
         )
         path = moved.get((before, r), predictions[before, r])
         score, belief, outlier, noise = with_outliers(
             predictions[before, r], z, q, model, k, prior, again, path, c.last
         )
         weight += log(mode[1]) + score
-        found.append(Hypothesis(1, r, before, weight, belief, np.array(outlier), np.array(noise)))
+        found.append(Hypothesis(1, r, before, weight, belief, np.array(outlier), np.sum(noise, axis=0)))
     return found
 
 
@@ -630,6 +636,40 @@ def forgotten(noise: Array, q: OutlierModes, z: Array) -> Array:
         kept = 1.0 if np.isnan(z[block]).all() else math.exp(-1 / memory)
         rows.append([kept * mean, kept**2 * variance + (1 - kept**2) * doubt**2])
     return np.array(rows)
+
+
+def judged(
+    noise: Array, waiting: Array, about: Array, inlier: Array, expected: Any, z: Array, model: Model, k: int,
+    blocks: list[list[int]],
+) -> tuple[Array, Array]:  # fmt: skip
+    """What is known (B,2) of the noise after a measurement, and what waits (4,m) for the next one.
+
+    The residuals that wait are right about the noise if this innovation has nothing in common with them.
+    """
+    measured = present(z)
+    R = measurement_noise(model, k, measured)
+    units = np.linalg.inv(np.linalg.cholesky(R))
+    std, e, variance = (np.zeros(len(z)) for _ in range(3))
+    std[measured], e[measured] = np.sqrt(np.diag(R)), units @ expected.e
+    variance[measured] = np.diag(units @ expected.Pzz @ units.T)
+    noise, after = noise.copy(), waiting.copy()
+    for b, block in enumerate(blocks):
+        score = information = 0.0
+        for i in block:
+            residual, excess, share, precision = waiting[:, i]
+            if i not in measured:
+                continue
+            if share > 0:
+                x = excess - residual * std[i] * e[i]
+                c = 2 * share**2 + precision * std[i] ** 2 * max(variance[i], e[i] ** 2)
+                score += inlier[b] * share * x / c
+                information += inlier[b] * share**2 / c
+            r, square, expected_square = about[:, i]
+            now = np.array([r / std[i], square, expected_square, expected_square / std[i] ** 2])
+            after[:, i] = now + (1 - inlier[b]) * waiting[:, i]
+        noise[b, 1] = 1 / (1 / noise[b, 1] + information)
+        noise[b, 0] += noise[b, 1] * score
+    return noise, after
 
 
 def louder(model: Model, k: int, noise: Array, q: OutlierModes) -> Model:
@@ -710,16 +750,17 @@ def step(
         "mean": mean, "P": P, "regimes": np.exp(log_regimes).sum(0), "outlier": outlier,
         "log_likelihood": log_likelihood, "nis": fit(expected.e, expected.Pzz)[0],
     }  # fmt: skip
+    waiting = c.waiting
     if known is not None:
-        score, sharpness = np.sum([math.exp(h.log_weight) * h.noise for h in every], axis=0).T
-        variance = 1 / (1 / known[:, 1] + sharpness)
-        known = np.stack([known[:, 0] + variance * score, variance], 1)
+        about = np.sum([math.exp(h.log_weight) * h.noise for h in every], axis=0)
+        if not nothing:
+            known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
         output["noise"] = np.exp(known[:, 0])
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
-        return State(after, log_regimes, c.outlier, z, seconds, known, c.count, c.wider), output, lagged
+        return State(after, log_regimes, c.outlier, z, seconds, known, waiting, c.count, c.wider), output, lagged
     return (
-        State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known, c.count + 1, wider),
+        State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known, waiting, c.count + 1, wider),
         output,
         lagged,
     )

@@ -19,6 +19,7 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
+    Posterior,
     estimate,
     from_state,
     merge,
@@ -27,7 +28,7 @@ from torchfra.filters.gpb.hypotheses import (
     to_state,
     values_first,
 )
-from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
+from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, by_element, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
@@ -196,7 +197,7 @@ class GPB(Filter[GPBState]):
         relaxation = None if self.outliers.outlier_durations is None else torch.ones_like(mean[..., 0])
         last = None if self.outliers.same_offset is None else _unmeasured(mean, self.sensor)
         doubt = torch.ones_like(mean[..., 0])
-        noise = None if self.noise is None else self.noise.begin(outlier)
+        noise = None if self.noise is None else self.noise.begin(outlier, self.sensor.size)
         kept = to_state(every, (OUTLIER, MOTION))
         return GPBState(belief, belief, *kept, outlier, outlier, doubt, torch.ones_like(doubt), relaxation, last, noise)
 
@@ -232,8 +233,11 @@ class GPB(Filter[GPBState]):
             if state.last is None
             else LastMeasurement(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
         )
+        expected = self.compare(self.expected(predicted, frame), frame)
+        root, normalised = innovation(expected)
+        some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1) * blocks
         if noise is not None and inliers is not None:
-            noise = self.noise.update(noise, inliers, posterior)  # type: ignore[union-attr]  # there is one
+            noise = self.learn_noise(noise, frame, Gaussian(expected.residual, root), inliers, posterior, some_outlier)
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
         widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
         widened = torch.where(measured, widened, state.widening)
@@ -242,18 +246,15 @@ class GPB(Filter[GPBState]):
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
         # The record: for the estimate, and for the backward pass.
-        some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1)
         by_regime = posterior.probability.sum((OUTLIER, BEFORE)).movedim(0, -1)
         variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
-        info = Step(tree.Late(lagged), by_regime, some_outlier * blocks, alarm, variances)
+        info = Step(tree.Late(lagged), by_regime, some_outlier, alarm, variances)
         ratio = None if log_ratio is None else log_ratio[0, :, 1].movedim(0, -1)
         by_belief = Surprise(*[x[0, 0].movedim(0, -1) for x in surprise])
         seen = measured.to(widening).expand_as(widening)
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
         hypotheses = (updated.log_weight - posterior.log_likelihood).movedim((0, 1, 2), (-3, -2, -1))
         past = GPBPast(*kept, by_belief, widening, rarity, seen, hypotheses, relaxation, ratio)
-        expected = self.compare(self.expected(predicted, frame), frame)
-        root, normalised = innovation(expected)
         residual, density = expected.residual, posterior.log_likelihood + frame.measurement_noise.log_norm
         if noise is not None:  # a record is in units of the stated noise
             std = frame.measurement_noise.std / stated.measurement_noise.std
@@ -268,6 +269,26 @@ class GPB(Filter[GPBState]):
         noise = self.noise.predict(state.noise, measured_blocks(frame.measured, blocks))
         variances = factors(noise, blocks, frame.measured)
         return noise, frame._replace(measurement_noise=frame.measurement_noise.scaled(variances))
+
+    def learn_noise(
+        self, noise: NoiseScale, frame: Frame, expected: Gaussian, inliers: Tensor, posterior: Posterior,
+        outlier: Tensor,
+    ) -> NoiseScale:  # fmt: skip
+        """What is known of the noise after a step: see ``LearnedNoise``.
+
+        Args:
+            noise: before the measurement.
+            frame: with noise of that scale.
+            expected: ``(..., m)`` the innovation, in units of that noise.
+            inliers: ``(3, 2, R, 2, ..., m)`` from ``Outliers.update``.
+            posterior: probabilities of the hypotheses.
+            outlier: ``(..., B)`` probability that each block is an outlier.
+        """
+        blocks, probability = self.outliers_of(frame.sensor).blocks, posterior.probability[..., None]
+        # A hypothesis of no weight may have failed.
+        residuals = (torch.where(probability > 0, inliers, 0.0) * probability).sum((1, 2, 3))
+        inlier, std = frame.measured * (1 - by_element(outlier, blocks)), frame.measurement_noise.std
+        return self.noise.update(noise, expected, std, inlier, residuals, blocks)  # type: ignore[union-attr]
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""
@@ -547,7 +568,7 @@ class GPB(Filter[GPBState]):
         """A state without outliers in its last measurement, so that none continues in the next."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(sensor.blocks)))
         last = None if state.last is None else _unmeasured(state.belief.mean, sensor)
-        noise = None if self.noise is None else self.noise.begin(outlier)
+        noise = None if self.noise is None else self.noise.begin(outlier, sensor.size)
         return self.remember(state, state._replace(outlier=outlier, last=last, noise=noise))
 
     def remember(self, state: GPBState, before: GPBState) -> GPBState:

@@ -8,9 +8,25 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchfra.filters.gpb.hypotheses import Posterior
 from torchfra.hyper import Hyper, Value
+from torchfra.linalg.safe import safe_divide
 from torchfra.types import Gaussian
+
+
+class LastResidual(NamedTuple):
+    """What the last measurement of each element says about its noise once the next one has come; 0 before the first.
+
+    By hypotheses in which it is an inlier, each with its probability.
+    """
+
+    residual: Tensor
+    """``(..., m)`` after the update, over the variance of the noise."""
+    excess: Tensor
+    """``(..., m)`` its square, and the variance of what is measured, in units of the noise's, minus 1."""
+    share: Tensor
+    """``(..., m)`` 1 minus that variance: the share of the noise that a residual shows."""
+    precision: Tensor
+    """``(..., m)`` that share, over the variance of the noise."""
 
 
 class NoiseScale(NamedTuple):
@@ -20,29 +36,37 @@ class NoiseScale(NamedTuple):
     """``(..., B)`` mean of the log of the factor on the variance that the sensor states."""
     variance: Tensor
     """``(..., B)`` variance of that log."""
+    last: LastResidual
 
 
 class LearnedNoise(nn.Module):
     """The factor on the variance of each block's measurement noise, learned from the inliers.
 
     Its log ``m`` is a first-order autoregressive process around 0, the noise as stated, which is known with variance
-    ``v``.  Before and after a measurement of the block,
+    ``v``.  Before a measurement of the block,
 
-        m <- a m,          v <- a^2 v + (1 - a^2) d^2,      a = exp(-1 / memory),
-        v <- 1 / (1 / v + I),   m <- m + v S.
+        m <- a m,          v <- a^2 v + (1 - a^2) d^2,      a = exp(-1 / memory).
 
-    The score ``S``, the derivative of the log likelihood of the measurement, is by Fisher's identity an expectation
-    over states and hypotheses after the measurement: with the residual ``e`` of an element in units of the noise,
-    ``S = E sum (e^2 - 1) / 2`` over inliers.  In the information ``I = E sum (1 - h)^2 / 2``, ``h`` is the variance of
-    the measured quantity after the measurement, in units of the noise's: where a belief follows the measurement, the
-    residual says little about the noise.
+    What a measurement says waits for the next one.  Of an inlier, let ``r`` be the residual after the update and ``h``
+    the variance of what is measured, both in units of the noise, and ``e`` the innovation of the next measurement.  If
+    the noise is as large as believed,
+
+        x = r (r - e) + h - 1
+
+    has mean 0, as innovations are white.  An estimate that lags behind the target by ``b``, as the process noise is
+    stated too small, adds ``b`` to both ``r`` and ``e``, so that ``x`` keeps its mean, nearly; in ``r^2`` alone the lag
+    would be noise, and more of it would let the estimate lag more.  The mean of ``x`` grows with ``m`` by about
+    ``1 - h``, and its variance is ``c = 2 (1 - h)^2 + (1 - h) s``, with ``s`` the variance of ``e``, or its square
+    where that is larger, as where a manoeuvre begins.  So after a measurement, with sums over the block's elements,
+
+        v <- 1 / (1 / v + sum (1 - h)^2 / c),      m <- m + v sum (1 - h) x / c.
 
     Args:
         doubt: standard deviation ``d`` of the log of that factor.
         memory: number of measurements after which what was learned has fallen to 37 %.
 
-    Source: Creal, Koopman & Lucas (2013) for values that follow their score, scaled by the information; Sarkka &
-    Nummenmaa (2009) for learning the noise from the updated belief, with forgetting.
+    Source: Mehra (1970) for the noise from the correlation of innovations; Creal, Koopman & Lucas (2013) for values
+    that follow a score, scaled by its information; Sarkka & Nummenmaa (2009) for learning the noise with forgetting.
     """
 
     def __init__(self, doubt: Value = 0.7, memory: Value = 200.0) -> None:
@@ -50,10 +74,10 @@ class LearnedNoise(nn.Module):
         self.noise_doubt = Hyper(doubt, name="noise_doubt")
         self.noise_memory = Hyper(memory, name="noise_memory")
 
-    def begin(self, like: Tensor) -> NoiseScale:
-        """The noise as stated, for ``like (..., B)``."""
-        none = torch.zeros_like(like)
-        return NoiseScale(none, none + self._doubt(like).square())
+    def begin(self, like: Tensor, size: int) -> NoiseScale:
+        """The noise as stated, for ``like (..., B)`` and ``size`` elements."""
+        none, empty = torch.zeros_like(like), like.new_zeros(*like.shape[:-1], size)
+        return NoiseScale(none, none + self._doubt(like).square(), LastResidual(empty, empty, empty, empty))
 
     def predict(self, noise: NoiseScale, measured: Tensor) -> NoiseScale:
         """What is known before a step.
@@ -64,34 +88,55 @@ class LearnedNoise(nn.Module):
         """
         lasts = torch.exp(-measured / self.noise_memory(noise.log_scale).unsqueeze(-1))
         doubt = self._doubt(noise.log_scale)
-        return NoiseScale(
-            lasts * noise.log_scale, lasts.square() * noise.variance + (1 - lasts.square()) * doubt.square()
-        )
+        variance = lasts.square() * noise.variance + (1 - lasts.square()) * doubt.square()
+        return noise._replace(log_scale=lasts * noise.log_scale, variance=variance)
 
-    def update(self, noise: NoiseScale, evidence: Tensor, posterior: Posterior) -> NoiseScale:
+    def update(
+        self, noise: NoiseScale, expected: Gaussian, std: Tensor, inlier: Tensor, residuals: Tensor,
+        blocks: Sequence[Sequence[int]],
+    ) -> NoiseScale:  # fmt: skip
         """What is known after a step.
 
         Args:
             noise: from ``predict``.
-            evidence: ``(2, 2, R, 2, ..., B)`` score and information of each hypothesis: see ``evidence``.
-            posterior: probabilities of the hypotheses.
+            expected: ``(..., m)`` the innovation, and a root of its covariance, in units of the noise.
+            std: ``(..., m)`` of the noise, in the units of the measurement.
+            inlier: ``(..., m)`` probability that each element is an inlier; 0 where missing.
+            residuals: ``(3, ..., m)`` of ``of_inlier``, times that probability.
+            blocks: indices of the elements of each block.
         """
-        probability = posterior.probability[None, ..., None]
-        # A hypothesis of no weight may have failed.
-        score, information = (torch.where(probability > 0, evidence, 0.0) * probability).sum((1, 2, 3))
-        variance = noise.variance / (1 + noise.variance * information)
-        return NoiseScale(noise.log_scale + variance * score, variance)
+        last, square = (
+            noise.last,
+            std.square() * torch.maximum(expected.scale_tril.square().sum(-1), expected.mean.square()),
+        )
+        rate = safe_divide(inlier * last.share, 2 * last.share.square() + last.precision * square)
+        score = by_block(rate * (last.excess - last.residual * std * expected.mean), blocks)
+        variance = noise.variance / (1 + noise.variance * by_block(rate * last.share, blocks))
+        residual, excess, share = residuals
+        now = LastResidual(residual / std, excess, share, share / std.square())
+        # What an outlier does not judge waits for the next inlier.
+        waiting = LastResidual(*(x + (1 - inlier) * before for x, before in zip(now, last, strict=True)))
+        return NoiseScale(noise.log_scale + variance * score, variance, waiting)
 
     def _doubt(self, like: Tensor) -> Tensor:
         doubt: Tensor = self.noise_doubt(like).unsqueeze(-1)
         return doubt
 
 
+def by_block(elements: Tensor, blocks: Sequence[Sequence[int]]) -> Tensor:
+    """Sums ``(..., B)`` over the elements ``(..., m)`` of each block."""
+    return torch.stack([elements[..., list(block)].sum(-1) for block in blocks], -1)
+
+
+def by_element(of_blocks: Tensor, blocks: Sequence[Sequence[int]]) -> Tensor:
+    """Of each element ``(..., m)`` what its block has ``(..., B)``."""
+    block_of = {i: b for b, block in enumerate(blocks) for i in block}
+    return torch.stack([of_blocks[..., block_of[i]] for i in range(len(block_of))], -1)
+
+
 def factors(noise: NoiseScale, blocks: Sequence[Sequence[int]], measured: Tensor) -> Tensor:
     """Factors ``(..., m)`` on the variances of the elements of all blocks; 1 where missing."""
-    block_of = {i: b for b, block in enumerate(blocks) for i in block}
-    log_scale = torch.stack([noise.log_scale[..., block_of[i]] for i in range(len(block_of))], -1)
-    return torch.where(measured > 0, log_scale, 0.0).exp()
+    return torch.where(measured > 0, by_element(noise.log_scale, blocks), 0.0).exp()
 
 
 def measured_blocks(measured: Tensor, blocks: Sequence[Sequence[int]]) -> Tensor:
@@ -99,17 +144,15 @@ def measured_blocks(measured: Tensor, blocks: Sequence[Sequence[int]]) -> Tensor
     return torch.stack([measured[..., list(block)].amax(-1) for block in blocks], -1)
 
 
-def evidence(updated: Gaussian, rows: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
-    """Score and information ``(2, ...)`` of the log of the noise's variance, of a block that is an inlier.
+def of_inlier(updated: Gaussian, rows: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
+    """What ``LastResidual`` has of a block that is an inlier, ``(3, ..., m)``: ``r``, ``r^2 + h - 1`` and ``1 - h``.
 
     Args:
         updated: ``(..., k)`` unknowns after the measurement, any root.
         rows: ``(..., m, k)`` measurement matrix of the unknowns, in units of the noise.
         residual: ``(..., m)`` before the measurement.
-        missing: ``(..., m)`` 1 where missing, 0 where measured.
+        missing: ``(..., m)`` 1 where missing, 0 where measured; there it is 0.
     """
     left = residual - (rows * updated.mean.unsqueeze(-2)).sum(-1)
-    share = (rows @ updated.scale_tril).square().sum(-1)
-    score = ((left.square() + share - 1) * (1 - missing)).sum(-1)
-    information = ((1 - share).square() * (1 - missing)).sum(-1)
-    return 0.5 * torch.stack([score, information.expand_as(score)])
+    share = (1 - (rows @ updated.scale_tril).square().sum(-1)).clamp_min(0.0)  # it is not below 0 but for rounding
+    return (1 - missing) * torch.stack([left, left.square() - share, share.expand_as(left)])

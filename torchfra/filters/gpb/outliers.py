@@ -12,7 +12,7 @@ from torch.distributions import constraints
 from torch.nn.functional import pad
 
 from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
-from torchfra.filters.gpb.noise import evidence
+from torchfra.filters.gpb.noise import by_block, of_inlier
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.gpb.updates import small_power, update
 from torchfra.filters.markov import sojourn_times
@@ -246,7 +246,7 @@ class Outliers(Part):
         """
         begins, lasts = self._probabilities(measured, relaxation)
         rare = -torch.maximum(begins, lasts).clamp_min(NEVER).log()
-        squares, counts = self._by_block(residual.square()), self._by_block(measured)
+        squares, counts = by_block(residual.square(), self.blocks), by_block(measured, self.blocks)
         held = (squares < torch.inf).all(-1)
         squares = squares.clamp(max=torch.finfo(squares.dtype).max)
         log_density = self._log_outlying(squares, counts) + 0.5 * (1 + expected).unsqueeze(-1) * counts
@@ -256,10 +256,6 @@ class Outliers(Part):
         elements, least = measured.sum(-1), least * min(1.0, dims / measured.shape[-1])
         total = torch.maximum(total * (dims / elements.clamp_min(dims)), least)
         return torch.where(elements > 0, torch.where(held, total, torch.inf), 0.0), least
-
-    def _by_block(self, elements: Tensor) -> Tensor:
-        """Sums ``(..., B)`` over the elements ``(..., m)`` of each block."""
-        return torch.stack([elements[..., list(block)].sum(-1) for block in self.blocks], -1)
 
     def _log_outlying(self, squares: Tensor, counts: Tensor) -> Tensor:
         """Log densities ``(..., B)`` of blocks as outliers, from sums of squares in units of the noise and counts."""
@@ -303,7 +299,7 @@ class Outliers(Part):
         Returns:
             ``(2, R, 2, ...)`` without and with outliers, the probability ``(1, R, 2, ..., B)`` that each block is one,
             given that some block is, ``(1, R, 2, ...)`` the log likelihood ratio of outliers with and without
-            the same offset, and ``(2, 2, R, 2, ..., B)`` from ``noise.evidence`` without and with outliers.
+            the same offset, and ``(3, 2, R, 2, ..., m)`` of ``noise.of_inlier`` without and with outliers.
         """
         log_mode, prior = modes
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
@@ -323,7 +319,7 @@ class Outliers(Part):
                 rows, residual, block_missing, prior[..., b], noise, since
             )
             if learn_noise:
-                learned.append(_evidence_of_modes(unknowns, inlier, outlier, rows, residual, block_missing))
+                learned.append(_of_inliers(unknowns, inlier, outlier, rows, residual, block_missing))
             spread = cross @ unknowns.scale_tril
             spread = spread if independent is None else hstack(spread, independent)
             belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
@@ -333,7 +329,12 @@ class Outliers(Part):
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
         log_ratio = reduce(torch.add, ratios) if ratios else None
         every = Hypotheses(_lifted(predicted.belief, belief), log_weight)
-        return every, torch.stack(outliers, -1), log_ratio, torch.stack(learned, -1) if learned else None
+        if not learned:
+            return every, torch.stack(outliers, -1), log_ratio, None
+        place = {i: k for k, i in enumerate(i for block in self.blocks for i in block)}
+        together = torch.cat(learned, -1)
+        inliers = torch.stack([together[..., place[i]] for i in range(len(place))], -1)
+        return every, torch.stack(outliers, -1), log_ratio, inliers
 
     @once
     def _noise(self, mean: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
@@ -444,10 +445,10 @@ def _lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
     return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
 
 
-def _evidence_of_modes(
+def _of_inliers(
     unknowns: Gaussian, inlier: Gaussian | None, outlier: Tensor, rows: Tensor, residual: Tensor, missing: Tensor
 ) -> Tensor:
-    """``noise.evidence`` of a block, ``(2, 2, R, 2, ...)``, without an outlier so far and with some.
+    """``noise.of_inlier`` of a block, ``(3, 2, R, 2, ..., m)``, without an outlier so far and with some.
 
     Args:
         unknowns: ``(2, R, 2, ..., k)`` after the block.
@@ -457,12 +458,12 @@ def _evidence_of_modes(
         residual: ``(1 or 2, R, 2, ..., m)``.
         missing: ``(..., m)`` 1 where missing, 0 where measured.
     """
-    none = evidence(Gaussian(*(x[:1] for x in unknowns)), rows[:1], residual[:1], missing)
+    none = of_inlier(Gaussian(*(x[:1] for x in unknowns)), rows[:1], residual[:1], missing)
     if inlier is None:
         return torch.cat([none, torch.zeros_like(none)], 1)
     # An inlier of no weight may be far beyond the range of numbers.
-    some = torch.where(outlier < 1, evidence(inlier, rows[-1:], residual[-1:], missing), 0.0) * (1 - outlier)
-    return torch.cat([none, some], 1)
+    some, outlier = of_inlier(inlier, rows[-1:], residual[-1:], missing), outlier.unsqueeze(-1)
+    return torch.cat([none, torch.where(outlier < 1, some, 0.0) * (1 - outlier)], 1)
 
 
 def _log_ratio(numerator: Tensor, denominator: Tensor) -> Tensor:

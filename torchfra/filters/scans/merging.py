@@ -119,8 +119,8 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
 
 def _of_noise(noise: NoiseScale, log_weights: Tensor) -> NoiseScale:
     """Merges what is known of the noise by its moments."""
-    mean, square = averaged((noise.log_scale, noise.log_scale.square() + noise.variance), log_weights)
-    return NoiseScale(mean, square - mean.square())
+    mean, square, last = averaged((noise.log_scale, noise.log_scale.square() + noise.variance, noise.last), log_weights)
+    return NoiseScale(mean, square - mean.square(), last)
 
 
 def _joint(log_weights: Tensor, inside: Tensor) -> Tensor:
