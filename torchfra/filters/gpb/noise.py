@@ -64,13 +64,16 @@ class LearnedNoise(nn.Module):
     Args:
         doubt: standard deviation ``d`` of the log of that factor.
         memory: number of measurements after which what was learned has fallen to 37 %.
+        only_raised: whether ``m`` is at least 0.  Errors that last, as of a receiver that smooths, look like motion:
+            by ``x`` the noise would be what is left of them, where it is stated large enough for them.
 
     Source: Mehra (1970) for the noise from the correlation of innovations; Creal, Koopman & Lucas (2013) for values
     that follow a score, scaled by its information; Sarkka & Nummenmaa (2009) for learning the noise with forgetting.
     """
 
-    def __init__(self, doubt: Value = 0.7, memory: Value = 200.0) -> None:
+    def __init__(self, doubt: Value = 0.7, memory: Value = 200.0, *, only_raised: bool = False) -> None:
         super().__init__()
+        self.only_raised = only_raised
         self.noise_doubt = Hyper(doubt, name="noise_doubt")
         self.noise_memory = Hyper(memory, name="noise_memory")
 
@@ -116,7 +119,8 @@ class LearnedNoise(nn.Module):
         now = LastResidual(residual / std, excess, share, share / std.square())
         # What an outlier does not judge waits for the next inlier.
         waiting = LastResidual(*(x + (1 - inlier) * before for x, before in zip(now, last, strict=True)))
-        return NoiseScale(noise.log_scale + variance * score, variance, waiting)
+        log_scale = noise.log_scale + variance * score
+        return NoiseScale(log_scale.clamp_min(0.0) if self.only_raised else log_scale, variance, waiting)
 
     def _doubt(self, like: Tensor) -> Tensor:
         doubt: Tensor = self.noise_doubt(like).unsqueeze(-1)
