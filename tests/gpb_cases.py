@@ -32,6 +32,7 @@ VALUES = {
     "jump_factors": (200.0,),
     "restart": (0.5, 0.3, 0.15, 0.05),
     "burst": 4.0,
+    "noise": "stated",
 }
 FEWER = {
     "noise_levels": (0.1, 10.0), "jump_factors": (), "self_transition": (0.95, 0.8, 0.5), "restart": (0.5, 0.4, 0.1),
@@ -49,6 +50,7 @@ ALMOST_NONE = {
     "jump_factors": (10.0,),
     "self_transition": (0.6, 0.8, TINY),
     "restart": (0.5, 0.5 - TINY, TINY),
+    "noise": "stated",
 }
 """Outliers, jumps and bad priors hardly ever happen."""
 

@@ -19,6 +19,7 @@ VALUES = {
     "prior_outlier": 0.3,
     "prior_inflation": 50.0,
     "burst": 1.1,
+    "noise": "stated",
 }
 """None of them a default, so that the tests hold whatever those are."""
 

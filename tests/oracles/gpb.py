@@ -117,6 +117,7 @@ class OutlierModes(NamedTuple):
     same_offset: float = 0.0  # probability that an outlier after another has its offset; of linear sensors
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
     noise: tuple[float, float] | None = None  # what is learned of it: std of its log variance, and measurements kept
+    only_raised: bool = False  # whether the noise is at least as stated
     line: Any = None  # the measurement as a `Line`, for beliefs whose points are far off any
 
     def over(self, seconds: float) -> Array:
@@ -755,6 +756,7 @@ def step(
         about = np.sum([math.exp(h.log_weight) * h.noise for h in every], axis=0)
         if not nothing:
             known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
+            known[:, 0] = known[:, 0].clip(min=0.0) if q.only_raised else known[:, 0]
         output["noise"] = np.exp(known[:, 0])
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
