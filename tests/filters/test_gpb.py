@@ -208,7 +208,7 @@ def test_every_value_learns():
     f = presets.gpb(MOTION, SENSORS["position"], learn="all", **VALUES)
     paths = set(hypers(f))
     assert {p.removesuffix(".raw") for p, _ in f.named_parameters()} == paths
-    assert {path.rpartition(".")[2] for path in paths} == {"q", "std", *VALUES}
+    assert {path.rpartition(".")[2] for path in paths} == {"q", "std", *VALUES} - {"noise"}
     f = presets.gpb(MOTION, SENSORS["position"], learn=("prior_outlier", "self_transition"), **VALUES)
     assert {p for p, _ in f.named_parameters()} == {"prior_outlier.raw", "regimes.self_transition.raw"}
     assert not list(MOTION.parameters())
@@ -459,7 +459,7 @@ def walk(x):
 
 
 def test_another_word_is_refused():
-    with pytest.raises(ValueError, match=r"noise: expected one of \('stated', 'learned'\), received 'known'"):
+    with pytest.raises(ValueError, match=r"noise: expected one of \('stated', 'raised', 'learned'\), received 'known'"):
         presets.gpb(MOTION, RANGES, noise="known")
 
 

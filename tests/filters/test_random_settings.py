@@ -327,7 +327,8 @@ def test_every_filter_of_the_catalogue_is_drawn():
 def test_every_motion_and_every_sensor_of_the_package_is_drawn():
     seen = {type(part).__name__ for pair in PAIRS.values() for f in [pair.preset(pair.motion, pair.sensor)]
             for part in f.modules()}  # fmt: skip
-    models = {x for of in (motion, sensors) for x in vars(of).values() if isinstance(x, type) and issubclass(x, Module)}
+    every = {getattr(of, name) for of in (motion, sensors) for name in of.__all__}
+    models = {x for x in every if isinstance(x, type) and issubclass(x, Module)}
     bare = {"Motion", "Sensor", "Correlated"}  # those of which the others are made, and what a preset makes a state of
     bare |= {"Linear", "BodyOdometry", "Mounted"}  # whose matrices, readings and poses come in u: files of their own
     assert {x.__name__ for x in models} - seen == bare

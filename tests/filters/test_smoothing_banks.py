@@ -337,6 +337,7 @@ def test_hypotheses_that_are_all_alike_are_one(motions):
         restart=(0.4, 0.3, 0.2, 0.1),
         prior_outlier=0.1,
         prior_inflation=1.0,
+        noise="stated",
     )
     prior = Gaussian(START, ROOT)
     smoothed, alone = f.smooth(z, prior), SRCKF(one, Position(STD)).smooth(z, prior)

@@ -466,7 +466,8 @@ def about_noise(belief: Belief, m: Measured, R: Array, first: bool, block: list[
     P, about = belief[1][:READS, :READS], np.zeros((3, len(z)))
     Pzz = m.Pzz if first else m.Pxz.T @ np.linalg.inv(P) @ m.Pxz + R
     S, root = np.linalg.inv(Pzz), np.linalg.cholesky(R)
-    residual, square = root.T @ S @ m.e, np.diag(root.T @ S @ root)
+    square = np.diag(root.T @ S @ root)
+    residual = (root.T @ S @ m.e).clip(-5.0 * np.sqrt(square), 5.0 * np.sqrt(square))
     about[:, measured] = residual, residual**2 - square, square
     return about
 
@@ -655,21 +656,16 @@ def judged(
     variance[measured] = np.diag(units @ expected.Pzz @ units.T)
     noise, after = noise.copy(), waiting.copy()
     for b, block in enumerate(blocks):
-        score = information = 0.0
-        for i in block:
-            residual, excess, share, precision = waiting[:, i]
-            if i not in measured:
-                continue
-            if share > 0:
-                x = excess - residual * std[i] * e[i]
-                c = 2 * share**2 + precision * std[i] ** 2 * max(variance[i], e[i] ** 2)
-                score += inlier[b] * share * x / c
-                information += inlier[b] * share**2 / c
-            r, square, expected_square = about[:, i]
-            now = np.array([r / std[i], square, expected_square, expected_square / std[i] ** 2])
-            after[:, i] = now + (1 - inlier[b]) * waiting[:, i]
-        noise[b, 1] = 1 / (1 / noise[b, 1] + information)
-        noise[b, 0] += noise[b, 1] * score
+        block = [i for i in block if i in measured]
+        residual, excess, share, scale = waiting[:, block]
+        unit = std[block] * scale
+        spread = max((unit**2 * variance[block]).sum(), (unit**2 * e[block] ** 2).sum())
+        if block and share.any():
+            c = (2 * share.sum() + spread) / len(block)
+            noise[b, 1] = 1 / (1 / noise[b, 1] + inlier[b] * share.sum() / c)
+            noise[b, 0] += noise[b, 1] * inlier[b] * (excess - residual * unit * e[block]).sum() / c
+        now = [*about[:, block], inlier[b] / std[block]]
+        after[:, block] = np.array(now) + (1 - inlier[b]) * waiting[:, block]
     return noise, after
 
 

@@ -224,7 +224,8 @@ class GPB(Filter[GPBState]):
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
         # The next state; its probabilities of outliers are those of the last step with a measurement.
-        blocks = (posterior.share[1:].unsqueeze(-1) * outlier).sum((OUTLIER, MOTION, BEFORE))
+        share = posterior.share[1:].unsqueeze(-1)  # a hypothesis of no weight may have failed
+        blocks = (share * torch.where(share > 0, outlier, 0.0)).sum((OUTLIER, MOTION, BEFORE))
         blocks = torch.where(measured.unsqueeze(-1), blocks, state.outlier)
         kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
@@ -287,7 +288,8 @@ class GPB(Filter[GPBState]):
         blocks, probability = self.outliers_of(frame.sensor).blocks, posterior.probability[..., None]
         # A hypothesis of no weight may have failed.
         residuals = (torch.where(probability > 0, inliers, 0.0) * probability).sum((1, 2, 3))
-        inlier, std = frame.measured * (1 - by_element(outlier, blocks)), frame.measurement_noise.std
+        inlier = (1 - by_element(outlier, blocks)).clamp_min(0.0)  # it is not below 0 but for rounding
+        inlier, std = frame.measured * inlier, frame.measurement_noise.std
         return self.noise.update(noise, expected, std, inlier, residuals, blocks)  # type: ignore[union-attr]
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:

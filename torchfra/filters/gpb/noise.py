@@ -9,8 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from torchfra.hyper import Hyper, Value
-from torchfra.linalg.safe import safe_divide
+from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.types import Gaussian
+
+FARTHEST = 5.0
+"""Residual of an inlier in its standard deviations beyond which it tells no more: one that is farther off is none, or
+has no digits left, as where a jump goes to an outlier."""
+FAR = 1e6
+"""Innovation in units of the noise beyond which its square is not needed and may not be a number."""
 
 
 class LastResidual(NamedTuple):
@@ -20,13 +26,13 @@ class LastResidual(NamedTuple):
     """
 
     residual: Tensor
-    """``(..., m)`` after the update, over the variance of the noise."""
+    """``(..., m)`` after the update, in units of the noise."""
     excess: Tensor
-    """``(..., m)`` its square, and the variance of what is measured, in units of the noise's, minus 1."""
+    """``(..., m)`` its square, and the variance of what is measured, in those units, minus 1."""
     share: Tensor
     """``(..., m)`` 1 minus that variance: the share of the noise that a residual shows."""
-    precision: Tensor
-    """``(..., m)`` that share, over the variance of the noise."""
+    scale: Tensor
+    """``(..., m)`` 1 over the standard deviation of the noise, in the units of the measurement."""
 
 
 class NoiseScale(NamedTuple):
@@ -56,10 +62,12 @@ class LearnedNoise(nn.Module):
     has mean 0, as innovations are white.  An estimate that lags behind the target by ``b``, as the process noise is
     stated too small, adds ``b`` to both ``r`` and ``e``, so that ``x`` keeps its mean, nearly; in ``r^2`` alone the lag
     would be noise, and more of it would let the estimate lag more.  The mean of ``x`` grows with ``m`` by about
-    ``1 - h``, and its variance is ``c = 2 (1 - h)^2 + (1 - h) s``, with ``s`` the variance of ``e``, or its square
-    where that is larger, as where a manoeuvre begins.  So after a measurement, with sums over the block's elements,
+    ``1 - h``, and its variance is ``(1 - h) c`` with ``c = 2 (1 - h) + s``, where ``s`` is the variance of ``e``, or
+    its square where that is larger, as where a manoeuvre begins; an ``r`` beyond ``FARTHEST`` of its own standard
+    deviations counts as that far.  So after a measurement, with sums over the block's elements, and means of ``h`` and
+    ``s`` in ``c``,
 
-        v <- 1 / (1 / v + sum (1 - h)^2 / c),      m <- m + v sum (1 - h) x / c.
+        v <- 1 / (1 / v + sum (1 - h) / c),      m <- m + v sum x / c.
 
     Args:
         doubt: standard deviation ``d`` of the log of that factor.
@@ -108,19 +116,22 @@ class LearnedNoise(nn.Module):
             residuals: ``(3, ..., m)`` of ``of_inlier``, times that probability.
             blocks: indices of the elements of each block.
         """
-        last, square = (
-            noise.last,
-            std.square() * torch.maximum(expected.scale_tril.square().sum(-1), expected.mean.square()),
-        )
-        rate = safe_divide(inlier * last.share, 2 * last.share.square() + last.precision * square)
-        score = by_block(rate * (last.excess - last.residual * std * expected.mean), blocks)
-        variance = noise.variance / (1 + noise.variance * by_block(rate * last.share, blocks))
-        residual, excess, share = residuals
-        now = LastResidual(residual / std, excess, share, share / std.square())
+        last = noise.last
+        unit = std * last.scale
+        ahead = (unit * expected.mean).clamp(-FAR, FAR)
+        variance = (unit.square() * expected.scale_tril.square().sum(-1)).clamp_max(FAR**2)
+
+        def total(x: Tensor) -> Tensor:
+            return by_block(inlier * x, blocks)
+
+        shown, spread = total(last.share), torch.maximum(total(variance), total(ahead.square()))
+        rate = safe_divide(by_block(inlier, blocks), 2 * shown + spread)
+        known = noise.variance / (1 + noise.variance * rate * shown)
+        log_scale = noise.log_scale + known * rate * total(last.excess - last.residual * ahead)
         # What an outlier does not judge waits for the next inlier.
+        now = *residuals, inlier / std
         waiting = LastResidual(*(x + (1 - inlier) * before for x, before in zip(now, last, strict=True)))
-        log_scale = noise.log_scale + variance * score
-        return NoiseScale(log_scale.clamp_min(0.0) if self.only_raised else log_scale, variance, waiting)
+        return NoiseScale(log_scale.clamp_min(0.0) if self.only_raised else log_scale, known, waiting)
 
     def _doubt(self, like: Tensor) -> Tensor:
         doubt: Tensor = self.noise_doubt(like).unsqueeze(-1)
@@ -159,4 +170,6 @@ def of_inlier(updated: Gaussian, rows: Tensor, residual: Tensor, missing: Tensor
     """
     left = residual - (rows * updated.mean.unsqueeze(-2)).sum(-1)
     share = (1 - (rows @ updated.scale_tril).square().sum(-1)).clamp_min(0.0)  # it is not below 0 but for rounding
+    farthest = FARTHEST * safe_sqrt(share)
+    left = torch.minimum(torch.maximum(left, -farthest), farthest)
     return (1 - missing) * torch.stack([left, left.square() - share, share.expand_as(left)])
