@@ -97,7 +97,7 @@ def gpb(
     adaptive_largest_size: bool = True,
     outliers_update: bool = True,
     same_offset: Value | None = None,
-    noise: str = "raised",
+    noise: str = "stated",
     noise_doubt: Value = 0.7,
     noise_memory: Value = 200.0,
     lag: int = 0,
