@@ -190,7 +190,7 @@ def value_batches(module: nn.Module) -> dict[str, torch.Size]:
 
 def batch_rank(module: nn.Module) -> int:
     """Number of batch dimensions of a filter's hyperparameters."""
-    return max(map(len, value_batches(module).values()), default=0)
+    return max([0, *[len(x) for x in value_batches(module).values()]])
 
 
 def broadcast_with_values(module: nn.Module, batch: torch.Size) -> torch.Size:
