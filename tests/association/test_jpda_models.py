@@ -215,7 +215,7 @@ def test_a_filter_runs_on_the_measurements_in_gates_alone(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "learn"), [
-    ("imm", ("transition", "detection", "q")), ("gpb", ("durations", "detection", "probability")),
+    ("imm", ("self_transition", "detection", "q")), ("gpb", ("durations", "detection", "probability")),
 ])  # fmt: skip
 def test_gradients_are_those_of_finite_differences(name, learn):
     f = around(name, learn=learn, temperature=0.1)
