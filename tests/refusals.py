@@ -1,6 +1,6 @@
-"""The part of the battery about arguments, which no filter of one's own checks itself: ``check_filter`` has it here.
+"""Checks of invalid arguments: a ``ValueError`` before any work that names the argument, eager and compiled.
 
-Invalid arguments are a ``ValueError`` that names them before any work, eager and compiled.
+No filter of one's own decides them, so ``check_filter`` asks them only of the filters of the package: ``asked``.
 """
 
 from __future__ import annotations
@@ -10,12 +10,32 @@ import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import pytest
 import torch
 from torch import Tensor
 
-from torchfra.testing.case import STEPS, Case, check
+from torchfra.testing.case import CHECKS, STEPS, Case, Check
 from torchfra.testing.expectations import expect, expect_same
 from torchfra.types import Gaussian
+
+REFUSALS: dict[str, Check] = {}
+
+
+def check(*ways):
+    """As ``testing.case.check``, but for these alone."""
+
+    def register(function):
+        REFUSALS[function.__name__] = Check(function, ways)
+        return function
+
+    return register
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The battery has these checks too."""
+    for name, of in REFUSALS.items():
+        monkeypatch.setitem(CHECKS, name, of)
 
 
 class _Own(NamedTuple):

@@ -4,9 +4,9 @@ import copy
 import math
 
 import pytest
-import refusals  # noqa: F401  the checks of arguments
 import torch
 from gpb_cases import ANCHORS, PRIOR, VALUES, measured
+from refusals import asked  # noqa: F401  a fixture
 from short_tracks import SMALL_GPB
 
 from torchfra import presets
@@ -46,6 +46,7 @@ def preset(name, scenario, crossing, **options):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, request):
     small = SMALL_GPB if name == "gpb" else {}
@@ -123,6 +124,7 @@ class Looking(Position):
 MOTION = ConstantVelocity(1.0)
 
 
+@pytest.mark.usefixtures("asked")
 @pytest.mark.parametrize(
     ("f", "name"),
     [
