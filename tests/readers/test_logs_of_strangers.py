@@ -344,6 +344,28 @@ def local(form, days=0, minutes=0):
     return moment.strftime(form)
 
 
+def test_dates_whose_day_and_month_a_spreadsheet_exchanged_are_refused(write):
+    forms = ["%m/%d/%Y %H:%M" if i < 22 else "%d/%m/%Y %H:%M" for i in range(ROWS)]  # up to the 12th, and behind it
+    rows = [f"{local(form, i / 8)},{lat},{lon}" for i, (form, (lat, lon)) in enumerate(zip(forms, PLACES, strict=True))]
+    with pytest.raises(AskError, match="expected times that go on, received earlier ones from data row 23 on"):
+        read(write(["Date,lat,lon", *rows]))
+
+
+def test_counts_that_begin_anew_are_refused(write):
+    rows = [f"{i % 25},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+    with pytest.raises(AskError, match="expected times that go on, received earlier ones from data row 26 on"):
+        read(write(["seconds,lat,lon", *rows]))
+
+
+def test_pieces_of_a_track_may_be_in_any_order_by_unix_times(write):
+    """As the flights of an aircraft by their names, far from each other."""
+    flights = [[f"{START.timestamp() + 3600 * k + i},{lat + k},{lon}" for i, (lat, lon) in enumerate(PLACES)]
+               for k in range(3)]  # fmt: skip
+    (track,) = read(write(["timestamp,lat,lon", *flights[2], *flights[0], *flights[1]]))
+    assert track.repairs == {"rows put in time order": 2 * ROWS}
+    assert (np.diff(track.time) > 0).all()
+
+
 def test_dates_of_a_whole_year_are_in_one_order(write):
     rows = [f"{local('%d/%m/%Y %H:%M', 9 * i)},{lat},{lon}" for i, (lat, lon) in enumerate(PLACES)]
     (track,) = read(write(["Date,lat,lon", *rows]))

@@ -24,9 +24,10 @@ _MANY = 0.1
 _HELD, _ONCE, _NEW, _FAR = 25, 0.1, 0.5, 10.0
 """Positions from which on they may be held, the share of them that may come once only, the share that is new at least,
 and how many of the last digits that are written lie between neighbours."""
-_RARELY, _APART = 0.1, 3.0
-"""Share of rows whose time may go back where it has no date, and how many times as long ways between rows that are
-neighbours in time alone may be as those in the file."""
+_RARELY, _PIECES, _APART = 0.1, 3, 3.0
+"""Share of rows whose time may go back where it has no date; rows that are neighbours in time alone, for each Unix time
+that goes back, up to which a file has whole pieces of a track in another order; and how many times as long as in the
+file the ways between such rows may be otherwise."""
 _SOONER, _OLDEST, _OFTEN = 1.0, 60.0, 0.5
 """Seconds by which the update of a position may be later than its row and earlier, and the share of rows with one."""
 _HOUR, _COARSE = 3600.0, (60.0, 1.0)
@@ -250,7 +251,9 @@ class _Columns:
             return
         ways, inside = (np.linalg.norm(np.diff(self.place[of], axis=0), axis=1) for of in (index, index[order]))
         anew = not self.dated and ((late[1:] & late[:-1]).any() or late.sum() > max(1, _RARELY * len(late)))
-        if anew or np.median(inside[new]) > _APART * np.median(ways):
+        counted = self.dated and count_of(self.clock.form) is not None  # no date that may be turned round
+        mixed = not counted or len(new) > _PIECES * (np.diff(time) < 0).sum()
+        if anew or (mixed and np.median(inside[new]) > _APART * np.median(ways)):
             raise AskError(f"expected times that go on, received earlier ones from data row {index[late.argmax()] + 1} "
                            f"on, column {self.clock.column}, as of a clock that is put back or begins anew, or of "
                            "several targets: put the rows in order, or name another column, or one that tells pieces "
