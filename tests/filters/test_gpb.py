@@ -370,6 +370,31 @@ def test_noise_that_is_stated_right_costs_little():
     assert (stated.info.noise == 1).all()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["learned", "raised"])
+def test_a_target_that_moves_more_than_stated_is_not_taken_for_noise(noise):
+    cell = scenarios.as_stated("velocity", index=0.1, q=0.01)
+    tracks = cell.simulate(runs=32, seed=73)
+    each = (presets.gpb(cell.motion, cell.sensor, noise=of).compile() for of in ("stated", noise))
+    stated, found = (f(tracks.z, tracks.prior, dt=cell.dt) for f in each)
+    assert position_rmse(found, tracks) < 1.05 * position_rmse(stated, tracks)
+    assert found.info.noise[:, -1].log().mean().exp() < 1.3
+
+
+@pytest.mark.slow
+def test_raised_noise_is_never_below_what_is_stated_and_follows_what_is_above():
+    below, above = (scenarios.as_stated("velocity", index=0.1, std=std) for std in (2.0, 0.5))
+    for cell, least, most in ((below, 0.99, 1.2), (above, 0.6 * 4, 1.6 * 4)):
+        tracks = cell.simulate(runs=16, seed=74)
+        noise = (
+            presets.gpb(cell.motion, cell.sensor, noise="raised")
+            .compile()(tracks.z, tracks.prior, dt=cell.dt)
+            .info.noise
+        )
+        assert (noise >= 1).all()
+        assert least < noise[:, -1].log().mean().exp() < most
+
+
 def test_what_is_not_measured_says_nothing_about_the_noise():
     f, z = learned(), seen(1)[0]
     z[5:, 1] = math.nan

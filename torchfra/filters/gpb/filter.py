@@ -19,7 +19,6 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
-    Posterior,
     estimate,
     from_state,
     merge,
@@ -28,7 +27,7 @@ from torchfra.filters.gpb.hypotheses import (
     to_state,
     values_first,
 )
-from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, by_element, factors, measured_blocks
+from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
 from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
@@ -237,8 +236,9 @@ class GPB(Filter[GPBState]):
         expected = self.compare(self.expected(predicted, frame), frame)
         root, normalised = innovation(expected)
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1) * blocks
-        if noise is not None and inliers is not None:
-            noise = self.learn_noise(noise, frame, Gaussian(expected.residual, root), inliers, posterior, some_outlier)
+        if self.noise is not None and noise is not None and inliers is not None:
+            innovated, of = Gaussian(expected.residual, root), self.outliers_of(frame.sensor).blocks
+            noise = self.noise.update(noise, frame, innovated, inliers, posterior.probability, some_outlier, of)
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
         widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
         widened = torch.where(measured, widened, state.widening)
@@ -270,27 +270,6 @@ class GPB(Filter[GPBState]):
         noise = self.noise.predict(state.noise, measured_blocks(frame.measured, blocks))
         variances = factors(noise, blocks, frame.measured)
         return noise, frame._replace(measurement_noise=frame.measurement_noise.scaled(variances))
-
-    def learn_noise(
-        self, noise: NoiseScale, frame: Frame, expected: Gaussian, inliers: Tensor, posterior: Posterior,
-        outlier: Tensor,
-    ) -> NoiseScale:  # fmt: skip
-        """What is known of the noise after a step: see ``LearnedNoise``.
-
-        Args:
-            noise: before the measurement.
-            frame: with noise of that scale.
-            expected: ``(..., m)`` the innovation, in units of that noise.
-            inliers: ``(3, 2, R, 2, ..., m)`` from ``Outliers.update``.
-            posterior: probabilities of the hypotheses.
-            outlier: ``(..., B)`` probability that each block is an outlier.
-        """
-        blocks, probability = self.outliers_of(frame.sensor).blocks, posterior.probability[..., None]
-        # A hypothesis of no weight may have failed.
-        residuals = (torch.where(probability > 0, inliers, 0.0) * probability).sum((1, 2, 3))
-        inlier = (1 - by_element(outlier, blocks)).clamp_min(0.0)  # it is not below 0 but for rounding
-        inlier, std = frame.measured * inlier, frame.measurement_noise.std
-        return self.noise.update(noise, expected, std, inlier, residuals, blocks)  # type: ignore[union-attr]
 
     def mix(self, before: Gaussian, switching: Switching) -> tuple[Gaussian, Mixing]:
         """The mixed beliefs ``(1, S, 2, ...)``: each of itself, and of the common one of ended regimes."""

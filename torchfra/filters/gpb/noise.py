@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.types import Gaussian
@@ -43,6 +44,7 @@ class NoiseScale(NamedTuple):
     variance: Tensor
     """``(..., B)`` variance of that log."""
     last: LastResidual
+    """Of each element, which the next measurement judges."""
 
 
 class LearnedNoise(nn.Module):
@@ -103,20 +105,25 @@ class LearnedNoise(nn.Module):
         return noise._replace(log_scale=lasts * noise.log_scale, variance=variance)
 
     def update(
-        self, noise: NoiseScale, expected: Gaussian, std: Tensor, inlier: Tensor, residuals: Tensor,
-        blocks: Sequence[Sequence[int]],
+        self, noise: NoiseScale, frame: Frame, expected: Gaussian, inliers: Tensor, probability: Tensor,
+        outlier: Tensor, blocks: Sequence[Sequence[int]],
     ) -> NoiseScale:  # fmt: skip
         """What is known after a step.
 
         Args:
             noise: from ``predict``.
-            expected: ``(..., m)`` the innovation, and a root of its covariance, in units of the noise.
-            std: ``(..., m)`` of the noise, in the units of the measurement.
-            inlier: ``(..., m)`` probability that each element is an inlier; 0 where missing.
-            residuals: ``(3, ..., m)`` of ``of_inlier``, times that probability.
+            frame: of the step, with the noise as believed before it.
+            expected: ``(..., m)`` the innovation, and a root of its covariance, in units of that noise.
+            inliers: ``(3, 2, R, 2, ..., m)`` from ``of_inlier``, of each hypothesis.
+            probability: ``(2, R, 2, ...)`` of the hypotheses.
+            outlier: ``(..., B)`` probability that each block is an outlier.
             blocks: indices of the elements of each block.
         """
-        last = noise.last
+        last, std = noise.last, frame.measurement_noise.std
+        inlier = frame.measured * (1 - by_element(outlier, blocks)).clamp_min(0.0)  # not below 0 but for rounding
+        probability = probability.unsqueeze(-1)
+        # A hypothesis of no weight may have failed.
+        residuals = (torch.where(probability > 0, inliers, 0.0) * probability).sum((1, 2, 3))
         unit = std * last.scale
         ahead = (unit * expected.mean).clamp(-FAR, FAR)
         variance = (unit.square() * expected.scale_tril.square().sum(-1)).clamp_max(FAR**2)
