@@ -81,11 +81,9 @@ HELP_ONLY = {
             "field",
             "gradients",
             "layer",
-            "learning",
             "lorenz",
             "many",
             "okf",
-            "particles",
             "regret",
         )
     },
