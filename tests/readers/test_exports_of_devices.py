@@ -27,7 +27,7 @@ def test_words_that_are_neither_true_nor_false_mark_nothing(write, late):
 
 
 def test_a_third_word_behind_the_first_thousand_rows_marks_nothing_either(write):
-    lines = ["t,x,y,valid", *(f"{i},{2 * i},1.5,{'no fix' if i == 1500 else 'true'}" for i in range(2000))]
+    lines = ["t,x,y,valid", *(f"{i},{2 * i},1.5,{'DGPS' if i == 1500 else 'true'}" for i in range(2000))]
     (track,) = read(write(lines))
     assert len(track.time) == 2000
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-from datetime import datetime
+import re
+from datetime import datetime, timezone
 from datetime import time as clock
 
 import numpy as np
@@ -306,9 +307,11 @@ def test_numbers_of_frames_beside_their_rate_are_no_seconds(write, of):
     np.testing.assert_allclose(read(path, time_format="50fps")[0].time[-1], 29 / 50, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["Fix Quality", "fix", "gps_fix_type"])
-def test_rows_of_fix_quality_0_have_no_position(write, name):
-    rows = [(i, 47 + i / 1e4 if i % 5 else 46, 8 + i / 1e4, 4 * (i % 5 > 0)) for i in range(30)]
+@pytest.mark.parametrize(
+    ("name", "bad"), [("Fix Quality", 0), ("fix", "none"), ("gps_fix_type", 0), ("VALID", "NO FIX")]
+)
+def test_rows_of_fix_quality_0_have_no_position(write, name, bad):
+    rows = [(i, 47 + i / 1e4 if i % 5 else 46, 8 + i / 1e4, 3 if i % 5 else bad) for i in range(30)]
     (track,) = read(write(rows_of(f"time,lat,lon,{name}", rows)))
     assert track.repairs == {"rows marked as invalid dropped": 6}
     assert np.abs(track.position).max() < 1e3
@@ -339,3 +342,44 @@ def test_a_line_of_words_with_a_time_in_front_of_the_header_is_no_header(write):
     rows = [(i, 47 + i / 1e4, 8 + i / 1e4) for i in range(30)]
     (track,) = read(write("Reference time : now\n" + rows_of("time,lat,lon", rows)))
     assert (len(track.time), track.origin[:2]) == (30, (47, 8))
+
+
+def test_rows_that_jump_to_and_fro_with_a_word_beside_them_are_of_several_targets(write):
+    rows = [(60 * i, f"!a{i % 2}", 47 + i / 1e4 + 0.02 * (i % 2), 8 + i / 1e4, "gps") for i in range(40)]
+    with pytest.raises(ValueError, match=r"jump to and fro, and do not where node stays the same, .*: say id='node'"):
+        read(write(rows_of("time,node,lat,lon,provider", rows)))
+
+
+def test_a_few_degrees_that_are_called_x_and_y_are_no_metres(write):
+    rows = [(10 * i, 8.5 + 2e-4 * i, 47.3 + 1.37e-4 * i) for i in range(10)]
+    with pytest.raises(ValueError, match=r"looks like degrees of longitude and latitude: say lat='Y', lon='X'"):
+        read(write(rows_of("t,X,Y", [(t, f"{x:.6f}", f"{y:.6f}") for t, x, y in rows])))
+
+
+def test_names_of_rows_without_a_name_above_them_shift_no_columns(write):
+    text = "time,x,y\n" + "".join(f'"{i + 1}",{0.5 * i},{2 * i},{3 * i}\n' for i in range(30))
+    with pytest.raises(ValueError, match="expected 3 fields in data row 1, received 4"):
+        read(write(text), time="time", x="x", y="y")
+
+
+def test_an_accuracy_of_another_share_than_68_percent_is_left_out(write):
+    (track,) = read(write(rows_of("time,lat,lon,accuracy (95%)", [(i, 47 + i / 1e4, 8, 10) for i in range(30)])))
+    assert track.sigma is None
+
+
+def test_a_header_that_comes_twice_above_the_rows_has_no_units(write):
+    (track,) = read(write("time,x,y\n" + rows_of("time,x,y", [(i, 2 * i, 3 * i) for i in range(30)])))
+    np.testing.assert_allclose(track.position[-1], (58, 87))
+
+
+def test_parts_of_times_in_columns_are_joined_as_the_error_says(write):
+    text = rows_of("Id,Year,Month,Day,Hour,Minute,Second,lat,lon",
+                   [("a", 2024, 5, 6, 10 + i // 60, i % 60, 3, 47 + i / 1e4, 8) for i in range(80)])  # fmt: skip
+    parts = {"time": "Year,Month,Day,Hour,Minute,Second", "time_format": "%Y %m %d %H %M %S"}
+    with pytest.raises(ValueError, match="received parts of them: say " + re.escape(
+            f"time={parts['time']!r}, time_format={parts['time_format']!r}")):  # fmt: skip
+        read(write(text))
+    (track,) = read(write(text), **parts)
+    np.testing.assert_allclose(
+        track.time, datetime(2024, 5, 6, 10, 0, 3, tzinfo=timezone.utc).timestamp() + 60 * np.arange(80)
+    )

@@ -41,7 +41,12 @@ PLT = "Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My T
 VBO = "File created\n\n[column names]\nsats time lat long velocity height\n\n[data]"
 GNSS = "# Version: v3\n# \n# Raw,utcTimeMillis\n# \n# Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,UnixTimeMillis"
 FMT = "FMT, 128, 89, FMT, BBnNZ, Type,Length\nFMT, 130, 50, GPS, QBBIHff, TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt"
+NOVATEL = "#BESTPOSA,COM1,0,90.5,FINESTEERING"
 FILES = {
+    "NovAtel": "".join(rows(lambda i, a, o: f"#BESTVELA,COM1\n{NOVATEL},{WEEK},{TOW + i}00,02000040,cdba,32768;"
+        f"SOL_COMPUTED,SINGLE,{a},{o},1000.0,-16.9,WGS84,1.6,1.2,2.5,\"\",0.0,0.0,35,30,30,30,00,06,39,33*2d0d0fc6\n")),
+    "NAV-PVT of u-blox": table("iTOW,lat,lon,height,hMSL,hAcc",
+        lambda i, a, o: f"{int(1000 * (TOW + i))},{a},{o},1000000,952000,1500"),
     "state vectors of OpenSky": table("time,icao24,lat,lon,baroaltitude,geoaltitude,lastposupdate",
         lambda i, a, o: f"{START + i},abc,{a},{o},1000,1100,{START + i}"),
     "traffic": table("timestamp,icao24,latitude,longitude,altitude,last_position",
@@ -108,6 +113,9 @@ METRES = {
     "Pozyx": table("time,tagId,success,version,x,y", lambda i, a, o: f"{START + i},7,1,1,{1000 * i},0"),
 }  # fmt: skip
 REFUSED = {
+    "NovAtel without BESTPOSA": "#INSPVAA,COM1,0,31.0,FINESTEERING,2313,122403.0,0,54e2,0;2313,122403.0,51.1,-114.0,1000.0\n",
+    "GPS_RAW_INT of MAVLink": table("time_boot_ms,fix_type,lat,lon,alt,eph,epv,h_acc",
+        lambda i, a, o: f"{1000 * i},3,{a},{o},1000,121,200,1500"),
     "Google Smartphone Decimeter Challenge": table("utcTimeMillis,SvPositionXEcefMeters,SvPositionYEcefMeters,"
         "WlsPositionXEcefMeters,WlsPositionYEcefMeters,WlsPositionZEcefMeters", lambda i, a, o: f"{START}{i:03},1,2,3,4,5"),
     "ECEF": table("time,x-ecef(m),y-ecef(m),z-ecef(m)", lambda i, a, o: f"{i},4277000,625000,4671000"),
@@ -132,7 +140,7 @@ def test_degrees_of_every_format_are_read_as_they_are_meant(tmp_path, name):
     (track,) = read(path)
     assert f"format: {name}" in track.source.notes
     assert np.diff(track.time) == pytest.approx(1, abs=1e-4)
-    if name not in ("PX4", "VBOX"):
+    if name not in ("PX4", "VBOX", "NAV-PVT of u-blox"):
         assert track.time[0] == pytest.approx(START, abs=1e-3)
     assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)
     assert track.position[-1, :2] == pytest.approx([64.5, 100.1], abs=0.1)
@@ -235,7 +243,9 @@ def test_a_name_in_merged_cells_fills_down(tmp_path):
 def test_rows_with_a_field_more_are_read_where_columns_are_named_and_it_is_said(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(table("time,lat,lon,place", lambda i, a, o: f"{i},{a},{o},here" + ", or there" * (i == 3)))
-    with pytest.raises(ValueError, match="expected 4 fields in data row 4, received 5; rows with more are read"):
+    with pytest.raises(
+        ValueError, match="expected 4 fields in data row 4, received 5; rows with more than the first are"
+    ):
         read(path)
     (track,) = read(path, time="time", lat="lat", lon="lon")
     assert len(track.time) == ROWS
@@ -263,7 +273,7 @@ def test_rows_of_several_targets_within_whole_seconds_are_not_spread(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,car,lat,lon\n" + "".join(f"{day(i // 4)},{'abcd'[i % 4]}{i % 4},{50 + i % 4},{7 + i / 1e6}\n"
                                                    for i in range(160)))  # fmt: skip
-    with pytest.raises(AskError, match=r"as rows of several targets do.*such as id='car'"):
+    with pytest.raises(AskError, match=r"as of several targets: say id='car'"):
         read(path)
     assert len(read(path, id="car")) == 4
 

@@ -40,6 +40,7 @@ _DATED = {"timestamp", "utc", "timeutc", "utctime", "unixtime", "unix", "epoch",
 _ABOVE = {"year", "month", "hour", "hours", "minute", "minutes", "min"}
 _BELOW = {"msec", "msecs", "usec", "usecs", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds", "nanos", "micros"}
 """Last words of names of columns that hold parts of a time, of more than a second or of less."""
+_PARTS = ("year", "month", "day", "hour", "minute", "second")
 _FEW, _FINER = 0.1, 2
 """Share of the times of a clock that may not have been set yet; how many times as many moments a
 column of times has to have, to be taken although another has the date."""
@@ -118,6 +119,12 @@ def clock_of(
         except ValueError as error:
             refusals[name] = error
     if not clocks:
+        of_parts = {plain(name): name for name in head.names}
+        if {*_PARTS} <= of_parts.keys():
+            raise AskError(
+                "expected times in one column, received parts of them: say ",
+                {"time": ",".join(of_parts[part] for part in _PARTS), "time_format": "%Y %m %d %H %M %S"},
+            )
         raise next(iter(refusals.values())) if refusals else LookupError("time")
     best = min(clocks, key=lambda clock: (not clock.dated, count_of(clock.form) is not None,
                                           bool(_LOCAL & {*name_words(clock.columns[-1])})))  # fmt: skip

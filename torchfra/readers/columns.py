@@ -6,7 +6,6 @@ import math
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -102,6 +101,14 @@ def number(value: Any) -> float:
     return float(value)
 
 
+def number_or_nan(cell: Any) -> float:
+    """A cell as a number; NaN of what is none; a decimal comma is one."""
+    try:
+        return number(cell.replace(",", ".")) if isinstance(cell, str) else float(cell)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def is_missing(cell: str) -> bool:
     """Whether a text stands for nothing, such as "N/A"."""
     return cell.strip(" \t\r\n").lower() in _MISSING
@@ -109,11 +116,7 @@ def is_missing(cell: str) -> bool:
 
 def values_of(cells: Iterable[Any]) -> Array:
     """The cells that hold numbers, as numbers; a decimal comma is one."""
-    values = []
-    for cell in cells:
-        with suppress(TypeError, ValueError, OverflowError):
-            values.append(number(cell.replace(",", ".")) if isinstance(cell, str) else float(cell))
-    return np.array([value for value in values if abs(value) < _LARGEST])
+    return np.array([value for value in map(number_or_nan, cells) if abs(value) < _LARGEST])
 
 
 def texts_of(cells: Iterable[Any]) -> list[str]:

@@ -74,18 +74,18 @@ def csv_sheet(text: str, options: ReadOptions | None) -> Sheet:
 
     def mended(row: list[str], before: int) -> list[str]:
         """A row of another length: a comment, or one whose further fields are empty or not asked for."""
+        if format is not None and format.lines:
+            return (row + [""] * width)[:width] if len(row) >= width / 2 else []
         if row[0].lstrip().startswith(_COMMENTS):
             if options is not None:
                 _check_said(sign.join(row), names, options)
             return []
-        if format is not None and format.lines:
-            return (row + [""] * width)[:width] if len(row) >= width / 2 else []
-        if len(row) > width and any(row[width:]) and options is not None and options.columns:
+        if before and len(row) > width and any(row[width:]) and options is not None and options.columns:
             longer["rows with more fields than the header read by their first fields"] += 1
         elif len(row) < width or any(row[width:]):
             more = (
-                "; rows with more are read by their first fields where options name the columns, such as ",
-                {"time": names[0]}, f"; or the header is another line than that of {listed(names)}",
+                "; rows with more than the first are read by their first fields where options name the columns, such "
+                "as ", {"time": names[0]}, f"; or the header is another line than {listed(names)}, or lacks a name",
             ) if options is not None else ()  # fmt: skip
             raise AskError(f"expected {width} fields in data row {before + 1}, received {len(row)}", *more)
         return row[:width]
@@ -230,6 +230,8 @@ def _beneath(
 def _is_unit(cell: str, name: str, beneath: bool) -> bool:
     """Whether a cell above or beneath a name is its unit, as of x and y all words beneath them are, known or not."""
     word = cell.strip("[]()").lower().removesuffix(" msl")
+    if cell == name:  # a header that comes twice
+        return False
     if word in {*LENGTHS, *TIMES} or OTHER_UNIT.fullmatch(word):
         return True
     return (word in DEGREES or (beneath and word != "")) and bool(found([name], "x") or found([name], "y"))

@@ -76,7 +76,7 @@ FORMATS = (
     Format("ForeFlight", "bank pitch gload", word="aircraft", units=_FEET),
     Format("G1000", "lcldate lcltime utcofst", word="aircraft", time="%Y-%m-%d %H:%M:%S %z",
            columns={"time": "lcldate lcltime utcofst"}),
-    Format("ADS-B", "icao24|hex altbaro|altgeom|altitude|alt", word="aircraft", units=_FEET,
+    Format("ADS-B", "icao24|hex|icao altbaro|altgeom|altitude|alt", word="aircraft", units=_FEET,
            columns={"altitude": "altbaro|altitude|alt|altgeom"}),
     Format("ADS-B", "icao24", word="aircraft", columns={"altitude": "baroaltitude|geoaltitude"}),
     Format("DJI", "flytime|osdflytime height|heightabovetakeoff", word="drone"),
@@ -94,6 +94,11 @@ FORMATS = (
     Format("Argos", "argossemimajor|errorsemimajoraxis|smaj", word="animal"),
     Format("IBTrACS", "sid isotime", columns={"id": "sid", "time": "isotime"}),
     # ---------------------------------------------------------------- receivers and autopilots
+    Format("NovAtel", begins=r"(?:[#%].*\n)*#BESTPOSA,", lines="#BESTPOSA,", time="gps",
+           header="#BESTPOSA,port,sequence,idle,status,week,tow,receiver,reserved,solution,kind,latitude,longitude,"
+                  "altitude,undulation,datum,sdn,sde,sdu",
+           columns={"time": "week tow"}),
+    Format("NovAtel without BESTPOSA", begins="[#%][A-Z0-9]+A,", refused="log BESTPOSA, or convert it to NMEA 0183"),
     Format("RTKLIB", begins=r"(?:%.*\n)*%\s+(?:GPST|UTC|JST)\b", header=r"^%\s+(?=GPST|UTC|JST)", sign=" ",
            twice="GPST|UTC|JST", time="%Y/%m/%d %H:%M:%S|gps",
            columns={"time": "date time", "x": "ebaseline", "y": "nbaseline", "z": "ubaseline"}),
@@ -104,6 +109,9 @@ FORMATS = (
                     "sigma": "accuracymeters|accuracy"}),
     Format("ArduPilot", begins=r"FMT, ?[0-9]+,", header=r"^FMT, *\d+, *\d+, *(?=GPS,)(?:GPS, *\w+, *)", lines="GPS,",
            columns={"time": "gwk gms", "id": "i"}, time="gps_ms"),
+    Format("NAV-PVT of u-blox", "itow hmsl hacc", units={"hmsl": "mm", "height": "mm", "hacc": "mm"}),
+    Format("GPS_RAW_INT of MAVLink", "fixtype eph hacc", refused="its altitudes and accuracies are mm, and eph has no "
+           "unit: write metres, and leave eph out"),
     Format("PX4, vehicle_gps_position", "timeutc lat lon alt fixtype|altellipsoid", columns={"time": "timeutc"},
            degrees=_E7, units={"alt": "mm"}),
     Format("PX4, vehicle_local_position", "timestamp xyvalid zvalid", columns={"x": "y", "y": "x", "z": ""}, time="us"),

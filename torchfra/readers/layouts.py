@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchfra.readers.clocks import Clock, clock_of
-from torchfra.readers.columns import Array, Head, Kind, texts_of, values_of, word_of
+from torchfra.readers.columns import Array, Head, Kind, grouped, number_or_nan, texts_of, values_of, word_of
 from torchfra.readers.formats import Format, format_of
 from torchfra.readers.hints import unclear
 from torchfra.readers.names import (
@@ -40,8 +41,11 @@ _PRIVATE = ("call", "update", "second", "valid", *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 0.0, "yes": 1.0, "no": 0.0}
 """What marks say, in small letters."""
+_WORDS_OF_FIXES = WORDS_OF_MARKS | dict.fromkeys(("none", "no fix", "no_fix", "nofix", "invalid"), 0.0)
 _COUNTERS = {"id", "name", "uuid", "object", "objectid", "track", "trip", "tripid", "entityid"}
 """Names that may number the rows instead of the targets."""
+_OFTEN, _JUMPS = 8, 4.0
+"""Rows on average of a target among others, and how many times as long as their own ways those between them are."""
 _OPTIONS = {"latitude": "lat", "longitude": "lon", "altitude": "alt"}
 _ADVICE = (
     ": latitudes and longitudes may be swapped, or be degrees and minutes in one number (4730.5), parts of degrees "
@@ -120,7 +124,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     if not options.time_format:
         _check_units(head, [clock.column], clock.form, "time_format", TIMES)
     noise = noise_of(head, roles, 1.0 if "latitude" in columns else length, word == "ship",
-                     stated=options.sigma_column is not None)  # fmt: skip
+                     stated=options.sigma_column is not None, units=format.units if format else {})  # fmt: skip
     wanted: dict[str, Kind | None] = {clock.column: clock.kind}
     wanted |= {column: _kind(role, column, length, format, options) for role, column in columns.items()}
     wanted |= noise.columns
@@ -128,6 +132,8 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
     used = {*clock.columns, *columns.values(), *noise.columns, *roles.get("id", ())}
     ignored = [column for column in head.names if column and column not in used and column not in unused]
+    if "id" not in columns:
+        _check_interleaved(head, columns, ignored)
     others = f"; not {listed(unused)} (option time takes another)" if unused else ""
     lines = (
         *said, f"time: {' and '.join(clock.columns)}, {clock.said}{others}", *_said(columns, length, options),
@@ -221,7 +227,7 @@ def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict
     likely = {"id": ids[:1], "call": [one for one in calls if one not in ids[:1]][:1]}
     likely |= {role: found(head.names, role)[:1] for role in (MARKS if word == "animal" else ())}
     likely["valid"] = [one for one in found(head.names, "valid")
-                       if any(WORDS_OF_MARKS.get(word, word) for word in map(word_of, head.cells(one)))]  # fmt: skip
+                       if any(_WORDS_OF_FIXES.get(word, word) for word in map(word_of, head.cells(one)))]  # fmt: skip
     likely |= {role: list(roles[role]) for role in ("update", "second") if role in roles}
     return {role: columns[0] for role, columns in likely.items() if columns}
 
@@ -230,6 +236,28 @@ def _counts(name: str, head: Head) -> bool:
     """Whether a column numbers the rows instead of naming targets."""
     cells = texts_of(cell for cell in head.cells(name) if not isinstance(cell, list | dict | bool))
     return plain(name) in _COUNTERS and len({*cells}) == len(cells) > 2
+
+
+def _check_interleaved(head: Head, columns: Mapping[str, str], others: Iterable[str]) -> None:
+    """Refuses rows that jump to and fro, and do not among those with the same word in another column."""
+    places = [columns[role] for role in ("latitude", "longitude", "x", "y") if role in columns]
+    place = np.array([[number_or_nan(cell) for cell in head.cells(name)] for name in places]).T
+    known = np.flatnonzero(np.isfinite(place).all(1))
+
+    def ways(rows: NDArray[np.intp]) -> Array:
+        return np.asarray(np.linalg.norm(np.diff(place[rows], axis=0), axis=1))
+
+    parting = list[str]()
+    for name in others if len(known) > 1 else ():
+        cells = head.cells(name)
+        parts = grouped([str(cells[i]) for i in known])
+        if 1 < len(parts) < len(known) / _OFTEN:
+            inside = np.concatenate([ways(known[rows]) for rows in parts.values()])
+            parting += [name] * bool(_JUMPS * np.median(inside) < np.median(ways(known)))
+    if parting:
+        asks = [part for name in parting for part in (" or ", {"id": name})][1:]
+        raise AskError(f"rows jump to and fro, and do not where {' or '.join(parting)} stays the same, as of several "
+                       "targets: say ", *asks)  # fmt: skip
 
 
 def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | None, head: Head) -> float:
@@ -288,7 +316,8 @@ def _kind(role: str, column: str, length: float, format: Format | None, options:
     if role in ("id", "call"):
         return None
     if role in ("valid", *MARKS):
-        return Kind("true or false", words=tuple(WORDS_OF_MARKS.items()), others=role == "valid")
+        words = _WORDS_OF_FIXES if role == "valid" else WORDS_OF_MARKS
+        return Kind("true or false", words=tuple(words.items()), others=role == "valid")
     absent = tuple(value for name, value in (format.missing if format else {}).items() if name == plain(column))
     absent += options.absent
     if role not in _LIMITS:

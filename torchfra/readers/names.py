@@ -49,7 +49,7 @@ NAMES = {
         vessel shipid ship flightid vehicleid vehicle deviceid device droneid uavid animalid animal individualid
         individual tagid birdid bird collarid playerid player runnerid riderid personid pedestrianid agentid agent
         userid user tripid trip busid boatid robotid trajectoryid trajid entityid uuid imei platformidno platformid
-        ptt name""",
+        ptt transmitter transmitterid name""",
     "call": "callsign vesselname shipname name",
     "sigma": """sigma std stddev sd sigmaxy accuracy horizontalaccuracy accuracyhorizontal hacc haccuracy eph ehpe hdop
         horizontaldilutionofprecision""",

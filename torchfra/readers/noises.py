@@ -70,8 +70,9 @@ def roots_of_variances(columns: Sequence[Array]) -> list[Array]:
 
 
 def noise_of(
-    head: Head, asked: Mapping[str, tuple[str, ...]], unit: float, ships: bool, *, stated: bool = False
-) -> Noise:
+    head: Head, asked: Mapping[str, tuple[str, ...]], unit: float, ships: bool, *, stated: bool = False,
+    units: Mapping[str, str] = {},
+) -> Noise:  # fmt: skip
     """The columns with the standard deviations of fixes, if there are any.
 
     Args:
@@ -80,12 +81,13 @@ def noise_of(
         unit: metres in the unit of positions.
         ships: whether the file is of ships, whose "accuracy" is a mark and no distance.
         stated: whether the caller names a column of standard deviations.
+        units: of the format, by column.
     """
 
     def metres(column: str, otherwise: float) -> float:
-        return METRES.get(LENGTHS.get(unit_of(column), ""), otherwise)
+        return METRES.get(LENGTHS.get(unit_of(column), "") or units.get(plain(column), ""), otherwise)
 
-    names = [name for name in head.names if in_brackets(name) not in {"%", "percent", *DEGREES}]
+    names = [name for name in head.names if not ("%" in (word := in_brackets(name)) or word in {"percent", *DEGREES})]
     if stated:
         (column,) = asked["sigma"]
         return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))

@@ -14,8 +14,8 @@ from torchfra.tables import plural
 
 _TOO_MANY = 0.2
 """Share of the fixes from which on targets are not left out that a column may part."""
-_MANY, _SHORTEST = 25, 1.0
-"""Fixes from which on a track is judged, and seconds that it lasts at least."""
+_MANY, _SOME, _SHORTEST = 25, 8, 1.0
+"""Fixes from which on the speed of a track is judged, and whether it is of degrees; seconds that it lasts at least."""
 _FASTEST, _FASTEST_METRES, _FASTEST_SHIP = 5000.0, 1000.0, 150.0
 """Speeds that half of the steps stay below, m/s: of all, of x and y without a unit, and of ships."""
 _RESCUE = "111"
@@ -56,11 +56,12 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
 def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
     """Refuses x and y without a unit that are degrees of longitude and latitude, or too fast for metres."""
     x, y = layout.columns["x"], layout.columns["y"]
-    judged = [recording for recording in recordings if len(recording.time) >= _MANY]
+    judged = [recording for recording in recordings if len(recording.time) >= _SOME]
     if not judged or layout.source.unit != 1 or unit(x):
         return
     speeds = [speed_across(recording) for recording in judged]
-    if not layout.stated.time_format and _FASTEST_METRES < min(speeds) < _FASTEST:
+    many = max(len(recording.time) for recording in judged) >= _MANY
+    if many and not layout.stated.time_format and _FASTEST_METRES < min(speeds) < _FASTEST:
         raise AskError(f"expected metres in {x} and {y}, received a speed of {min(speeds):,.0f} m/s: say their unit, "
                        "such as ", {"units": "mm"}, ", or ", {"units": "m"}, " if they are metres")  # fmt: skip
     places = np.concatenate([recording.position[:, :2] for recording in judged])
