@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import reprlib
 from numbers import Integral, Real
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 Array: TypeAlias = NDArray[np.float64]
+V = TypeVar("V")
 NUMBERS = int, float, np.integer, np.floating
 """Types of the numbers of Python and numpy that are real."""
 
@@ -73,15 +74,16 @@ def as_tensor(value: ArrayLike, like: Tensor | None = None) -> Tensor:
     return torch.as_tensor(value, dtype=None if hasattr(value, "dtype") else torch.float64)
 
 
-def unmasked(values: Any) -> Any:
+def unmasked(values: V) -> V | Array:
     """A masked array of numpy as a plain one, NaN where it is masked, which is missing; anything else as it is.
 
     torch and numpy would take the numbers behind the mask.
     """
     if not isinstance(values, np.ma.MaskedArray):
         return values
-    floating: Any = values if values.dtype.kind == "f" else values.astype(np.float64)
-    return floating.filled(np.nan)
+    floating = values if values.dtype.kind == "f" else values.astype(np.float64)
+    plain: Array = np.ma.filled(floating, np.nan)  # type: ignore[no-untyped-call]  # in numpy
+    return plain
 
 
 def as_numbers(value: object, name: str, uneven: str = "") -> Tensor:

@@ -34,7 +34,7 @@ def ranks(cls: type) -> dict[str, int]:
     return _RANKS[cls]
 
 
-def map_tensors(function: Callable[..., Any], tree: T, *others: Any) -> T:
+def map_tensors(function: Callable[..., Any], tree: T, *others: T) -> T:
     """``function(x, ...)`` of the tensors of one tree, or of those at the same place in several."""
     if isinstance(tree, Tensor):
         return function(tree, *others)  # type: ignore[no-any-return]  # a tensor
@@ -56,7 +56,7 @@ def map_parts(function: Callable[[Any], Any], tree: T, *kinds: type) -> T:
 
 
 def map_ranked(
-    function: Callable[..., Any], tree: T, *others: Any, rank: int | None = None, only: Collection[str] | None = None
+    function: Callable[..., Any], tree: T, *others: T, rank: int | None = None, only: Collection[str] | None = None
 ) -> T:
     """``function(rank, x, ...)`` of all tensors, with the dimensions of one track's entry; a bare tensor has ``rank``.
 
@@ -73,7 +73,7 @@ def map_ranked(
     })  # fmt: skip
 
 
-def _mapped(function: Callable[..., Any], rank: int | type | None, tree: T, *others: Any) -> T:
+def _mapped(function: Callable[..., Any], rank: int | type | None, tree: T, *others: T) -> T:
     """``map_ranked``; instead of a rank it is given the class that does not say it."""
     if isinstance(tree, Tensor):
         if not isinstance(rank, int):
@@ -81,13 +81,13 @@ def _mapped(function: Callable[..., Any], rank: int | type | None, tree: T, *oth
         return function(rank, tree, *others)  # type: ignore[no-any-return]  # a tensor
     if not isinstance(tree, tuple):
         return tree
-    cls: Any = type(tree)
+    cls = type(tree)
     each, fields = zip(tree, *others, strict=True), getattr(tree, "_fields", None)
     if fields is None:
         return tuple([_mapped(function, rank, *parts) for parts in each])  # type: ignore[return-value]  # a plain one
     ranks = _RANKS.get(cls, {})
     parts = zip(fields, each, strict=True)
-    return cls(*[_mapped(function, ranks.get(name, cls), *part) for name, part in parts])  # type: ignore[no-any-return]
+    return cls(*[_mapped(function, ranks.get(name, cls), *part) for name, part in parts])
 
 
 def flatten(tree: object) -> list[Tensor]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.motion.base import Motion
 from torchfra.types import Estimate
 
 
-def estimates(estimate: Estimate, motion: Motion, time: Any = None) -> pd.DataFrame:
+def estimates(estimate: Estimate, motion: Motion, time: ArrayLike | None = None) -> pd.DataFrame:
     """An estimate of one track as a table: means by the names of the components, ``std_*`` beside them, and ``nis``.
 
     Args:
@@ -34,7 +35,15 @@ def estimates(estimate: Estimate, motion: Motion, time: Any = None) -> pd.DataFr
     return pd.DataFrame({name: x.detach().numpy() for name, x in columns.items()}, index=index)
 
 
-def measurements(frame: Any, names: Sequence[str], *, time: str) -> tuple[Tensor, Tensor]:
+class Exported(Protocol):
+    """A table that pandas takes, such as one of polars."""
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The table in pandas."""
+        ...
+
+
+def measurements(frame: pd.DataFrame | Exported, names: Sequence[str], *, time: str) -> tuple[Tensor, Tensor]:
     """Columns of a table as measurements, rows in order of time.
 
     Args:
@@ -48,7 +57,8 @@ def measurements(frame: Any, names: Sequence[str], *, time: str) -> tuple[Tensor
     Raises:
         ValueError: a column that is not there.
     """
-    frame = frame if isinstance(frame, pd.DataFrame) else frame.to_pandas()
+    if not isinstance(frame, pd.DataFrame):
+        frame = frame.to_pandas()
     for name in (*names, time):
         if name not in frame:
             raise ValueError(f"names: expected some of {', '.join(map(str, frame.columns))}, received {name}")

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.motion.base import Motion
@@ -33,7 +34,7 @@ def of_seconds(matrix: Callable[[float], Any]) -> Callable[[Tensor], Tensor]:
     return each
 
 
-def gaussian(mean: Any, covariance: Any, order: Sequence[int]) -> Gaussian:
+def gaussian(mean: ArrayLike, covariance: ArrayLike, order: Sequence[int]) -> Gaussian:
     """A belief, its components in another order."""
     index = list(order)
     return Gaussian.from_covariance(

@@ -15,7 +15,7 @@ from torchfra.adapters.points import noise_and_motion, smoothed
 from torchfra.numbers import positive
 from torchfra.running.optional import optional
 
-xarray: Any = optional("xarray", "torchfra.adapters.poses", "frames")
+xarray = optional("xarray", "torchfra.adapters.poses", "frames")
 
 
 class Poses(NamedTuple):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self
 
 from torchfra.adapters.points import noise_and_motion, smoothed
@@ -37,7 +37,7 @@ class Smoother(base.TransformerMixin, base.BaseEstimator):  # type: ignore[misc]
     ) -> None:  # fmt: skip
         self.dims, self.period, self.std, self.q, self.smooth, self.compile = dims, period, std, q, smooth, compile
 
-    def fit(self, X: Any, y: Any = None) -> Self:
+    def fit(self, X: ArrayLike, y: ArrayLike | None = None) -> Self:
         """Finds the noise ``std_`` and the motion ``q_`` of each point from rows ``X (T, dims * points)``.
 
         Raises:
@@ -52,7 +52,7 @@ class Smoother(base.TransformerMixin, base.BaseEstimator):  # type: ignore[misc]
         self.n_features_in_ = self.dims * len(std)
         return self
 
-    def transform(self, X: Any) -> NDArray[np.float64]:
+    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """The smoothed rows ``(T, dims * points)``.
 
         Raises:
@@ -61,18 +61,18 @@ class Smoother(base.TransformerMixin, base.BaseEstimator):  # type: ignore[misc]
         mean: NDArray[np.float64] = self._estimate(X).mean[..., : self.dims].transpose(0, 1).flatten(1).numpy()
         return mean
 
-    def score(self, X: Any, y: Any = None) -> float:
+    def score(self, X: ArrayLike, y: ArrayLike | None = None) -> float:
         """The mean log likelihood of a row, given those before it, by which values may be chosen."""
         return float(self._estimate(X, smooth=False).log_likelihood.sum(0).mean())
 
-    def _estimate(self, X: Any, smooth: bool | None = None) -> Estimate:
+    def _estimate(self, X: ArrayLike, smooth: bool | None = None) -> Estimate:
         z = self._points(X)
         if len(z) != len(self.std_):
             raise ValueError(f"X: expected {self.n_features_in_} columns as in fit, received {self.dims * len(z)}")
         dt, std = z.new_full(z.shape[1:2], self.period), self.std_[:, None, None].expand(-1, z.shape[1], 1)
         return smoothed(z, dt, std, self.q_, smooth=self.smooth if smooth is None else smooth, compile=self.compile)
 
-    def _points(self, X: Any) -> torch.Tensor:
+    def _points(self, X: ArrayLike) -> torch.Tensor:
         """Rows as points ``(points, T, dims)``."""
         z = as_numbers(X, "X").double()
         if z.dim() != 2 or z.shape[1] == 0 or z.shape[1] % self.dims:

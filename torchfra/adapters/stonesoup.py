@@ -13,12 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from stonesoup.models.measurement import MeasurementModel
 from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.models.measurement.nonlinear import (
     Cartesian2DToBearing,
     CartesianToBearingRange,
     CartesianToElevationBearingRange,
 )
+from stonesoup.models.transition import TransitionModel
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, LinearGaussianTransitionModel
 from stonesoup.types.detection import Detection
 from stonesoup.types.state import GaussianState
@@ -51,7 +53,7 @@ class Timed(NamedTuple):
     """``(T - 1,)`` seconds from each to the next."""
 
 
-def order_of(model: Any) -> list[int]:
+def order_of(model: TransitionModel) -> list[int]:
     """Numbers of a model's components in torchfra's order: of combined models of one axis each, by derivatives."""
     parts = model.model_list if isinstance(model, CombinedLinearGaussianTransitionModel) else [model]
     sizes = [part.ndim_state for part in parts]
@@ -60,7 +62,7 @@ def order_of(model: Any) -> list[int]:
     return [axis * sizes[0] + derivative for derivative in range(sizes[0]) for axis in range(len(parts))]
 
 
-def motion(model: Any, *, order: Sequence[int] | None = None, dims: int | None = None) -> Motion:
+def motion(model: TransitionModel, *, order: Sequence[int] | None = None, dims: int | None = None) -> Motion:
     """A transition model as a motion.
 
     Args:
@@ -120,7 +122,7 @@ class Polar(Sensor):
         return torch.stack([torch.atan2(away[..., 2], ground), bearing, torch.hypot(ground, away[..., 2])], -1)
 
 
-def sensor(model: Any, *, order: Sequence[int] | None = None) -> Sensor:
+def sensor(model: MeasurementModel, *, order: Sequence[int] | None = None) -> Sensor:
     """A measurement model as a sensor: linear ones, and those of bearings, ranges and elevations (``Polar``).
 
     Args:
@@ -165,7 +167,7 @@ def measurements(detections: Iterable[Detection]) -> Timed:
     return Timed(times, torch.from_numpy(np.stack(rows)), _between(times))
 
 
-def detections(z: Tensor, times: Sequence[datetime], model: Any = None) -> list[Detection]:
+def detections(z: Tensor, times: Sequence[datetime], model: MeasurementModel | None = None) -> list[Detection]:
     """Measurements ``(T, m)`` as detections; steps with an element missing have none.
 
     Raises:

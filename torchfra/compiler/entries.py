@@ -10,6 +10,7 @@ from torch import Tensor
 from torch._ops import OpOverload
 
 from torchfra.compiler.expressions import Expressions
+from torchfra.linalg.autograd import Context
 
 Rule = Callable[[Expressions, Any, Any, Any], Any]
 """From the expressions, the operation of torch, its arguments and its keywords to what the operation returns."""
@@ -122,16 +123,20 @@ def pulled_back(
     return torch.autograd.grad(graded, sources, allow_unused=True)
 
 
+class _Context(Context):
+    gradients: Sequence[Tensor]
+
+
 class _Graded(torch.autograd.Function):
     """A number, by which the gradients of these tensors are the given ones."""
 
     @staticmethod
-    def forward(ctx: Any, gradients: Sequence[Tensor], *tensors: Tensor) -> Tensor:
+    def forward(ctx: _Context, gradients: Sequence[Tensor], *tensors: Tensor) -> Tensor:
         ctx.gradients = gradients
         return tensors[0].new_zeros(())
 
     @staticmethod
-    def backward(ctx: Any, one: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _Context, one: Tensor) -> tuple[Tensor | None, ...]:
         return None, *ctx.gradients
 
 

@@ -198,7 +198,7 @@ def _begin(f: Recursion, dtype: torch.dtype) -> tuple[Scan, list[Field]]:
     """``init`` of one track, and what it reads."""
     n, book = f.motion.size, Expressions()
     prior = Gaussian(Entries.inputs(book, (n,), dtype), Entries.inputs(book, (n, n), dtype))
-    module: Any = frozen(f)
+    module = frozen(f)
     with refusals_of(type(f).__name__), elementary(), torch.no_grad():
         state = module.begin(Gaussian(prior.mean, tria(prior.scale_tril)))
     leaves = [[as_entries(book, x) for x in flatten(part)] for part in (prior, state)]

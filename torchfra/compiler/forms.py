@@ -11,9 +11,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchfra.linalg.autograd import Context
 from torchfra.tree import Late
 
-_HOOKS: Any = getattr(getattr(torch._C, "_autograd", None), "_top_saved_tensors_default_hooks", None)
+_HOOKS: Callable[[bool], object] | None = getattr(
+    getattr(torch._C, "_autograd", None), "_top_saved_tensors_default_hooks", None
+)
 """It is private: versions may differ."""
 
 
@@ -21,7 +24,7 @@ def guard(tensors: Sequence[Tensor]) -> Callable[..., bool]:
     """What says whether other tensors have the form of these: torch's own, in C++, or a slower one of ours."""
     sizes, strides = [list(x.shape) for x in tensors], [list(x.stride()) for x in tensors]
     try:
-        guards: Any = importlib.import_module("torch._C._dynamo.guards").TensorGuards
+        guards = importlib.import_module("torch._C._dynamo.guards").TensorGuards
         check: Callable[..., bool] = guards(*tensors, dynamic_dims_sizes=sizes, dynamic_dims_strides=strides).check
     except (ImportError, AttributeError, TypeError):  # it is private: versions may differ
         forms = [_form(x) for x in tensors]
@@ -103,7 +106,7 @@ def first_order(backward: Callable[..., tuple[Tensor | None, ...]]) -> Callable[
     """
 
     @wraps(backward)
-    def call(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+    def call(ctx: Context, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         with torch.no_grad():
             found = backward(ctx, *grads)
         if not torch.is_grad_enabled():
@@ -119,10 +122,10 @@ def first_order(backward: Callable[..., tuple[Tensor | None, ...]]) -> Callable[
 
 class _FirstOrder(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, count: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Context, count: int, *tensors: Tensor) -> tuple[Tensor, ...]:
         return tuple(x.view_as(x) for x in tensors[:count])
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Context, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         second = "take torchfra.filters.hessian.hessian, or the filter before compile()"
         raise NotImplementedError(f"compiled filters have gradients of first order, and none of second: {second}")

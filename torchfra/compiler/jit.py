@@ -53,7 +53,7 @@ def load_tracks(source: str) -> Any:
     return _function(source, "filter_tracks", ctypes.c_int, arguments)
 
 
-def _function(source: str, name: str, result: Any, arguments: list[Any]) -> Any:
+def _function(source: str, name: str, result: type[ctypes._SimpleCData[int]] | None, arguments: list[Any]) -> Any:
     llvm = binding()
     processor, versions = (llvm.get_host_cpu_name(), features()), (str(llvm.llvm_version_info), torch.__version__)
     words = source, _FORM, str(_LEVEL), *processor, *versions

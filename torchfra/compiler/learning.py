@@ -13,6 +13,7 @@ from torchfra.compiler.forms import first_order, guard, savable
 from torchfra.compiler.program import Program, Ready, batch_first, strided
 from torchfra.compiler.source import Port
 from torchfra.compiler.track_kernel import TrackKernel
+from torchfra.linalg.autograd import Context
 
 Compiler = Callable[..., Program | None]
 """From ``"after"``, ``"backwards"`` or ``"begin"``, and the arguments of what makes it, to a part of the gradient
@@ -85,9 +86,13 @@ class Learning:
         return one(saved, list(graded.values()))
 
 
+class _Context(Context):
+    learning: Learning
+
+
 class _Learned(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, learning: Learning, *tensors: Tensor) -> tuple[Any, ...]:
+    def forward(ctx: _Context, learning: Learning, *tensors: Tensor) -> tuple[Any, ...]:
         written, sound, room = learning.kernel.run(tensors)
         first = len(learning.like)
         last = first + learning.states
@@ -102,7 +107,7 @@ class _Learned(torch.autograd.Function):
 
     @staticmethod
     @first_order
-    def backward(ctx: Any, _: None, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _Context, _: None, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         learning = ctx.learning
         return (None, *learning.back(ctx.saved_tensors, grads[: len(learning.like)]))
 

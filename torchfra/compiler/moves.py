@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch._ops import OpOverload
+from torch._ops import OpOverload, OpOverloadPacket
 
 from torchfra.compiler.entries import Entries, as_entries, each, from_numbers, leaves, unsupported
 from torchfra.compiler.entrywise import integer, number, truth_value
@@ -21,7 +21,7 @@ from torchfra.compiler.expressions import ZERO, Expressions
 aten = torch.ops.aten
 
 
-def _overloads(*packets: Any) -> set[Any]:
+def _overloads(*packets: OpOverloadPacket) -> set[Any]:
     return {getattr(packet, name) for packet in packets for name in packet.overloads()}
 
 
@@ -109,7 +109,9 @@ def _scatter(book: Expressions, x: Tensor, dim: int, index: Tensor, source: Tens
     return torch.stack(parts, dim)
 
 
-def _index_put(book: Expressions, x: Tensor, indices: Any, values: Any, accumulate: bool = False) -> Entries:
+def _index_put(
+    book: Expressions, x: Tensor, indices: Sequence[Tensor | None], values: Tensor, accumulate: bool = False
+) -> Entries:
     """Puts entries to known indices, or adds them to what is there."""
     if any(isinstance(i, Entries) for i in indices):
         raise unsupported("index_put", "the index depends on data; choose by torch.where")
@@ -136,7 +138,7 @@ def _pad(book: Expressions, x: Entries, pad: Sequence[int], value: float = 0.0) 
     return Entries(book, torch.constant_pad_nd(x.ids, pad, book.constant(value)), x.dtype)
 
 
-def _clamp(book: Expressions, x: Tensor, low: Any = None, high: Any = None) -> Tensor:
+def _clamp(book: Expressions, x: Tensor, low: float | None = None, high: float | None = None) -> Tensor:
     x = x if low is None else x.clamp_min(low)
     return x if high is None else x.clamp_max(high)
 

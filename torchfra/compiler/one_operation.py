@@ -108,10 +108,13 @@ class Call(nn.Module):
         self.places = map_tensors(lambda x: next(count), made)
 
 
-def known_call(f: Recursion, method: str, names: tuple[str, ...], options: tuple[Any, ...], *of: Any) -> str:
-    """The name by which the operations know calls of a form; ``of`` goes to ``Call.try_out``."""
+def known_call(
+    f: Recursion, method: str, names: tuple[str, ...], options: tuple[Any, ...], dtype: torch.dtype,
+    device: torch.device, known: int,
+) -> str:  # fmt: skip
+    """The name by which the operations know calls of a form; the last three go to ``Call.try_out``."""
     call = Call(f, method, names, dict(options))
-    call.try_out(*of)
+    call.try_out(dtype, device, known)
     # In the name are shapes: torch keeps what it has compiled, and a later process must not take it for another's.
     digest = hashlib.sha256(repr((method, names, options, call.values, call.leaves)).encode()).hexdigest()[:16]
     name = f"call_{digest}_{next(_COUNT)}"

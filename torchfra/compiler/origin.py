@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from types import FrameType
 
 import torch
 
@@ -47,7 +47,7 @@ class Origins:
 
 
 def _line() -> str:
-    frame: Any = sys._getframe(3)  # what has called torch
+    frame: FrameType | None = sys._getframe(3)  # what has called torch
     while frame is not None:
         place = _place(frame.f_code.co_filename)
         if place is not None:

@@ -67,7 +67,7 @@ def maker(like: Sequence[Tensor], device: torch.device) -> Callable[[], list[Ten
     forms = [(tuple(x.shape), x.stride(), x.dtype) for x in like]
     large = [k for k, x in enumerate(like) if device.type == "cpu" and _bytes(x) >= LEAST]
     try:
-        new: Any = importlib.import_module("torch._C._dynamo.guards")._empty_strided_cpu
+        new = importlib.import_module("torch._C._dynamo.guards")._empty_strided_cpu
     except (ImportError, AttributeError):  # it is private: versions may differ
         new = None
     if new is None or device.type != "cpu":

@@ -161,7 +161,8 @@ class ReadyTracks:
         """The state after the last step, and what is kept of each."""
         mean, root = tensors[:2]
         state = begin(Gaussian(mean.expand(self._shape), tria(root).expand((*self._shape, root.shape[-1]))))
-        leaves: Any = self._leaves(state)
+        leaves = self._leaves(state)
+        assert leaves is not None
         made: tuple[Any, Any] = self._made(self._run((*map(Tensor.contiguous, leaves), *tensors[2:])))
         return made
 

@@ -74,7 +74,7 @@ def _mean(book: Expressions, x: Tensor, dim: Dims = None, keepdim: bool = False,
     return total * (total.numel() / x.numel())
 
 
-def _logsumexp(book: Expressions, x: Tensor, dim: Any, keepdim: bool = False) -> Tensor:
+def _logsumexp(book: Expressions, x: Tensor, dim: list[int], keepdim: bool = False) -> Tensor:
     largest = torch.amax(x, dim, True)
     largest = torch.where(largest.abs() == torch.inf, 0.0, largest)
     total = torch.log(torch.sum(torch.exp(x - largest), dim, True)) + largest

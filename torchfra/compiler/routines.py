@@ -14,6 +14,7 @@ from torchfra.compiler.entries import Entries, as_entries, entry_ids, pulled_bac
 from torchfra.compiler.expressions import Expressions, Routine
 from torchfra.compiler.rewrites import with_quotients
 from torchfra.compiler.schedule import cost, ordered
+from torchfra.linalg.autograd import Context
 from torchfra.linalg.batches import broadcast_shapes
 
 _SHORT, _LONG = 60, 16_000
@@ -69,18 +70,23 @@ def called_for_each(function: Function, ranks: Sequence[int], tensors: Sequence[
     return tree.unflatten(results, (Entries(book, ids.reshape(batch + x.shape), x.dtype) for x, ids in pairs))
 
 
+class _Context(Context):
+    function: Function
+    ranks: Sequence[int]
+
+
 class _Differentiable(torch.autograd.Function):
     """The same, whose gradient is a call of a routine too."""
 
     @staticmethod
-    def forward(ctx: Any, function: Function, ranks: Sequence[int], form: list[Any], *tensors: Tensor) -> Any:
+    def forward(ctx: _Context, function: Function, ranks: Sequence[int], form: list[Any], *tensors: Tensor) -> Any:
         form.append(called_for_each(function, ranks, tensors))
         ctx.save_for_backward(*tensors)
         ctx.function, ctx.ranks = function, ranks
         return tuple(tree.flatten(form[0]))
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Any:
+    def backward(ctx: _Context, *grads: Tensor) -> tuple[Tensor | None, ...]:
         tensors, wanted = ctx.saved_tensors, ctx.needs_input_grad[3:]
         before = len(_batch(ctx.ranks, tensors))
         ranks = (*ctx.ranks, *(x.dim() - before for x in grads))

@@ -22,6 +22,7 @@ from torchfra.compiler.source import Scan
 from torchfra.compiler.steady import Steady, Track, steady
 from torchfra.compiler.step import Step
 from torchfra.compiler.track_kernel import TrackKernel, load, track_kernel
+from torchfra.linalg.autograd import Context
 from torchfra.linalg.tracing import has_tangents
 from torchfra.tree import flatten, unflatten
 
@@ -62,7 +63,7 @@ class Kernels:
             "forwards", device, *how, narrow=batch.numel() == 1 and not (self.step.repeated or remembers)
         )
 
-    def program(self, kind: str, device: torch.device, *how: Any, narrow: bool = False) -> Program:
+    def program(self, kind: str, device: torch.device, *how: Hashable, narrow: bool = False) -> Program:
         """``"forwards"``, ``"trajectory"``, ``"tangent"`` or ``"backwards"`` of the step, see there."""
         program = self._compiled((kind, device, narrow, *how), partial(getattr(self.step, kind), *how), narrow, device)
         assert program is not None
@@ -122,7 +123,7 @@ class Kernels:
                 self._track_functions[learns] = load(made, len(self.step.zero) if learns else 0)
             return made, self._track_functions[learns]
 
-    def _backward(self, kind: str, *how: Any) -> Program | None:
+    def _backward(self, kind: str, *how: Hashable) -> Program | None:
         """A part of the gradient pass of whole tracks on the CPU: see ``Learning``."""
         around: dict[str, Callable[..., Scan | None]] = {"after": after_back, "begin": begin_back}
         make = partial(around[kind], self._boundary) if kind in around else getattr(self.step, kind)
@@ -253,6 +254,14 @@ def has_gradient(tensors: Iterable[Tensor]) -> bool:
     return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
 
 
+class _Context(Context):
+    kernels: Kernels
+    batch: torch.Size
+    starts: Sequence[int]
+    truncate: int | None
+    remembers: bool
+
+
 class _Run(torch.autograd.Function):
     """Runs stretches of steps, from each of ``starts`` to the next.
 
@@ -261,8 +270,8 @@ class _Run(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, kernels: Kernels, batch: torch.Size, starts: Sequence[int], truncate: int | None, remembers: bool,
-        *tensors: Tensor,
+        ctx: _Context, kernels: Kernels, batch: torch.Size, starts: Sequence[int], truncate: int | None,
+        remembers: bool, *tensors: Tensor,
     ) -> tuple[Tensor, ...]:  # fmt: skip
         step, rank = kernels.step, len(batch)
         count = len(step.zero)
@@ -289,7 +298,7 @@ class _Run(torch.autograd.Function):
 
     @staticmethod
     @first_order
-    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+    def backward(ctx: _Context, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         kernels, batch, step = ctx.kernels, ctx.batch, ctx.kernels.step
         names, count, rank = list(step.inputs), len(step.zero), len(ctx.batch)
         saved = ctx.saved_tensors  # once: where they are computed anew they are not there twice
@@ -307,7 +316,7 @@ class _Run(torch.autograd.Function):
             if ctx.truncate and last % ctx.truncate == 0 and last < ctx.starts[-1]:
                 state = zero
             reads = _part(step, inputs, first, last, rank)
-            before = begun[k * count : (k + 1) * count]
+            before: Sequence[Tensor] = begun[k * count : (k + 1) * count]
             if not ctx.remembers:
                 before = kernels.program("trajectory", device)(batch, last - first, (*before, *reads))[count:]
             path = [batch_first(x, rank) for x in before]

@@ -25,7 +25,7 @@ from torchfra.linalg.tracing import elementary
 from torchfra.tree import flatten, paths, unflatten
 
 
-def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Module:
+def frozen(module: M, memo: dict[int, nn.Module] | None = None) -> M:
     """A copy that no later change of the module reaches.
 
     Tensors without a gradient, lists, dictionaries and sets are copied, tensors to the CPU, where traces are made;
@@ -37,7 +37,7 @@ def frozen(module: nn.Module, memo: dict[int, nn.Module] | None = None) -> nn.Mo
         new.__dict__.update({key: _copied(x) for key, x in module.__dict__.items()})
         new.__dict__["_buffers"] = {key: _copied(x) for key, x in module._buffers.items()}
         new.__dict__["_modules"] = {key: x and frozen(x, memo) for key, x in module._modules.items()}
-    return memo[id(module)]
+    return memo[id(module)]  # type: ignore[return-value]  # a copy of this module
 
 
 def _copied(x: object) -> Any:
@@ -54,6 +54,7 @@ def put_in_place(module: nn.Module, path: str, x: Tensor) -> None:
     (part.__dict__ if key in part.__dict__ else part._buffers)[key] = x
 
 
+M = TypeVar("M", bound=nn.Module)
 Run = Callable[[Callable[[Sequence[int]], Tensor], Sequence[Tensor]], Sequence[Tensor]]
 """A step: from what draws numbers of a shape and the leaves of a state to those of the next one."""
 

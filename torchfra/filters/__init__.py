@@ -19,7 +19,8 @@ if TYPE_CHECKING:  # isort: off
         Outliers as Outliers,
         Regimes as Regimes,
     )
-    from torchfra.filters.imm import IMM as IMM, IMMInfo as IMMInfo, IMMState as IMMState
+    from torchfra.filters.imm import IMM as IMM, IMMInfo as IMMInfo
+    from torchfra.filters.interaction import IMMState as IMMState
     from torchfra.filters.likely_models import LikelyModels as LikelyModels
     from torchfra.filters.protection import protection_level as protection_level
     from torchfra.filters.scans.jpda import JPDA as JPDA
@@ -36,7 +37,8 @@ else:
         "filters.forecast": "Forecast",
         "filters.fra": "FRA FRAInfo FRAState",
         "filters.gpb": "GPB GPBInfo GPBState Outliers Regimes",
-        "filters.imm": "IMM IMMInfo IMMState",
+        "filters.imm": "IMM IMMInfo",
+        "filters.interaction": "IMMState",
         "filters.likely_models": "LikelyModels",
         "filters.protection": "protection_level",
         "filters.scans.jpda": "JPDA",

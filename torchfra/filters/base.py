@@ -85,7 +85,7 @@ class Filter(Recursion[S]):
 
     # ------------------------------------------------------------ further functions that it may override
 
-    def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: S) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(..., H, n)`` of a state, or of an estimate's past, and logs ``(..., H)`` of their weights."""
         mean, root = source.belief
         return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])

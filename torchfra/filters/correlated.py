@@ -84,8 +84,8 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         """The motion of the target alone."""
         motion = self.inner.motion
         if isinstance(motion, Bank):
-            return Bank([_targets(one) for one in motion[:]], neighbours=motion.neighbours, first=motion.first)
-        return _targets(motion)
+            return Bank([_parts(one)[0] for one in motion[:]], neighbours=motion.neighbours, first=motion.first)
+        return _parts(motion)[0]
 
     @property
     def sensor(self) -> Sensor:  # type: ignore[override]
@@ -96,8 +96,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
     def errors(self) -> list[GaussMarkov]:
         """The errors, behind the target in the state of ``inner``."""
         motion = self.inner.motion
-        first: Any = motion[0] if isinstance(motion, Bank) else motion
-        return list(first.parts)[1:]
+        return _parts(motion[0] if isinstance(motion, Bank) else motion)[1:]  # type: ignore[return-value]  # they are
 
     def of_target(self, trees: T) -> T:
         """Trees whose beliefs have the target's components alone: the leading block of a lower root is their root."""
@@ -131,7 +130,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         forecast = self.inner.predict(state.inner, dt, u=u, sensor=self.other_sensor(sensor))
         return forecast._replace(belief=self.of_target(forecast.belief))
 
-    def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: HasBelief) -> tuple[Gaussian, Tensor]:
         """The hypotheses of the inner filter, with the target's components alone."""
         beliefs, log_weights = self.inner.hypotheses(
             source.inner if isinstance(source, WithCorrelatedErrorsState) else source
@@ -191,7 +190,7 @@ def _augmented(motion: Motion | Sequence[Motion], errors: list[GaussMarkov]) -> 
     return [Augmented(one, *errors) for one in motion]
 
 
-def _targets(motion: Any) -> Motion:
-    """The target's motion of an ``Augmented`` one."""
-    own: Motion = motion.parts[0]
-    return own
+def _parts(motion: Motion) -> list[Motion]:
+    """The target's motion, and those of its errors."""
+    assert isinstance(motion, Augmented)
+    return list(motion.parts)  # type: ignore[arg-type]  # motions

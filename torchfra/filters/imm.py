@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from torchfra import tree
 from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
 from torchfra.filters.interaction import (
+    IMMState,
     cycle,
     for_each_model,
     identity_at_zero_dt,
@@ -31,22 +32,8 @@ from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.numbers import as_numbers
 from torchfra.steps.records import Record, Smoothed
-from torchfra.steps.recursion import HasBelief, Mix
+from torchfra.steps.recursion import Mix
 from torchfra.types import Gaussian
-
-
-class IMMState(NamedTuple):
-    """State after a step."""
-
-    belief: Gaussian
-    """The Gaussian with the moments of all models."""
-    inner: HasBelief
-    """State of the inner filter, whose batch ends in the models: ``(..., K)``."""
-    log_weights: Tensor
-    """``(..., K)`` logs of the models' probabilities."""
-    active: Tensor | None = None
-    """``(..., A, K)`` with a single 1 in each row: the A active models of the bank; None if all run.  The inner state
-    and the log weights are then those of the A models."""
 
 
 class IMMInfo(NamedTuple):
@@ -244,11 +231,11 @@ class IMM(Around[IMMState]):
         matrix = identity_at_zero_dt(safe_log(self.subset.matrix(every, was, now, stays_active)), step.frame.dt)
         return matrix, of_active(for_each_model(step.frame), now)
 
-    def hypotheses(self, source: Any) -> tuple[Gaussian, Tensor]:
+    def hypotheses(self, source: IMMState | ModelsPast) -> tuple[Gaussian, Tensor]:
         """The models of a state, or of an estimate's past, and logs of their probabilities."""
         return source.inner.belief, source.log_weights
 
-    def past(self, belief: Gaussian, info: Any, state: IMMState, steps: ModelsStep) -> ModelsPast:
+    def past(self, belief: Gaussian, info: IMMInfo, state: IMMState, steps: ModelsStep) -> ModelsPast:
         """The past of every model."""
         return past_of_models(self.inner, state.inner, steps)
 

@@ -5,7 +5,7 @@ Equation numbers are those of Du & Zhang (2020).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,11 +31,25 @@ from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
 from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record
-from torchfra.steps.recursion import Mix, Recursion, S
+from torchfra.steps.recursion import HasBelief, Mix, Recursion, S
 from torchfra.types import Gaussian
 
 PER_MODEL = ("transition", "shift", "process_noise", "adaptation")
 """Fields of a frame that differ between the models of a ``Bank``."""
+
+
+class IMMState(NamedTuple):
+    """State after a step."""
+
+    belief: Gaussian
+    """The Gaussian with the moments of all models."""
+    inner: HasBelief
+    """State of the inner filter, whose batch ends in the models: ``(..., K)``."""
+    log_weights: Tensor
+    """``(..., K)`` logs of the models' probabilities."""
+    active: Tensor | None = None
+    """``(..., A, K)`` with a single 1 in each row: the A active models of the bank; None if all run.  The inner state
+    and the log weights are then those of the A models."""
 
 
 def cycle(inner: Recursion[S], state: S, predicted: Tensor, interact: Mix, frame: Frame) -> tuple[S, Tensor, Record]:
@@ -91,14 +105,14 @@ def interaction(log_weights: Tensor, matrix: Tensor, motion: Motion) -> tuple[Te
     return predicted, interact
 
 
-def uniform_interaction(state: Any, restart: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
+def uniform_interaction(state: IMMState, restart: Tensor, motion: Motion) -> tuple[Tensor, Mix]:
     """``interaction`` for a transition ``(1 - e) I + e / K``: a model stays, or restarts as any of them, uniformly.
 
     The mixed belief of each model has two components, its own belief and that of all models together, instead of K.
     The moments are the same.  Angles count from the likelier of the two.
 
     Args:
-        state: an ``IMMState``.
+        state: before the step.
         restart: ``e (...)``, the probability of a restart, from 0 to 1.
         motion: the bank.
 

@@ -14,7 +14,7 @@ from torchfra.gaussian.model import adapted, canonical
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
 from torchfra.steps.records import Smoothed
-from torchfra.steps.recursion import Recursion, S
+from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.types import Gaussian
 
 T = TypeVar("T")  # a tree
@@ -58,7 +58,7 @@ class Models(NamedTuple):
     """``(..., K)`` logs of the models' smoothed probabilities."""
 
 
-def past_of_models(inner: Recursion[S], state: S, steps: ModelsStep) -> ModelsPast:
+def past_of_models(inner: Recursion, state: HasBelief, steps: ModelsStep) -> ModelsPast:
     """The past of all models, from the kept parts of all steps.
 
     Args:

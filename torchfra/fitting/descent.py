@@ -21,11 +21,25 @@ KINDS: dict[str, type] = {"settings": dict, "iteration": int, "values": dict, "o
 """Fields of a checkpoint, and their types."""
 
 
+class Optimiser(Protocol):
+    """Holds numbers between iterations, as an optimiser of torch does."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """The numbers."""
+        ...
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Takes over saved numbers."""
+        ...
+
+
 class Learner(Protocol):
     """What a descent iterates: it changes values, of one start or of R starts side by side."""
 
-    optimiser: Any
-    """Has ``state_dict`` and ``load_state_dict``, as an optimiser of torch."""
+    @property
+    def optimiser(self) -> Optimiser:
+        """The optimiser of the values."""
+        ...
 
     def step(self, iteration: int) -> dict[str, float]:
         """Changes the values once; columns of the learning curve, of which ``"loss"`` and ``"left out"`` are shown.

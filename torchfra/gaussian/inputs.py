@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,7 @@ from torchfra.sensors.base import MeasurementNoise, Sensor
 from torchfra.tree import event_ranks
 
 Time = float | Tensor
+T = TypeVar("T")  # a tree
 
 
 @event_ranks(z=1, dt=0, u=1, std=1, noise=2)
@@ -147,7 +148,7 @@ def make_frames(measurements: Measurements, motion: Motion, sensor: Sensor, rank
     if varying:
         models, shift = tree.map_ranked(with_time, models, rank=2), None if shift is None else with_time(1, shift)
 
-    def each(x: Any, by_step: bool = True) -> list[Any]:
+    def each(x: T, by_step: bool = True) -> list[T]:
         return tree.unbind(x, steps) if by_step else [x] * steps
 
     transition, process_noise, adaptation = models

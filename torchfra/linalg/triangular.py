@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from enum import Enum
 from functools import lru_cache
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torchfra.linalg.autograd import Context
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.safe import safe_divide
 from torchfra.linalg.tracing import batchwise, has_caller, has_tangents, is_elementary, is_plain, is_traced
@@ -331,6 +332,10 @@ def _minus_lower(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     return -torch.ones(n, n, dtype=dtype, device=device).tril()
 
 
+class _Context(Context):
+    way: _Way | _Update
+
+
 class _Tria(torch.autograd.Function):
     """``dL = B - L K`` with ``B = dA Q``, ``Q = A^T L^-T`` and K skew-symmetric, its upper part that of ``L^-1 B``.
 
@@ -346,12 +351,12 @@ class _Tria(torch.autograd.Function):
         return _positive(root) if way is _Way.BESIDE else root
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, Any], output: Tensor) -> None:
+    def setup_context(ctx: _Context, inputs: tuple[Tensor, _Way | _Update], output: Tensor) -> None:
         ctx.save_for_backward(inputs[0], output)
         ctx.way = inputs[1]
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: _Context, grad: Tensor) -> tuple[Tensor, None]:
         a, lower = ctx.saved_tensors
         root, q, nonzero = _pivoted(a, lower, ctx.way)
         grad, regular = grad.tril(), not (is_traced(lower) or lower.is_cuda) and bool(nonzero.all())
@@ -370,12 +375,12 @@ class _ForwardModeTria(_Tria):
     """``_Tria`` with forward-mode derivatives, a class of its own because ``torch.compile`` refuses such functions."""
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, Any], output: Tensor) -> None:
+    def setup_context(ctx: _Context, inputs: tuple[Tensor, _Way | _Update], output: Tensor) -> None:
         _Tria.setup_context(ctx, inputs, output)
         ctx.save_for_forward(inputs[0], output)
 
     @staticmethod
-    def jvp(ctx: Any, rate: Tensor, _: None) -> Tensor:
+    def jvp(ctx: _Context, rate: Tensor, _: None) -> Tensor:
         a, lower = ctx.saved_tensors
         root, q, nonzero = _pivoted(a, lower, ctx.way)
         b, kept = rate @ (q * nonzero.unsqueeze(-1)).mT, nonzero.unsqueeze(-1)

@@ -7,6 +7,7 @@ from inspect import signature
 from typing import Any
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 from torch.distributions import constraints
 
@@ -18,6 +19,8 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers
 
 Function = Callable[..., Tensor]
+Values = ArrayLike | Sequence["float | Hyper"] | Sequence[Sequence["float | Hyper"]]
+"""Numbers, of which some may be hyperparameters."""
 
 
 class Linear(Motion):
@@ -67,11 +70,11 @@ class Linear(Motion):
 
     def __init__(
         self,
-        F: Any,
-        Q: Any = None,
+        F: Values | Function,
+        Q: Values | Function | None = None,
         *,
-        root: Any = None,
-        B: Any = None,
+        root: Values | Function | None = None,
+        B: Values | None = None,
         dims: int | None = None,
         components: Sequence[str] | None = None,
         kinds: Sequence[str] | None = None,
@@ -143,7 +146,7 @@ class Linear(Motion):
         """The number of entries of ``u`` that are matrices of a step."""
         return sum(part.count for part in (self.F, self.root) if isinstance(part, _EachStep))
 
-    def _of(self, part: Any, dt: Tensor, u: Tensor | None) -> tuple[Tensor, bool]:
+    def _of(self, part: _Part, dt: Tensor, u: Tensor | None) -> tuple[Tensor, bool]:
         """A matrix of a step, and whether it is that of a step of any length."""
         if isinstance(part, Entries | _Variances):
             return part(dt), True
@@ -212,7 +215,10 @@ class _Variances(nn.Module):
         return torch.stack([variance(like) for variance in self.variances], -1).sqrt().diag_embed()
 
 
-def _part(values: object, name: str) -> Any:
+_Part = Entries | _EachStep | _Function | _Variances
+
+
+def _part(values: Values | Function, name: str) -> Entries | _EachStep | _Function:
     """A matrix that is fixed, of each step, or a function."""
     if callable(values) and not isinstance(values, Tensor):
         return _Function(values, name)
@@ -228,7 +234,7 @@ def _part(values: object, name: str) -> Any:
     return _EachStep(entries.fixed)
 
 
-def _noise(values: Any, name: str, size: int) -> Any:
+def _noise(values: Values | Function, name: str, size: int) -> _Part:
     """The root of the process noise, from a root or a covariance."""
     if name == "root" or (callable(values) and not isinstance(values, Tensor)):
         return _part(values, name)
@@ -236,14 +242,14 @@ def _noise(values: Any, name: str, size: int) -> Any:
     if entries.fixed.dim() < 2:
         if entries.shape != (size,):
             raise ValueError(f"Q: expected ({size}, {size}) or ({size},) variances, received {tuple(entries.shape)}")
-        return _Variances(values if entries.places else entries.fixed.tolist(), "Q")
+        return _Variances(values if isinstance(values, list | tuple) else entries.fixed.tolist(), "Q")
     if entries.places:
         expected = "numbers in a covariance: take root=, or variances (n,), to learn some"
         raise ValueError(f"Q: expected {expected}, received hyperparameters at {list(entries.places)}")
     return _part(covariance_root(entries.fixed, "Q"), "Q")
 
 
-def _size(matrix: Any, components: Sequence[str] | None) -> int:
+def _size(matrix: Entries | _EachStep | _Function, components: Sequence[str] | None) -> int:
     """Number of components by a matrix or by their names."""
     if not isinstance(matrix, _Function):
         return int(matrix.shape[-1])
@@ -254,7 +260,7 @@ def _size(matrix: Any, components: Sequence[str] | None) -> int:
     return int(matrix(torch.ones((), dtype=torch.float64)).shape[-1])
 
 
-def _check(name: str, part: Any, shape: tuple[int, int | None]) -> None:
+def _check(name: str, part: _Part | None, shape: tuple[int, int | None]) -> None:
     """Checks the shape of a matrix that is known."""
     if part is None or isinstance(part, _Function):
         return

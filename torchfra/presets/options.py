@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 from torchfra.association.gates import Gate
 from torchfra.gaussian.rules import Rule
 from torchfra.hyper import Value
 from torchfra.robust.base import Robust
+
+
+class Group(Protocol):
+    """A ``TypedDict`` of keywords."""
+
+    __optional_keys__: frozenset[str]
 
 
 class HuberOptions(TypedDict, total=False):
@@ -164,6 +170,6 @@ class NoiseScansOptions(NoiseOptions, ScansOptions, total=False):
     """Those of the estimated measurement noise and of data association."""
 
 
-def picked(options: Mapping[str, Any], group: Any) -> dict[str, Any]:
+def picked(options: Mapping[str, Any], group: Group) -> dict[str, Any]:
     """Those of the options that a group has."""
     return {name: options[name] for name in options if name in group.__optional_keys__}

@@ -12,6 +12,7 @@ from typing import Any, ParamSpec, TypeVar
 from torchfra import register
 from torchfra.filters.base import Filter
 from torchfra.hyper import learnable, named
+from torchfra.presets.options import Group
 from torchfra.presets.values import with_values
 
 P = ParamSpec("P")
@@ -27,7 +28,7 @@ SHARED = {
 """Lines of documentation of arguments that many presets have."""
 
 
-def preset(name: str, *groups: Any, **traits: Any) -> Callable[[Callable[P, F]], Callable[P, F]]:
+def preset(name: str, *groups: Group, **traits: str | bool) -> Callable[[Callable[P, F]], Callable[P, F]]:
     """A decorator that makes a preset of a function ``(motion, sensor, *, learn)`` of a filter, which need not learn.
 
     What the filter learns is its own: a motion, a sensor or a robust update that has some of it is copied first.
@@ -62,7 +63,7 @@ def preset(name: str, *groups: Any, **traits: Any) -> Callable[[Callable[P, F]],
     return decorate
 
 
-def _documented(text: str, names: list[str], groups: tuple[Any, ...]) -> str:
+def _documented(text: str, names: list[str], groups: tuple[Group, ...]) -> str:
     """A docstring with the lines of shared arguments: models, sensor and clutter first, then its own, then others."""
     missing = [f"{name}: {SHARED[name]}" for name in names if name != "options" and f"    {name}: " not in text]
     first = [line for line in missing if line.partition(":")[0] not in ("values", "learn")]

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from torchfra.running.memory import keep_memory
 
 T = TypeVar("T")
-_CONTEXT: Any = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
+_CONTEXT = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
 """How processes start: a fork of this one would copy the threads of torch in any state, one of a server has none."""
 
 

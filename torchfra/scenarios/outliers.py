@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -38,7 +37,9 @@ def burst_factors(
     return torch.from_numpy(np.where(inside, size, 1.0)).unsqueeze(-1)
 
 
-def outlier_factors(outliers: str, size: float | None, share: float) -> Callable[[np.random.Generator, Any], Tensor]:
+def outlier_factors(
+    outliers: str, size: float | None, share: float
+) -> Callable[[np.random.Generator, Sequence[int]], Tensor]:
     """A function ``(rng, shape)`` that draws the factor on the standard deviation of each measurement: 1 for most.
 
     Args:
@@ -53,7 +54,7 @@ def outlier_factors(outliers: str, size: float | None, share: float) -> Callable
     if not (size is None or 1 <= size < float("inf")) or not 0 <= share <= 1:
         raise ValueError(f"size, share: expected a size of 1 or more and a share in [0, 1], received {size}, {share}")
 
-    def draw(rng: np.random.Generator, shape: Any) -> Tensor:
+    def draw(rng: np.random.Generator, shape: Sequence[int]) -> Tensor:
         outlying, drawn = torch.from_numpy(rng.random(shape)) < share, torch.from_numpy(rng.integers(1, 21, shape))
         times = drawn.double() if size is None else torch.full(tuple(shape), float(size), dtype=torch.float64)
         factor = {"covariance": times.sqrt(), "std": times, "none": torch.ones_like(times)}[outliers]

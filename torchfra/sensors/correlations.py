@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
+from numpy.typing import ArrayLike
 from torch.nn.functional import pad
 
 from torchfra.linalg.covariance import covariance_root
@@ -35,8 +36,9 @@ class CrossCorrelated(NamedTuple):
 
 
 def cross_correlated(
-    F: Any, Q: Any, H: Any, R: Any, S: Any, *, following: bool = False, components: Sequence[str] | None = None
-) -> CrossCorrelated:
+    F: ArrayLike, Q: ArrayLike, H: ArrayLike, R: ArrayLike, S: ArrayLike, *, following: bool = False,
+    components: Sequence[str] | None = None,
+) -> CrossCorrelated:  # fmt: skip
     """A linear motion and a sensor whose noise is correlated, ``x' = F x + w``, ``z = H x + v``, ``E[w v^T] = S``.
 
     ``w`` is the noise of the step that leads to the measurement, as gusts that move an aircraft and its sensor, or

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from numpy.typing import ArrayLike
 from torch import Tensor
 
@@ -16,7 +14,7 @@ def in_space(dims: int, orders: int = 1) -> list[tuple[int, tuple[str, ...]]]:
     return [(order * dims + axis, (KINDS[order],)) for order in range(orders) for axis in range(dims)]
 
 
-def heading_at(index: Any) -> int:
+def heading_at(index: int) -> int:
     """The index of a vehicle's heading in a state, behind its position in the plane.
 
     Raises:

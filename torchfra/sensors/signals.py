@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from numpy.typing import ArrayLike
 from torch import Tensor
 
@@ -60,7 +58,10 @@ class TimeDifferences(Sensor):
     Args:
         anchors: see ``Ranges``; ``m + 1`` anchors have ``m`` differences.
         std: of each arrival's noise, times the speed, m; a number or ``(..., m + 1)`` with one per anchor.
-        options: ``count``, ``dims``, ``height`` and ``noise`` (of the arrivals) of ``Ranges``.
+        count: see ``Ranges``.
+        dims: see ``Ranges``.
+        height: see ``Ranges``.
+        noise: of the arrivals, see ``Ranges``.
 
     Raises:
         ValueError: see ``Ranges``; or a single anchor.
@@ -68,8 +69,11 @@ class TimeDifferences(Sensor):
     Source: Foy (1976), "Position-Location Solutions by Taylor-Series Estimation".
     """
 
-    def __init__(self, anchors: ArrayLike | None = None, std: Value | None = None, **options: Any) -> None:
-        arrivals = Ranges(anchors, std, **options)
+    def __init__(
+        self, anchors: ArrayLike | None = None, std: Value | None = None, *, count: int | None = None,
+        dims: int | None = None, height: float | None = None, noise: Tensor | None = None,
+    ) -> None:  # fmt: skip
+        arrivals = Ranges(anchors, std, count=count, dims=dims, height=height, noise=noise)
         if arrivals.size < 2:
             raise ValueError(f"anchors: expected 2 or more for a difference, received {arrivals.size}")
         self._lay_out(arrivals.reads, [False] * (arrivals.size - 1))

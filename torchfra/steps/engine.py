@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Frame, Measurements
@@ -15,6 +15,8 @@ from torchfra.steps.records import Kept, Smoothed, decided, kept
 from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Estimate, Gaussian
 
+F = TypeVar("F", bound=Recursion)
+P = ParamSpec("P")
 Function = Callable[[Any, S, Frame], tuple[S, Any]]
 """From a filter, its state and a frame to the next state and a result of the step."""
 
@@ -22,7 +24,9 @@ Function = Callable[[Any, S, Frame], tuple[S, Any]]
 class Engine:
     """Runs the steps of a filter one after the other.  A filter holds an engine; ``Filter.compile`` replaces it."""
 
-    def call(self, method: Callable[..., Estimate], f: Recursion, *arguments: Any, **options: Any) -> Estimate:
+    def call(
+        self, method: Callable[Concatenate[F, P], Estimate], f: F, *arguments: P.args, **options: P.kwargs
+    ) -> Estimate:
         """The result of a method of the filter for whole tracks, ``method(f, *arguments, **options)``."""
         return method(f, *arguments, **options)
 

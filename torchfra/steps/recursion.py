@@ -150,7 +150,7 @@ class Recursion(Part, Generic[S]):
         """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
         return state
 
-    def past(self, belief: Gaussian, info: Any, state: Any, steps: Any) -> Any:
+    def past(self, belief: Gaussian, info: Any, state: S, steps: Any) -> Any:
         """The past for the backward pass: a tuple of ``(..., T, ...)`` tensors, such as a ``records.Past``.
 
         One with a method ``of_next`` says by it what ``retreat`` reads of the next step: all else is None.

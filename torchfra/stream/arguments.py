@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from typing import Any
+from typing import SupportsFloat
 
 import torch
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ _CODES = {torch.float32: "f", torch.float64: "d"}
 """Type codes of arrays, by dtype."""
 
 
-def check_sensors(filter: Any, sensors: Mapping[str, Sensor] | None) -> dict[str, Sensor]:
+def check_sensors(filter: Filter, sensors: Mapping[str, Sensor] | None) -> dict[str, Sensor]:
     """The sensors of a tracker by name, once the filter is known to take each of them.
 
     Raises:
@@ -57,7 +57,7 @@ def check_counts(lag: float, steps: int | None, old: str, jump: float | None) ->
         raise ValueError(f"jump: expected seconds above the lag of {lag}, or None, received {jump!r}")
 
 
-def seconds(name: str, x: Any) -> float:
+def seconds(name: str, x: SupportsFloat | str) -> float:
     """A time or a duration as a float.
 
     Raises:
@@ -69,7 +69,7 @@ def seconds(name: str, x: Any) -> float:
     return value
 
 
-def _number(x: Any) -> float:
+def _number(x: SupportsFloat | str) -> float:
     """The argument as a float; NaN if it is no number."""
     try:
         return float(x)

@@ -19,6 +19,7 @@ from torchfra.gaussian.arguments import PRECISIONS
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
+from torchfra.steps.recursion import HasBelief
 from torchfra.stream.arguments import check_finite, check_fits, check_sensors, numbers
 from torchfra.stream.window import Entry
 from torchfra.types import Gaussian
@@ -56,9 +57,9 @@ class Intake:
         self.filter, self.dtype, self.device = filter, dtype, device
         self.origin = None if origin is None else Origin(filter.motion, origin, dtype)
 
-    def start(self, prior: Gaussian) -> Any:
+    def start(self, prior: Gaussian) -> HasBelief:
         """The filter's state at a prior from outside, whose batch is that of all measurements to come."""
-        state = self.filter.init(self.inward(prior))
+        state: HasBelief = self.filter.init(self.inward(prior))
         self.batch = state.belief.mean.shape[:-1]
         return state
 
@@ -74,7 +75,10 @@ class Intake:
             raise ValueError(f"sensor: expected one of {self.names}, received {name!r}")
         return self.names.index(name)
 
-    def entry(self, time: float, z: ArrayLike, name: str | None, u: Any, std: Any, noise: Any) -> Entry:
+    def entry(
+        self, time: float, z: ArrayLike, name: str | None, u: ArrayLike | None, std: ArrayLike | None,
+        noise: ArrayLike | None,
+    ) -> Entry:  # fmt: skip
         """A measurement as the filter takes it; a standard deviation that is a number is that of each element.
 
         Raises:
@@ -83,13 +87,12 @@ class Intake:
         number = self.number(name)
         sensor = self.sensors[number]
         measured = numbers("z", z, self.device, self.dtype if self.origin is None else torch.float64)
-        if not (u is std is noise is None):
-            u, std, noise = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
-            std = std.repeat(sensor.size) if std is not None and not std.dim() else std
-        self.check(Entry(time, number, measured, u, std, noise))
-        local = measured if self.origin is None else self.origin.measured(sensor, measured, u)
+        inputs, stated, root = self.inputs(u), self.tensor("std", std), self.tensor("noise", noise)
+        stated = stated.repeat(sensor.size) if stated is not None and not stated.dim() else stated
+        self.check(Entry(time, number, measured, inputs, stated, root))
+        local = measured if self.origin is None else self.origin.measured(sensor, measured, inputs)
         check_finite("z", local, missing=True)
-        return Entry(time, number, local, u, std, noise)
+        return Entry(time, number, local, inputs, stated, root)
 
     def check(self, entry: Entry) -> None:
         """Checks that an entry is of one of the sensors, and its numbers of the shapes of this batch.

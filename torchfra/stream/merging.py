@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchfra.numbers import as_numbers, positive
@@ -27,8 +28,9 @@ class Merged(NamedTuple):
 
 
 def merge(
-    odometry: tuple[Any, Any], measurements: Mapping[str, Sequence[Any]], *, longest: float, start: float | None = None
-) -> Merged:
+    odometry: tuple[ArrayLike, ArrayLike], measurements: Mapping[str, Sequence[ArrayLike]], *, longest: float,
+    start: float | None = None,
+) -> Merged:  # fmt: skip
     """Puts readings of odometry and measurements at any times of their own onto one axis of time.
 
     A reading holds from its time to that of the next one, as velocities do that ``motion.body_velocities`` makes of
@@ -95,7 +97,7 @@ def _together(parts: Sequence[Tensor], fill: float) -> Tensor:
     return torch.cat([torch.nn.functional.pad(x, (0, width - x.shape[1]), value=fill) for x in parts])
 
 
-def _measured(name: str, time: Any, z: Any, u: Any = None) -> tuple[Tensor, Tensor, Tensor]:
+def _measured(name: str, time: ArrayLike, z: ArrayLike, u: ArrayLike | None = None) -> tuple[Tensor, Tensor, Tensor]:
     """Times ``(J,)``, values ``(J, m)`` and further inputs ``(J, l)`` of a sensor's measurements."""
     when, values = as_numbers(time, name).double(), as_numbers(z, name).double()
     inputs = values.new_zeros(len(values), 0) if u is None else as_numbers(u, name).double()

@@ -21,17 +21,16 @@ from torchfra.filters.forecast import Forecast
 from torchfra.filters.protection import protection_level
 from torchfra.gaussian.arguments import belief_of, check_belief
 from torchfra.sensors.base import Sensor
-from torchfra.steps.recursion import in_full_precision
+from torchfra.steps.recursion import HasBelief, in_full_precision
 from torchfra.stream.arguments import check_counts, seconds
 from torchfra.stream.intake import Intake
-from torchfra.stream.window import At, Clock, Entry, Window
+from torchfra.stream.window import At, Clock, Entry, Known, Window
 from torchfra.types import Alarm, Failure, Gaussian, Innovation
 
 OUTCOMES = ("used", "late", "duplicate", "old", "jumped")
 FORMAT = 1
 """Version of the dictionary of a saved track."""
-Alarms = tuple[Alarm, ...]
-"""The alarm of each sensor at its last measurement; empty for filters without alarms."""
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -63,13 +62,6 @@ class Report(NamedTuple):
     """Whether its sensor is faulty: ``Tracker.alarms``; None for filters without alarms."""
     failure: Failure | None = None
     """See ``Tracker.failure``."""
-
-
-class Known(NamedTuple):
-    """State of the filter and alarms after a measurement."""
-
-    state: Any
-    alarms: Alarms
 
 
 class Tracker:
@@ -161,7 +153,7 @@ class Tracker:
             step, cause = torch.where(which, -1, step), torch.where(which, 0, cause)
             self._failure = Failure(step, cause, values) if bool((step >= 0).any()) else None
 
-    def _begun(self, state: Any) -> Known:
+    def _begun(self, state: HasBelief) -> Known:
         """A first state, and an alarm for each sensor if the filter has alarms: its state counts their seconds."""
         alarms = getattr(state, "duration", None) is not None
         return Known(state, tuple(_no_alarm(x, state.belief.mean) for x in self._intake.sensors if alarms))
@@ -187,8 +179,7 @@ class Tracker:
     @property
     def _now(self) -> Known:
         """State and alarms after the latest measurement in the window."""
-        known: Known = self._window.before(len(self._window.entries))[1]
-        return known
+        return self._window.before(len(self._window.entries))[1]
 
     @property
     def belief(self) -> Gaussian:
@@ -365,7 +356,7 @@ class Tracker:
             raise ValueError(f"values: {error}") from None
         self._window, self._clock, self._counts, self._failure = window, clock, counts, failure
 
-    def _old(self, time: Any, entry: Entry) -> Report:
+    def _old(self, time: float, entry: Entry) -> Report:
         """Refuses a measurement that comes too late, or counts it."""
         if self.old == "refuse":
             first = max(self._window.newest - self.lag, self._window.time)
@@ -384,7 +375,7 @@ class Tracker:
             state, (innovation, belief) = f.engine.step(f, known.state, measurements, True)
             alarm = innovation.alarm
             if other is None and len(known.alarms) == 1:  # the filter's own memory is that of its only sensor
-                alarms: Alarms = (alarm,)
+                alarms: tuple[Alarm, ...] = (alarm,)
             else:
                 alarms = _alarms_after(known.alarms, each.sensor, alarm, measurements.z, each.time - time)
             if not _is_finite(state.belief):
@@ -419,7 +410,7 @@ def _is_finite(belief: Gaussian) -> bool:
     return math.isfinite((belief.mean.sum() + belief.scale_tril.sum()).item())
 
 
-def _state_like(like: Any, tensors: Sequence[Tensor]) -> Any:
+def _state_like(like: Known, tensors: Sequence[Tensor]) -> Known:
     """A saved state, of the form of another."""
     form, received = ([(x.shape, x.dtype) for x in xs] for xs in (tree.flatten(like), tensors))
     if received != form:
@@ -433,7 +424,9 @@ def _no_alarm(sensor: Sensor, mean: Tensor) -> Alarm:
     return Alarm(blocks, blocks.clone(), elements)
 
 
-def _alarms_after(alarms: Alarms, number: int, alarm: Alarm | None, z: Tensor, dt: float) -> Alarms:
+def _alarms_after(
+    alarms: tuple[Alarm, ...], number: int, alarm: Alarm | None, z: Tensor, dt: float
+) -> tuple[Alarm, ...]:
     """All alarms after a measurement ``z (..., m)`` by the sensor of this number, ``dt`` seconds after the last one.
 
     Args:

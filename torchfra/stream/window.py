@@ -6,13 +6,14 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from torch import Tensor
 
 from torchfra.gaussian.inputs import Measurements
 from torchfra.sensors.base import Sensor
-from torchfra.types import Gaussian
+from torchfra.steps.recursion import HasBelief
+from torchfra.types import Alarm, Gaussian
 
 _key, _time = attrgetter("key"), attrgetter("time")
 Key = tuple[float, int, tuple[tuple[bool, float], ...]]
@@ -26,6 +27,14 @@ class At(NamedTuple):
     belief: Gaussian
 
 
+class Known(NamedTuple):
+    """State of the filter and alarms after a measurement."""
+
+    state: HasBelief
+    alarms: tuple[Alarm, ...]
+    """The alarm of each sensor at its last measurement; empty for filters without alarms."""
+
+
 class Entry(NamedTuple):
     """A measurement, and the state after it."""
 
@@ -37,7 +46,8 @@ class Entry(NamedTuple):
     u: Tensor | None
     std: Tensor | None
     noise: Tensor | None
-    state: Any = None
+    state: Known | None = None
+    """None until it is in a window."""
 
     @property
     def key(self) -> Key:
@@ -64,7 +74,7 @@ class Window:
         state: that state.
     """
 
-    def __init__(self, time: float, state: Any) -> None:
+    def __init__(self, time: float, state: Known) -> None:
         self.time, self.state = time, state
         self.entries: list[Entry] = []
         self.forgot = False
@@ -74,11 +84,13 @@ class Window:
         """The time of the newest state."""
         return self.entries[-1].time if self.entries else self.time
 
-    def before(self, place: int) -> tuple[float, Any]:
+    def before(self, place: int) -> tuple[float, Known]:
         """Time and state before the entry at a place."""
         if place == 0:
             return self.time, self.state
-        return self.entries[place - 1].time, self.entries[place - 1].state
+        entry = self.entries[place - 1]
+        assert entry.state is not None
+        return entry.time, entry.state
 
     def precedes(self, time: float) -> bool:
         """Whether a time is before the window, so that no entry can be inserted there."""
@@ -90,7 +102,7 @@ class Window:
             return len(self.entries)
         return bisect_left(self.entries, entry.key, key=_key)
 
-    def at(self, time: float) -> tuple[float, Any]:
+    def at(self, time: float) -> tuple[float, Known]:
         """Time and state of the last entry up to a time."""
         return self.before(bisect_right(self.entries, time, key=_time))
 
@@ -107,8 +119,8 @@ class Window:
             and entries[0].time < newest
             and (entries[0].time < since or (steps is not None and len(entries) > steps))
         ):
-            first = entries.pop(0)
-            self.time, self.state, self.forgot = first.time, first.state, True
+            (self.time, self.state), self.forgot = self.before(1), True
+            entries.pop(0)
 
 
 def _equal(a: Tensor | None, b: Tensor | None) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -75,7 +75,7 @@ def check_parts(**parts: tuple[object, type]) -> None:
 
 
 def by_sensor(
-    name: str, values: Mapping[str | None, T] | None, sensors: Collection[str], kind: Any
+    name: str, values: Mapping[str | None, T] | None, sensors: Collection[str], kind: type[T] | None = None
 ) -> dict[str | None, T]:
     """An argument that has values of a kind for some sensors, by their names, None for the filter's own.
 
@@ -87,7 +87,7 @@ def by_sensor(
     for sensor, value in (values or {}).items():
         if sensor is not None and sensor not in sensors:
             raise ValueError(f"{name}: expected some of {', '.join(['None', *sensors])}, received {sensor!r}")
-        if not isinstance(value, kind):
+        if kind is not None and not isinstance(value, kind):
             raise ValueError(f"{name}: expected a {kind.__name__} of {sensor!r}, received {type(value).__name__}")
     return dict(values or {})
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from torchfra.hyper import one_of
 from torchfra.numbers import positive
-from torchfra.targets.state import Track, joined, renamed, rows
+from torchfra.targets.state import Claimed, Mapped, Track, joined, renamed, rows
 
 FRAMES = "fixed", "platform"
 """Where a map may stay: with the positions of targets, or with the sensors."""
@@ -18,41 +17,6 @@ _LEAST = 0.01
 """Weight and probability below which a measurement is forgotten."""
 _REACH = 9.0
 """Radius of a kernel, in standard deviations: its values beyond are less than rounding."""
-
-
-class Claimed(NamedTuple):
-    """``(K,)`` past measurements that targets have begun with, or claimed while they were tentative."""
-
-    position: Tensor
-    """``(K, dims)`` positions, m."""
-    weight: Tensor
-    """``(K,)`` probability that each was the target's, or, if that began with it, no confirmed target's; times its
-    exponential decay since."""
-    scene: Tensor
-    """``(K,)`` number of the scene."""
-    sensor: Tensor
-    """``(K,)`` number of the sensor."""
-    identity: Tensor
-    """``(K,)`` of the target."""
-
-
-class Mapped(NamedTuple):
-    """The state of a map: ``(K,)`` past measurements that belonged to no confirmed target."""
-
-    position: Tensor
-    """``(K, dims)`` positions, m."""
-    weight: Tensor
-    """``(K,)`` probability that each belonged to no confirmed target, times its exponential decay since."""
-    scene: Tensor
-    """``(K,)`` number of the scene."""
-    sensor: Tensor
-    """``(K,)`` number of the sensor; 0 for the filter's own."""
-    scans: Tensor
-    """``(R, S)`` number of scans of each scene and sensor, each times its exponential decay since."""
-    claimed: Claimed
-    """Those of them that tentative targets have begun with or claimed."""
-    frame: Tensor
-    """``(1,)`` number of the frame of all positions in ``FRAMES``."""
 
 
 class ClutterMap(nn.Module):
@@ -117,13 +81,13 @@ class ClutterMap(nn.Module):
         assert u is not None  # as checked before
         return position - u[:, : position.shape[-1]]
 
-    def check(self, mapped: Mapped, u: Tensor | None, dims: int) -> None:
+    def check(self, mapped: Mapped | None, u: Tensor | None, dims: int) -> None:
         """Checks that a map is of this frame, and that a scan has the place of the platform if it needs it.
 
         Raises:
             ValueError: it does not.
         """
-        if FRAMES[int(mapped.frame)] != self.frame:
+        if mapped is not None and FRAMES[int(mapped.frame)] != self.frame:
             received = FRAMES[int(mapped.frame)]
             raise ValueError(f"state: expected a map of clutter in the frame {self.frame!r}, received {received!r}")
         if self.frame == "platform" and (u is None or u.shape[-1] < dims):

@@ -65,7 +65,7 @@ def check_linkage(
     Raises:
         ValueError: one of no sensor, or of one that does not locate, or no metres.
     """
-    checked = by_sensor("linkage", linkage, others, object)
+    checked = by_sensor("linkage", linkage, others)
     for name, metres in checked.items():
         sensor = own.sensor if name is None else others[name].sensor
         if not sensor.locates:

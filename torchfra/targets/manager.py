@@ -11,8 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from torchfra import tree
+from torchfra.filters.base import Filter
 from torchfra.filters.scans.jpda import JPDA
 from torchfra.filters.scans.lost_tracks import log_miss, log_unseen
+from torchfra.filters.scans.scan import JPDAState
 from torchfra.filters.srckf import SRCKF
 from torchfra.gaussian.arguments import measurements_of
 from torchfra.gaussian.inputs import Measurements, Time
@@ -22,7 +24,7 @@ from torchfra.steps.engine import INTERPRETED
 from torchfra.targets.births import Birth, Newborn, OnePoint
 from torchfra.targets.checks import check_filter, check_parts, check_scan, check_scans
 from torchfra.targets.clusters import Group
-from torchfra.targets.clutter_map import ClutterMap, Mapped
+from torchfra.targets.clutter_map import ClutterMap
 from torchfra.targets.detections import check_linkage, linked
 from torchfra.targets.extent import Extent
 from torchfra.targets.late import Passed, kept, put_in
@@ -32,6 +34,8 @@ from torchfra.targets.rules import SPRT, Confirmation, Deletion
 from torchfra.targets.scan import SceneScan, filter_scan
 from torchfra.targets.state import (
     Ended,
+    Lines,
+    Mapped,
     TargetsEstimate,
     TargetsState,
     Track,
@@ -42,7 +46,7 @@ from torchfra.targets.state import (
     rows,
 )
 from torchfra.targets.stitching import Parts, Stitching, lost
-from torchfra.targets.triangulation import Lines, Triangulation, check_triangulation, sights
+from torchfra.targets.triangulation import Triangulation, check_triangulation, sights
 from torchfra.targets.views import FieldOfView, check_place, check_views
 from torchfra.targets.visibility import Visibility, check_visibility
 from torchfra.types import Gaussian
@@ -376,8 +380,8 @@ class Targets(Part):
         return state._replace(track=track._replace(visible=visible)), visible[:, sensor]
 
     def _stitched(
-        self, everyone: Any, track: Track, found: Tensor, ended: Ended, inner: Any, u: Tensor | None
-    ) -> tuple[Any, Track, Ended, tuple[Tensor, Tensor, Tensor]]:
+        self, everyone: JPDAState, track: Track, found: Tensor, ended: Ended, inner: Filter, u: Tensor | None
+    ) -> tuple[JPDAState, Track, Ended, tuple[Tensor, Tensor, Tensor]]:
         """Gives targets ``found (N,)`` the identities of lost ones.
 
         Returns:
@@ -402,8 +406,8 @@ class Targets(Part):
         return *rows((everyone, track), stays), rows(ended, left), names
 
     def _not_missed(
-        self, state: TargetsState, track: Track, after: Any, view: FieldOfView, scan: SceneScan
-    ) -> tuple[Track, Any]:
+        self, state: TargetsState, track: Track, after: JPDAState, view: FieldOfView, scan: SceneScan
+    ) -> tuple[Track, JPDAState]:
         """Restores age and misses of targets outside the sensor's field of view."""
         motion, scene = self.filter.motion, state.track.scene
         position = positions(motion, after.belief).mean
@@ -424,6 +428,7 @@ class Targets(Part):
         """
         clutter_map, ((position, _), scene, j), track = self.clutter_map, located, state.track
         assert clutter_map is not None
+        assert state.clutter is not None
         mapped, excess = clutter_map.aged(state.clutter, scan.dt), scan.z.new_zeros(scan.z.shape[:2])
         if not _maps(filter):
             return excess, torch.zeros_like(track.score), mapped

@@ -47,12 +47,12 @@ class SceneScan(NamedTuple):
 
 def filter_scan(
     filter: JPDA,
-    state: Any,
+    state: JPDAState,
     scene: Tensor,
     scan: SceneScan,
     exists: Tensor | None = None,
     visible: Tensor | None = None,
-) -> tuple[Any, Tensor, Tensor, Tensor, list[Group]]:
+) -> tuple[JPDAState, Tensor, Tensor, Tensor, list[Group]]:
     """One step of all targets.
 
     Args:
@@ -93,7 +93,7 @@ def filter_scan(
     return everyone.state, torch.cat(missed)[order], torch.cat(density)[order], association, groups
 
 
-def _reach(filter: JPDA, state: Any, scene: Tensor, scan: SceneScan) -> Tensor:
+def _reach(filter: JPDA, state: JPDAState, scene: Tensor, scan: SceneScan) -> Tensor:
     """Measurements ``(N, J)`` of its scene that may be in the gate of each target, bool."""
     alone = tree.map_tensors(lambda x: x.unsqueeze(1), state)  # each target in a scene of its own
     anything = scan.z.new_zeros(len(scene), 1, filter.sensor.size)

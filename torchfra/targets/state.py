@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from torchfra import tree
+from torchfra.filters.scans.scan import JPDAState
 from torchfra.types import Gaussian
+
+T = TypeVar("T")  # a tree
+Named = TypeVar("Named", "Track", "Ended", "Claimed")
 
 
 class Beside(NamedTuple):
@@ -60,7 +64,7 @@ class Track(NamedTuple):
 class Ended(NamedTuple):
     """Confirmed targets ``(E,)`` that were deleted recently, and may be found again."""
 
-    filter: Any
+    filter: JPDAState
     """State of the filter at the deletion."""
     scene: Tensor
     identity: Tensor
@@ -85,20 +89,76 @@ class Unassociated(NamedTuple):
     """``(K,)`` number of the sensor that measured; 0 for the filter's own."""
 
 
+class Claimed(NamedTuple):
+    """``(K,)`` past measurements that targets have begun with, or claimed while they were tentative."""
+
+    position: Tensor
+    """``(K, dims)`` positions, m."""
+    weight: Tensor
+    """``(K,)`` probability that each was the target's, or, if that began with it, no confirmed target's; times its
+    exponential decay since."""
+    scene: Tensor
+    """``(K,)`` number of the scene."""
+    sensor: Tensor
+    """``(K,)`` number of the sensor."""
+    identity: Tensor
+    """``(K,)`` of the target."""
+
+
+class Mapped(NamedTuple):
+    """The state of a map: ``(K,)`` past measurements that belonged to no confirmed target."""
+
+    position: Tensor
+    """``(K, dims)`` positions, m."""
+    weight: Tensor
+    """``(K,)`` probability that each belonged to no confirmed target, times its exponential decay since."""
+    scene: Tensor
+    """``(K,)`` number of the scene."""
+    sensor: Tensor
+    """``(K,)`` number of the sensor; 0 for the filter's own."""
+    scans: Tensor
+    """``(R, S)`` number of scans of each scene and sensor, each times its exponential decay since."""
+    claimed: Claimed
+    """Those of them that tentative targets have begun with or claimed."""
+    frame: Tensor
+    """``(1,)`` number of the frame of all positions in ``clutter_map.FRAMES``."""
+
+
+class Lines(NamedTuple):
+    """Lines of sight ``(K,)`` that belong to no target."""
+
+    station: Tensor
+    """``(K, 2)`` where each begins, m."""
+    bearing: Tensor
+    """``(K,)`` clockwise from +y, rad."""
+    std: Tensor
+    """``(K,)`` standard deviation of the bearing, rad."""
+    farthest: Tensor
+    """``(K,)`` how far its sensor sees, m."""
+    scene: Tensor
+    """``(K,)``."""
+    since: Tensor
+    """``(K,)`` seconds since the measurement."""
+    new: Tensor
+    """``(K,)`` probability that no target explains it."""
+    sensor: Tensor
+    """``(K,)`` number of its sensor; 0 for the filter's own."""
+
+
 class TargetsState(NamedTuple):
     """The existing targets after a scan, N of them in all scenes together."""
 
-    filter: Any
-    """State of the filter, rows of ``(N, ...)``."""
+    filter: JPDAState
+    """Of rows ``(N, ...)``."""
     track: Track
     unassociated: Unassociated
     next_identity: Tensor
     """``(R,)`` of each scene."""
-    clutter: Any = None
+    clutter: Mapped | None = None
     """State of the clutter map; None without one."""
     ended: Ended | None = None
     """Lost targets that may be found again; None without ``Stitching``."""
-    lines: Any = None
+    lines: Lines | None = None
     """Lines of sight that belong to no target; None without ``Triangulation``."""
     past: tuple[Any, ...] = ()
     """The latest scans with the states before them, for delayed scans; empty without a ``lag``."""
@@ -106,14 +166,12 @@ class TargetsState(NamedTuple):
     @property
     def belief(self) -> Gaussian:
         """``(N,)``, tentative targets included."""
-        belief: Gaussian = self.filter.belief
-        return belief
+        return self.filter.belief
 
     @property
     def confirmed(self) -> Gaussian:
         """Beliefs of the confirmed targets alone."""
-        belief: Gaussian = rows(self.belief, self.track.confirmed)
-        return belief
+        return rows(self.belief, self.track.confirmed)
 
     @property
     def identity(self) -> Tensor:
@@ -140,25 +198,27 @@ class TargetsEstimate(NamedTuple):
         return ~self.mean.isnan().any(-1)
 
 
-def rows(trees: Any, index: Tensor | slice) -> Any:
+def rows(trees: T, index: Tensor | slice) -> T:
     """The rows of all tensors of a tree: by number, in any shape, or where a mask is True."""
     return tree.map_tensors(lambda x: x[index], trees)
 
 
-def joined(*trees: Any) -> Any:
+def joined(*trees: T) -> T:
     """The rows of one tree after those of another of the same form."""
     return tree.map_tensors(lambda *parts: torch.cat(parts), *trees)
 
 
-def renamed(of: Any, scene: Tensor, new: Tensor, old: Tensor) -> Any:
+def renamed(of: Named, scene: Tensor, new: Tensor, old: Tensor) -> Named:
     """Rows with a ``scene`` and an ``identity``, where ``new (S,)`` ones of scenes ``(S,)`` have become ``old``."""
 
     def changed(names: Tensor) -> Tensor:
         same = (of.scene[:, None] == scene) & (names[:, None] == new)
         return torch.where(same, old, 0).sum(-1) + torch.where(same.any(-1), 0, names)
 
-    of, beside = of._replace(identity=changed(of.identity)), getattr(of, "beside", None)
-    return of if beside is None else of._replace(beside=beside._replace(host=changed(beside.host)))
+    of = of._replace(identity=changed(of.identity))
+    if not isinstance(of, Track) or of.beside is None:
+        return of
+    return of._replace(beside=of.beside._replace(host=changed(of.beside.host)))
 
 
 def collect(states: Sequence[TargetsState], batch: Sequence[int] = ()) -> TargetsEstimate:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from torchfra.filters.scans.scan import JPDAState
 from torchfra.motion.base import Motion
 from torchfra.numbers import fraction, positive
 from torchfra.targets.assignment import assigned, chi_square, squared_distance
@@ -75,7 +76,7 @@ class Stitching(nn.Module):
         return f"seconds={self.seconds:g}, metres={self.metres:g}, probability={self.probability:g}"
 
 
-def lost(state: Any, track: Track, which: Tensor) -> Ended:
+def lost(state: JPDAState, track: Track, which: Tensor) -> Ended:
     """Those targets ``which (N,)`` are deleted now, of a filter's ``state``."""
     state, track = rows((state, track), which)
     return Ended(state, track.scene, track.identity, track.since, torch.zeros_like(track.since))

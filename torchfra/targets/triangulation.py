@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -16,29 +15,8 @@ from torchfra.sensors.base import Sensor
 from torchfra.sensors.direction import Bearings
 from torchfra.sensors.places import from_u
 from torchfra.targets.scan import SceneScan
-from torchfra.targets.state import Unassociated, joined, rows
+from torchfra.targets.state import Lines, Unassociated, joined, rows
 from torchfra.types import Gaussian
-
-
-class Lines(NamedTuple):
-    """Lines of sight ``(K,)`` that belong to no target."""
-
-    station: Tensor
-    """``(K, 2)`` where each begins, m."""
-    bearing: Tensor
-    """``(K,)`` clockwise from +y, rad."""
-    std: Tensor
-    """``(K,)`` standard deviation of the bearing, rad."""
-    farthest: Tensor
-    """``(K,)`` how far its sensor sees, m."""
-    scene: Tensor
-    """``(K,)``."""
-    since: Tensor
-    """``(K,)`` seconds since the measurement."""
-    new: Tensor
-    """``(K,)`` probability that no target explains it."""
-    sensor: Tensor
-    """``(K,)`` number of its sensor; 0 for the filter's own."""
 
 
 class Triangulation(nn.Module):
@@ -159,7 +137,7 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def sights(sensor: Any) -> bool:
+def sights(sensor: Sensor) -> bool:
     """Whether a sensor measures one bearing from one place."""
     return isinstance(sensor, Bearings) and sensor.size == 1
 

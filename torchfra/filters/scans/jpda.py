@@ -5,13 +5,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.distributions import constraints
 
 from torchfra import tree
+from torchfra.adaptive.noise import NoiseMemory, SageHusa
 from torchfra.association.clusters import Association
 from torchfra.association.clutter import Clutter
 from torchfra.association.events import check_exact
@@ -40,6 +41,7 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
 from torchfra.steps.records import Past, Record, Smoothed
+from torchfra.steps.recursion import HasBelief
 from torchfra.types import Gaussian, Whitened
 
 Associate = Callable[[Scan, Tensor], Association]
@@ -102,7 +104,6 @@ class JPDA(Soft, Around[JPDAState]):
     scans = True
     keeps_past = True
     one_sensor = "gate and clutter are of the elements of one sensor"
-    inner: Any
     scanner: Sensor | None
     """The sensor, if it is another than that of the inner filter, as one of ``targets.Targets`` may be."""
 
@@ -194,30 +195,31 @@ class JPDA(Soft, Around[JPDAState]):
             frame: of the scan.
         """
         f, (belief, fading, noise) = self.inner, tree.insert_batch_dimension(state)
+        assert isinstance(f, SRCKF)
         if inflation is None:
             prediction, whitened = f.predict_and_compare(belief, frame)
         else:
             prediction = inflated(f.predicted(belief, frame), inflation)
             whitened = f.compare(prediction.belief, frame)
-        scan = self.scan_of(f, prediction.belief, whitened, noise, frame)
+        scan = self.scan_of(prediction.belief, whitened, frame, f.noise, noise)
         repaired = target_repairs(prediction, scan.whitened)
         association = associate(scan, self.inside(scan))  # (25)-(27)
         learn = partial(learn_noise, f.noise, association=association, frame=frame)
         noise = learn(noise, scan.whitened, "innovation")  # (19)
-        rescaled = scan.whitened if f.noise is None else f.noise.rescale(scan.whitened, noise)
+        rescaled = scan.whitened if f.noise is None or noise is None else f.noise.rescale(scan.whitened, noise)
         prediction, rescaled, fading, factor = fade(f, prediction, rescaled, fading, scan, association, frame)
         belief, weights = update(f, prediction.belief, rescaled, scan, association, frame)  # (28)-(30)
         if f.noise is not None and f.noise.adapt == "residual":
             residual = f.compare(tree.insert_batch_dimension(belief), frame)
             noise = learn(noise, residual, "residual")
         inner = State(belief, *tree.remove_batch_dimension((fading, noise)))
-        scale = None if f.noise is None else f.noise.scale(inner.noise)
+        scale = None if f.noise is None or inner.noise is None else f.noise.scale(inner.noise)
         info = JPDAInfo(association.log_weights.exp(), factor, scale, weights, repaired)
         return inner, scan, association, info
 
     def by_states(
-        self, state: Any, inflation: Tensor | None, associate: Associate, frame: Frame
-    ) -> tuple[Any, Scan, Association, JPDAInfo]:
+        self, state: HasBelief, inflation: Tensor | None, associate: Associate, frame: Frame
+    ) -> tuple[HasBelief, Scan, Association, JPDAInfo]:
         """A scan with an inner filter of several models or regimes: a state for every measurement, then merged.
 
         Args:
@@ -229,7 +231,7 @@ class JPDA(Soft, Around[JPDAState]):
         f, state = self.inner, state if inflation is None else inflated_state(self.inner, state, inflation)
         none, record = step_missed(f, state, frame, self.sensor)
         whitened = core(f).compare(record.belief, frame)
-        scan = self.scan_of(core(f), record.belief, whitened, None, frame)
+        scan = self.scan_of(record.belief, whitened, frame)
         inside = self.inside(scan)
         each = step_measured(f, state, frame, inside > -torch.inf)
         scan = scan._replace(log_density=each.log_density)
@@ -237,20 +239,25 @@ class JPDA(Soft, Around[JPDAState]):
         inner, info = merge_hypotheses(f, none, each, association)
         return inner, scan, association, JPDAInfo(association.log_weights.exp(), inner=info)
 
-    def scan_of(self, f: Any, belief: Gaussian, whitened: Whitened, noise: Any, frame: Frame) -> Scan:
+    def scan_of(
+        self, belief: Gaussian, whitened: Whitened, frame: Frame, estimate: SageHusa | None = None,
+        noise: NoiseMemory | None = None,
+    ) -> Scan:  # fmt: skip
         """The measurements of a scan beside the prediction ``belief (..., N, 1)`` of each target.
 
         Args:
-            f: the filter of each target.
             belief: predicted.
             whitened: the measurements, compared with it.
-            noise: memory of the noise estimate; None without an estimate.
             frame: of the scan.
+            estimate: of the noise; None without an estimate.
+            noise: its memory.
         """
-        root, normalised = innovation(whitened if noise is None else f.noise.rescale(whitened, noise))
-        if noise is not None:
+        if estimate is None or noise is None:
+            root, normalised = innovation(whitened)
+        else:
+            root, normalised = innovation(estimate.rescale(whitened, noise))
             every = frame.measured if root.shape[-3] > 1 else torch.ones_like(frame.measured[..., :1, :])
-            root = f.noise.nominal(root, noise, every)
+            root = estimate.nominal(root, noise, every)
         measured, unit = frame.measured > 0, frame.measurement_noise
         gap = unit.colour(whitened.residual.unsqueeze(-1)).squeeze(-1)
         expected = self.sensor.at_points(belief.mean, frame.u)
@@ -283,11 +290,12 @@ class JPDA(Soft, Around[JPDAState]):
             fit, miss = fit + visible.log().unsqueeze(-1), log_unseen(miss, visible)
         odds = self.detection(fit).log() - self.clutter(candidates, self.sensor)
         ratio = torch.where(inside > -torch.inf, fit + odds + inside, -torch.inf)
-        solve = associate if exists is None else partial(associate_uncertain, exists)
-        return solve(
-            ratio, miss.to(fit), diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact,
+        solve = partial(
+            associate, diffuse=self.clutter.rate is None, log_membership=inside, exact=self.exact,
             permutations=self.permutations,
         )  # fmt: skip
+        miss = miss.to(fit)
+        return solve(ratio, miss) if exists is None else associate_uncertain(exists, ratio, miss, solve)
 
     def finish(self, state: JPDAState, belief: Gaussian, info: JPDAInfo) -> tuple[Gaussian, JPDAInfo]:
         """The estimates of all scans, by ``finish`` of the inner filter."""
@@ -296,14 +304,13 @@ class JPDA(Soft, Around[JPDAState]):
         belief, inner = self.inner.finish(state.inner, belief, info.inner)
         return belief, info._replace(inner=inner)
 
-    def past(self, belief: Gaussian, info: Any, state: Any, steps: Tensor) -> ScanPast:
+    def past(self, belief: Gaussian, info: JPDAInfo, state: JPDAState, steps: Tensor) -> ScanPast:
         """The past of each target for the backward pass, which keeps the associations of the forward pass."""
         return ScanPast(self.inner.past(belief, info, None, None), steps)
 
     def last(self, past: ScanPast) -> tuple[Gaussian, Smoothed]:
         """Where the backward pass begins: the filtered beliefs after the last scan."""
-        last: tuple[Gaussian, Smoothed] = self.inner.last(past.inner)
-        return last
+        return self.inner.last(past.inner)
 
     def retreat(self, step: BackwardStep, after: Gaussian) -> tuple[Gaussian, Smoothed]:
         """One step of the backward pass, of each target by itself."""

@@ -12,7 +12,8 @@ from torchfra import tree
 from torchfra.filters.base import Filter
 from torchfra.filters.gpb import GPB, GPBState
 from torchfra.filters.gpb.noise import NoiseScale
-from torchfra.filters.imm import IMM, IMMState
+from torchfra.filters.imm import IMM
+from torchfra.filters.interaction import IMMState
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.mixture import log_sum, moment_match
 from torchfra.types import Gaussian
@@ -83,10 +84,10 @@ def averaged(trees: T, log_weights: Tensor, angles: Sequence[int] = ()) -> T:
     return tree.map_parts(both, trees, Gaussian, Tensor)
 
 
-def _of_models(inner: IMM, states: Any, log_weights: Tensor) -> IMMState:
+def _of_models(inner: IMM, states: IMMState, log_weights: Tensor) -> IMMState:
     """Merges each model by its joint probability with each hypothesis."""
     after, shares = _shared(_joint(log_weights.unsqueeze(-1), states.log_weights), log_weights.unsqueeze(-1))
-    every: IMMState = states._replace(
+    every = states._replace(
         belief=moment_match(states.belief, log_weights, inner.motion.angles),
         inner=merged(inner.inner, states.inner, shares),
         log_weights=after,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple, TypeVar
 
 import torch
@@ -70,14 +70,16 @@ class Scan(NamedTuple):
     """``(..., N, J)`` of each measurement if it is the target's."""
 
 
-def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **options: Any) -> Association:
+def associate_uncertain(
+    exists: Tensor, log_ratio: Tensor, log_miss: Tensor, solve: Callable[[Tensor, Tensor], Association] = associate
+) -> Association:
     """The association of measurements with targets that may not exist.
 
     Args:
         exists: ``(..., N)`` probability that each target exists, before the scan.
         log_ratio: ``(..., N, J)`` for targets that exist, see ``torchfra.association.associate``.
         log_miss: a number or ``(..., N)``, for targets that exist.
-        options: of ``associate``.
+        solve: ``associate`` with its options.
 
     Returns:
         The association of each target conditional on its existence; the evidence is not conditional.
@@ -85,7 +87,7 @@ def associate_uncertain(exists: Tensor, log_ratio: Tensor, log_miss: Tensor, **o
     Source: Musicki & Evans (2004), "Joint Integrated Probabilistic Data Association: JIPDA".
     """
     none = torch.log1p(exists * torch.expm1(log_miss))  # it exists and was missed, or it does not exist
-    association = associate(log_ratio + exists.log().unsqueeze(-1), none, **options)
+    association = solve(log_ratio + exists.log().unsqueeze(-1), none)
     missed = association.log_weights[..., 0] + exists.log() + log_miss - none
     both = torch.cat([missed.unsqueeze(-1), association.log_weights[..., 1:]], -1)
     return association._replace(log_weights=both - both.logsumexp(-1, keepdim=True))

@@ -10,8 +10,8 @@ from torch import Tensor
 from torchfra import tree
 from torchfra.association.clusters import Association
 from torchfra.filters.base import Filter
-from torchfra.filters.imm import IMM, IMMState
-from torchfra.filters.interaction import pooled
+from torchfra.filters.imm import IMM
+from torchfra.filters.interaction import IMMState, pooled
 from torchfra.filters.scans.merging import averaged, merged
 from torchfra.filters.scans.scan import chosen, gated_first
 from torchfra.gaussian.inputs import Frame
@@ -27,7 +27,7 @@ T = TypeVar("T")  # a tree
 class Pairs(NamedTuple):
     """Targets ``(..., N)``, each with the measurements in its gate: at most ``K`` of them."""
 
-    states: Any
+    states: HasBelief
     """States ``(K, ..., N)`` of the filter."""
     info: object
     """Info ``(K, ..., N)`` of the filter."""
