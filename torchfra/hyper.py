@@ -292,7 +292,7 @@ class Part(nn.Module):
             that has nothing to learn.
     """
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: Tensor | nn.Module) -> None:
         known, plain = self.__dict__, not isinstance(value, nn.Module | None)
         if plain and name not in known and "_modules" in known:
             self._refuse(name, value)

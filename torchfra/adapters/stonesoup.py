@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from stonesoup.models.measurement import MeasurementModel
+from stonesoup.models.measurement.base import MeasurementModel
 from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.models.measurement.nonlinear import (
     Cartesian2DToBearing,
     CartesianToBearingRange,
     CartesianToElevationBearingRange,
 )
-from stonesoup.models.transition import TransitionModel
+from stonesoup.models.transition.base import TransitionModel
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, LinearGaussianTransitionModel
 from stonesoup.types.detection import Detection
 from stonesoup.types.state import GaussianState

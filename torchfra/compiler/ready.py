@@ -63,10 +63,10 @@ class ReadyStep:
         self._leaves = flattener(inputs)
         self._fit = guard(flatten(inputs))
 
-    def tensors(self, *inputs: Any) -> tuple[Tensor, ...] | None:
+    def tensors(self, state: HasBelief, data: Data, values: Sequence[Tensor]) -> tuple[Tensor, ...] | None:
         """What the kernel reads; None for tensors of another form."""
         try:
-            leaves = self._leaves(inputs)
+            leaves = self._leaves((state, data, values))
         except (IndexError, TypeError):  # another structure
             return None
         return leaves if leaves is not None and self._fit(*leaves) else None

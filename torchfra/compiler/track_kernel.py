@@ -10,7 +10,7 @@ import ctypes
 import itertools
 import threading
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -50,7 +50,7 @@ class TrackKernel:
     """Where leaves of the state after the last step begin, in bytes of the memory of states."""
 
     def __init__(
-        self, ready: Ready, boundary: Boundary, function: Any, prior: Sequence[Strided], rank: int,
+        self, ready: Ready, boundary: Boundary, function: Callable[..., int], prior: Sequence[Strided], rank: int,
         remembers: bool = False,
     ) -> None:  # fmt: skip
         self._ready, self._function, self._rank = ready, function, rank
@@ -125,8 +125,9 @@ def _room(size: int, new: bool) -> Tensor:
 
 
 def track_kernel(
-    ready: Ready, boundary: Boundary, function: Any, batch: torch.Size, prior: Sequence[Tensor], remembers: bool
-) -> TrackKernel | None:
+    ready: Ready, boundary: Boundary, function: Callable[..., int], batch: torch.Size, prior: Sequence[Tensor],
+    remembers: bool,
+) -> TrackKernel | None:  # fmt: skip
     """Whole tracks of this batch from priors that lie in memory like this; None if one must be copied."""
     shared = broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2])
     shared = shared if shared.numel() == 1 else batch

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -99,8 +100,8 @@ def recordings_table(results: dict[str, Result], scenario: Scenario) -> str:
         scenario: with ``recordings``.
     """
     runs = len(next(iter(results.values()))["rmse_of_runs"])
-    repairs: Any = scenario.settings.get("repairs", [{}] * runs)  # tracks of the caller have no repairs
-    named = zip(scenario.recordings[:runs], repairs, strict=False)
+    repairs = scenario.settings.get("repairs")  # tracks of the caller have none
+    named = zip(scenario.recordings[:runs], repairs if isinstance(repairs, Sequence) else [{}] * runs, strict=False)
     lines = [
         f"{number}: {printable(name)}" + (f"; repairs: {in_words(of)}" if of else "")
         for number, (name, of) in enumerate(named, 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from torch import Tensor
 
@@ -13,7 +13,7 @@ from torchfra.gaussian.mixture import models_first, moment_match, repeated, with
 from torchfra.gaussian.model import adapted, canonical
 from torchfra.linalg.triangular import apply
 from torchfra.motion.base import Motion
-from torchfra.steps.records import Smoothed
+from torchfra.steps.records import Past, Smoothed
 from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.types import Gaussian
 
@@ -36,8 +36,8 @@ class ModelsStep(NamedTuple):
 class ModelsPast(NamedTuple):
     """The past of a step for the backward pass; ``(..., T, K)`` for a whole track."""
 
-    inner: Any
-    """The past of the models' filters."""
+    inner: Past
+    """Of the models' filters."""
     log_weights: Tensor
     """``(..., K)`` logs of the models' probabilities."""
     active: Tensor | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -115,8 +115,8 @@ class Motion(Part):
     by_inputs: frozenset[str] = frozenset()
     """Which of ``transition`` and ``process_noise`` have an argument ``u``, the inputs of a step."""
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
         methods = {"transition": cls.transition, "process_noise": cls.process_noise}
         cls.by_inputs = frozenset(name for name, method in methods.items() if "u" in signature(method).parameters)
         has_transition = cls.transition is not Motion.transition

@@ -17,6 +17,7 @@ from torchfra.types import Estimate, Gaussian
 
 F = TypeVar("F", bound=Recursion)
 P = ParamSpec("P")
+T = TypeVar("T")  # a past
 Function = Callable[[Any, S, Frame], tuple[S, Any]]
 """From a filter, its state and a frame to the next state and a result of the step."""
 
@@ -71,7 +72,7 @@ class Engine:
         return finish(f, state, steps), state, steps.past
 
     def backward(
-        self, f: Recursion, past: Any, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
+        self, f: Recursion, past: T, measurements: Measurements, rank: int, frames: Callable[[], Sequence[Frame]],
         lag: int | None, options: Options,
     ) -> Smoothed:  # fmt: skip
         """The backward pass over a ``past``, time behind ``rank`` batch dimensions.

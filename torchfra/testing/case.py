@@ -21,9 +21,11 @@ from torchfra.motion.polynomial import ConstantAcceleration
 from torchfra.register import filters, made
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
-from torchfra.types import CompileError, Estimate, Gaussian
+from torchfra.steps.recursion import HasBelief
+from torchfra.types import CompileError, Estimate, Gaussian, Innovation
 
 F = TypeVar("F", bound=Callable[..., None])
+Argument = Tensor | Gaussian | float | None
 TRACKS, STEPS = 3, 6
 
 
@@ -72,10 +74,11 @@ class Case:
     """Whether checks try all combinations of options."""
     _kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
-    def __call__(self, **given: Any) -> Estimate:
+    def __call__(self, **given: Argument) -> Estimate:
         """The estimate of these tracks, with some arguments replaced: ``case(z=z, truncate=2)``."""
-        ready: dict[str, Any] = {"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u}
-        return self.filter(**ready | given)
+        arguments: dict[str, Any] = {"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u}
+        arguments.update(given)
+        return self.filter(**arguments)
 
     @property
     def estimate(self) -> Estimate:
@@ -108,12 +111,14 @@ class Case:
             pass  # a check reports it
         return compiled
 
-    def step(self, **given: Any) -> Any:
+    def step(self, **given: Argument | HasBelief) -> tuple[HasBelief, Innovation]:
         """State and innovation after the first measurement of each track, with some arguments replaced."""
-        first: dict[str, Any] = {"z": self.z[:, 0], "dt": self.dt, "u": self.u_at(0)}
+        arguments: dict[str, Any] = {"z": self.z[:, 0], "dt": self.dt, "u": self.u_at(0)}
         if "state" not in given:
-            first["state"] = self.filter.init(self.prior)
-        return self.filter.step(**first | given)
+            arguments["state"] = self.filter.init(self.prior)
+        arguments.update(given)
+        after: tuple[HasBelief, Innovation] = self.filter.step(**arguments)
+        return after
 
     def u_at(self, step: int) -> Tensor | None:
         """``u`` of one step."""
@@ -223,7 +228,7 @@ def drawn(
     return torch.stack(states, 1), torch.stack(measured, 1)
 
 
-def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: Any) -> dict[str, Tensor]:
+def gradients(case: Case, dtype: torch.dtype = torch.float64, **options: int) -> dict[str, Tensor]:
     """Gradients of one number that depends on all of an estimate, by the data and every learnable value."""
     leaves: dict[str, Tensor] = {
         name: x.detach().to(dtype, copy=True).requires_grad_()

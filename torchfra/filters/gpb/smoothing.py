@@ -19,7 +19,8 @@ from torchfra.filters.gpb.hypotheses import (
     propagate_motions,
     to_state,
 )
-from torchfra.filters.gpb.regimes import Surprise
+from torchfra.filters.gpb.outliers import Outliers
+from torchfra.filters.gpb.regimes import Regimes, Surprise
 from torchfra.filters.gpb.states import GPBPast
 from torchfra.filters.model_smoothing import unwhitened
 from torchfra.gaussian.future import future
@@ -58,7 +59,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     surprise = Surprise(*(x.movedim(-1, 0)[None, None, :, None] for x in step.next.surprise))
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    prior = _prior(f, step.past, step.next, surprise, frame.dt)
+    prior = _prior(regimes, f.outliers, step.past, step.next, surprise, frame.dt)
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
@@ -92,19 +93,21 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     return result
 
 
-def _prior(f: Any, past: GPBPast, after: GPBPast, surprise: Surprise, dt: Tensor) -> Tensor:
+def _prior(
+    regimes: Regimes, outliers: Outliers, past: GPBPast, after: GPBPast, surprise: Surprise, dt: Tensor
+) -> Tensor:
     """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before.
 
     No belief holds the offset that outliers may have in both steps, so its likelihood ratio is a factor here.
     """
     measured = after.measured > 0
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
-    regime = log_weight + f.regimes.transition(log_weight.transpose(0, 1), dt, measured)
-    log_mode, _ = f.outliers.predict(past.outlier, f.outliers.relaxation(past.relaxation, dt), measured)
+    regime = log_weight + regimes.transition(log_weight.transpose(0, 1), dt, measured)
+    log_mode, _ = outliers.predict(past.outlier, outliers.relaxation(past.relaxation, dt), measured)
     if after.log_same_offset is not None:
         same_offset = after.log_same_offset.movedim(-1, 0)
         none = torch.zeros_like(same_offset)
         log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, same_offset], 1)])
-    log_mode = log_mode + f.regimes.given_back(after.rarity.movedim((-2, -1), (0, 1)).unsqueeze(1))
-    pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + f.regimes.penalised(regime.unsqueeze(0), surprise)
+    log_mode = log_mode + regimes.given_back(after.rarity.movedim((-2, -1), (0, 1)).unsqueeze(1))
+    pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + regimes.penalised(regime.unsqueeze(0), surprise)
     return pairs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ from torchfra.filters.imm import IMM
 from torchfra.filters.interaction import IMMState
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.mixture import log_sum, moment_match
+from torchfra.steps.recursion import HasBelief
 from torchfra.types import Gaussian
 
 T = TypeVar("T")  # a tree
@@ -47,7 +48,7 @@ def check_merges(inner: Filter) -> None:
     )
 
 
-def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
+def merged(inner: Filter, states: HasBelief, log_weights: Tensor) -> HasBelief:
     """The state with the moments of several states.
 
     Args:
@@ -55,10 +56,11 @@ def merged(inner: Filter, states: Any, log_weights: Tensor) -> Any:
         states: its states, with a first dimension of hypotheses, ``(P, ...)``.
         log_weights: ``(P, ...)`` logs of the probabilities of the hypotheses, minus infinity for zero weight.
     """
-    if isinstance(inner, GPB):
+    if isinstance(inner, GPB) and isinstance(states, GPBState):
         return _of_regimes(inner, states, log_weights)
-    if isinstance(inner, IMM):
+    if isinstance(inner, IMM) and isinstance(states, IMMState):
         return _of_models(inner, states, log_weights)
+    assert isinstance(states, State)
     belief = moment_match(states.belief, log_weights, inner.motion.angles)
     return State(belief, *averaged(states[1:], log_weights))
 
