@@ -313,11 +313,11 @@ def test_compiled_hard_manoeuvres_are_the_same_with_the_same_gradients():
 
 
 def test_an_unknown_word_is_an_error():
-    with pytest.raises(ValueError, match="manoeuvres: expected one of none, jumps, some, hard, received 'wild'"):
+    with pytest.raises(ValueError, match="manoeuvres: expected one of none, jumps, slips, some, hard, received 'wild'"):
         gpb("wild")
 
 
-def test_a_motion_that_measures_itself_has_no_manoeuvres_unless_it_is_asked_for_some():
+def test_a_motion_that_measures_itself_slips_and_has_no_manoeuvres_unless_it_is_asked_for_some():
     own, plain = Odometry(0.01, 1e-4, 1e-6), ConstantVelocity(0.1)
     levels = {
         name: presets.gpb(motion, Position(STD), **options).regimes.level_count
@@ -326,7 +326,7 @@ def test_a_motion_that_measures_itself_has_no_manoeuvres_unless_it_is_asked_for_
             ("asked for", own, {"manoeuvres": "some"}), ("any other", plain, {}),
         )
     }  # fmt: skip
-    assert levels == {"odometry": 1, "with a bias": 1, "asked for": 5, "any other": 5}
+    assert levels == {"odometry": 2, "with a bias": 2, "asked for": 5, "any other": 5}
 
 
 # ---------------------------------------------------------------- noise that is learned

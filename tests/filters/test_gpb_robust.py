@@ -299,15 +299,20 @@ def test_a_walker_far_from_all_anchors_is_not_lost_where_ranges_state_more_noise
 
 
 @pytest.mark.slow
-def test_hypotheses_without_weight_that_fail_leave_the_others_alone():
-    """Ranges 2e4 standard deviations too large to a robot that turns: a jump to one of them is nowhere."""
-    scenario = scenarios.open_cell(8, seed=161803)
-    tracks = scenario.simulate(20, 161803)
-    z, u, mean = tracks.z[[10, 18], :70], tracks.u[[10, 18], :70], tracks.prior.mean[[10, 18]]
-    f = presets.gpb(scenario.motion, scenario.sensor)
-    estimate = f(z, Gaussian(mean, tracks.prior.scale_tril), u=u, dt=scenario.dt[:70])
+@pytest.mark.parametrize(
+    ("cell", "seed", "runs", "noise"), [(8, 161803, [10, 18], "stated"), (65, 99001, [8], "learned")]
+)
+def test_hypotheses_without_weight_that_fail_leave_the_others_alone(cell, seed, runs, noise):
+    """Robots that turn: ranges 2e4 standard deviations too large, and positions 7e5 off, to which nobody jumps."""
+    scenario = scenarios.open_cell(cell, seed=seed)
+    tracks = scenario.simulate(20, seed)
+    z, u, mean = tracks.z[runs, :70], tracks.u[runs, :70], tracks.prior.mean[runs]
+    dt = scenario.dt if isinstance(scenario.dt, float) else scenario.dt[:70]
+    f = presets.gpb(scenario.motion, scenario.sensor, noise=noise)
+    estimate = f(z, Gaussian(mean, tracks.prior.scale_tril), u=u, dt=dt)
     assert not estimate.failed.any()
-    error = (estimate.mean - tracks.truth[[10, 18], :70])[..., scenario.position].norm(dim=-1)
+    assert estimate.nis.isfinite().all()
+    error = (estimate.mean - tracks.truth[runs, :70])[..., scenario.position].norm(dim=-1)
     assert (error < 20 * scenario.settings["std"]).all()
 
 

@@ -26,7 +26,6 @@ MODES = (0, 1)
 READS = 2  # sensors read the position alone
 BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e10, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
-BURST_FROM, BURST_TO = 50.0, 400.0  # standard deviations between which a burst goes from one length to another
 AGILE_AFTER = 0.1  # of targets that have jumped
 
 
@@ -47,7 +46,6 @@ class Regimes(NamedTuple):
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
     seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead: (B,) what lasts, (B,B) the transition
     burst: float = 4.0  # equal outliers in a row that are no jump
-    far_burst: float | None = None  # the same of those that are far off
     steps: Any = 1.0  # seconds of each step, one number or (T,)
     restart: Any = None  # (B,) which regime begins when a target that has jumped is as any other
     keeps: Any = ()  # of each jump: P(it is settled still) at the next measurement but the one after it
@@ -265,7 +263,7 @@ def jumped(
             after[q, r] = mean, (P + offset) * np.outer(widen, widen)
             if rarer > 0:
                 free = min(len(m.e), position.stop)
-                burst = PRIOR_BURST if begins else longest_burst(regimes, m.e, R)
+                burst = PRIOR_BURST if begins else regimes.burst
                 own = free / 2 * (math.log(1 + size * seen / free) - 1 - usual)
                 left = given(after[q, r][1], stated, place / seen, burst, position.stop, at(regimes.steps, k))
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
@@ -276,14 +274,6 @@ def jumped(
         manoeuvre = -2 * math.log(max(nis / 30.0, 1.0))
         rarity.append([manoeuvre] * len(regimes.manoeuvres) + [rare] * len(regimes.jumps))
     return after, np.array(rarity), factors, costs
-
-
-def longest_burst(regimes: Regimes, e: Array, R: Array) -> float:
-    """How many equal outliers in a row are no jump, by how many standard deviations they are off."""
-    if regimes.far_burst is None:
-        return regimes.burst
-    off = min(max(math.sqrt(fit(e, R)[0]), BURST_FROM), BURST_TO)
-    return regimes.burst + (regimes.far_burst - regimes.burst) * math.log(off / BURST_FROM, BURST_TO / BURST_FROM)
 
 
 def given(P: Array, stated: Array, noise: float, burst: float, dims: int, dt: float) -> float:

@@ -77,7 +77,7 @@ def drive(steps=300, first=40, nothing=211, wrong=24):
 @pytest.mark.slow
 def test_positions_that_are_hundreds_of_metres_off_after_a_long_gap_raise_the_alarm_at_once_and_do_no_harm():
     truth, z, without, u, fault = drive()
-    f = presets.gpb(Odometry(1e-2, 1e-6, 1e-7), Position(3.0))
+    f = presets.gpb(Odometry(1e-2, 1e-6, 1e-7), Position(3.0), burst=60)
     prior = Gaussian(torch.zeros(4, **F64), torch.tensor([1.0, 1.0, 0.05, 0.02], **F64).diag())
     both = f(torch.stack([z, without]), prior, u=u)
     off, usual = (both.mean[..., :2] - truth).norm(dim=-1)

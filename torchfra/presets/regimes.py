@@ -26,6 +26,10 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (1078, 25.27, 2.0), "restart": (0.076, 0.914, 0.01),
     },
+    "slips": {
+        "noise_levels": (1.0, 142.0), "separate_levels": 1, "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "durations": (1078, 19.5, 25.27, 2.0), "restart": (0.076, 0.006, 0.908, 0.01),
+    },
     "some": {
         "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
@@ -46,6 +50,7 @@ models hold, among spikes and heavy tails, and in the scenarios of bearings."""
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
     "jumps": MANOEUVRES["jumps"],
+    "slips": MANOEUVRES["slips"],
     "some": {
         "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
@@ -61,13 +66,6 @@ IN_SPACE: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
 
-BURST = 4.0
-"""Equal outliers in a row that no target follows."""
-MEASURED_BURST = 60.0
-"""Outliers in a row that no motion that measures itself follows, up to 50 standard deviations off.  With 4 the error
-on one recorded day of a robot on a campus is 9.3 m for 4.0, with 30 it is 10.4 m for 5.0 on another; with 60 and 150 it
-is as without jumps.  From 400 on it is ``BURST``: with 200, positions that are 240 to 280 standard deviations off for
-24 steps after a gap are followed."""
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
 
@@ -83,8 +81,7 @@ def gpb(
     jump_factors: Values | None = None,
     self_transition: Values | None = None,
     restart: Values | None = None,
-    burst: Value | None = None,
-    far_burst: Value | None = None,
+    burst: Value = 4.0,
     durations: Values | None = None,
     climbs: bool | None = None,
     outlier_transition: Values | None = None,
@@ -110,10 +107,11 @@ def gpb(
         motion: how targets move; its regimes are levels of process noise and a jump.  Of several motions of one state,
             or a ``Bank``, the first has these regimes, and each other motion is one more regime.
         sensor: what is measured; each block of its elements has outliers of its own (``Sensor.blocks``).
-        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"jumps"`` alone; ``"some"``; or
-            ``"hard"``, also turns far beyond its process noise, at some loss of accuracy with outliers.  None is
-            ``"jumps"`` for a motion that measures itself, such as ``Odometry``, and ``"some"`` for any other.  It sets
-            the defaults of the six arguments that follow: ``presets.regimes.MANOEUVRES``.
+        manoeuvres: manoeuvres that the (first) motion does not model: ``"none"``; ``"jumps"`` alone; ``"slips"``,
+            also times in which it is less accurate than stated; ``"some"``; or ``"hard"``, also turns far beyond its
+            process noise, at some loss of accuracy with outliers.  None is ``"slips"`` for a motion that measures
+            itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six arguments that
+            follow: ``presets.regimes.MANOEUVRES``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
@@ -128,11 +126,9 @@ def gpb(
         restart: restart distribution: probabilities of the regime that follows one that ends, in the same order; other
             motions share theirs evenly.  Of several jumps it says how likely each is beside the others.
         burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
-            longer is taken to have jumped.  None is 4, and ``MEASURED_BURST`` for a motion that measures itself, beside
-            which a sensor that is wrong for long is likelier than a target that was moved.  With 7 the jump's entry of
-            ``durations`` should be some 8 measurements: else one jump in twenty is followed with the ninth.
-        far_burst: the same of outliers of 400 standard deviations or more, while ``burst`` is of up to 50.  None is
-            4 if ``burst`` is None, else as ``burst``.
+            longer is taken to have jumped.  With 7 the jump's entry of ``durations`` should be some 8 measurements:
+            else one jump in twenty is followed with the ninth.  A sensor that is wrong for longer needs
+            ``manoeuvres="none"``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
             three or more motions also one for each other motion.  That of a jump is in measurements, for which its
             belief stays apart from the others.
@@ -183,7 +179,7 @@ def gpb(
     check_models(models, sensor)
     count = len(models) if isinstance(models, Bank) else 1
     if manoeuvres is None:
-        manoeuvres = "jumps" if models.measures_itself else "some"
+        manoeuvres = "slips" if models.measures_itself else "some"
     if manoeuvres not in MANOEUVRES:
         received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
@@ -201,10 +197,7 @@ def gpb(
         del values["durations"]
     if separate_levels is None and as_numbers(values["noise_levels"], "noise_levels").shape[-1:].numel() <= 1:
         values["separate_levels"] = 0  # the only level
-    if burst is None and models.measures_itself:
-        burst, far_burst = MEASURED_BURST, BURST if far_burst is None else far_burst
-    burst = BURST if burst is None else burst
-    regimes = Regimes(count, **values, burst=burst, far_burst=far_burst, vertical=models.vertical if climbs else ())
+    regimes = Regimes(count, **values, burst=burst, vertical=models.vertical if climbs else ())
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
     outliers = Outliers(

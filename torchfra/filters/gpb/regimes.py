@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, v
 from torchfra.filters.gpb.outliers import EXPECTED
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.inputs import Frame
-from torchfra.gaussian.mixture import largest, log_sum
+from torchfra.gaussian.mixture import largest, log_sum, without_failed
 from torchfra.gaussian.model import Propagated
 from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
@@ -32,9 +31,6 @@ SOONER = 0.7
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 PRIOR_BURST = 2.0
 """How many equal outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
-NEAR, FAR = 50.0, 400.0
-"""Standard deviations of the noise up to which ``burst`` says how long outliers stay where they are, and from which on
-``far_burst`` does; between them a number between them, by the log."""
 AGILE_AFTER = 0.1
 """Probability that a target that has jumped is as agile as the agile level: it may be too far off for a straight line
 of the sensor, or much faster than before."""
@@ -85,7 +81,7 @@ class Jumped(NamedTuple):
     """Of the measurements of the longest burst and the next one, as it knows less of the velocity and of the
     acceleration than was stated, or than they themselves tell."""
     burst: Tensor
-    """How many measurements the longest burst has: see ``Regimes.longest_burst``."""
+    """How many measurements the longest burst has."""
 
 
 class Switching(NamedTuple):
@@ -146,8 +142,6 @@ class Regimes(Part):
             weight falls with its size, as a single large innovation is rather an outlier.
         burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
             are taken for a jump.
-        far_burst: the same of outliers of ``FAR`` standard deviations or more, where ``burst`` holds up to ``NEAR``;
-            None is ``burst``.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
             of any.
         vertical: components of a state that are vertical, such as ``Motion.vertical``; none if there are no climbs.
@@ -165,8 +159,7 @@ class Regimes(Part):
     def __init__(
         self, motions: int, *, noise_levels: Values, jump_factors: Values, restart: Values,
         self_transition: Values | None = None, durations: Values | None = None, manoeuvre_factors: Values = (),
-        burst: Value = 4.0, far_burst: Value | None = None, separate_levels: int | Sequence[int] = 0,
-        vertical: Sequence[int] = (),
+        burst: Value = 4.0, separate_levels: int | Sequence[int] = 0, vertical: Sequence[int] = (),
     ) -> None:  # fmt: skip
         super().__init__()
         sojourn, stay = one_given(self_transition=self_transition, durations=durations)
@@ -232,9 +225,6 @@ class Regimes(Part):
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.burst = Hyper(burst, constraints.greater_than_eq(SOONER), name="burst")
-        self.far_burst = None
-        if far_burst is not None:
-            self.far_burst = Hyper(far_burst, constraints.greater_than_eq(SOONER), name="far_burst")
         self.self_transition = self.durations = None
         if sojourn == "durations":
             self.durations = sojourn_times(stay, 1, sojourn)
@@ -423,7 +413,7 @@ class Regimes(Part):
             return Jumped(expected, *[torch.zeros_like(seen)] * 4)
         # The diagonal of a root: what a component varies by where those before it are known, as after a measurement.
         variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
-        longest = torch.where(first, PRIOR_BURST, self.longest_burst(compared.residual))
+        longest = torch.where(first, PRIOR_BURST, self.burst(seen))
         told, lost = safe_divide(place, seen), torch.zeros_like(seen)
         for order, part in enumerate(_derivatives(motion), 1):
             if part:  # of all its components together, whatever the axes
@@ -435,16 +425,6 @@ class Regimes(Part):
         wider = self._jumps(nis)[:, -1:] * seen / free
         own = 0.5 * free * (wider.log1p() - 1 - usual)
         return Jumped(expected, own, 0.5 * free * (usual - expected), lost, longest)
-
-    def longest_burst(self, residual: Tensor) -> Tensor:
-        """How many equal outliers in a row are no jump ``(...)``, of ``residual (..., m)`` in units of the noise."""
-        near: Tensor = self.burst(residual[..., 0])
-        if self.far_burst is None:
-            return near
-        square = residual.square().sum(-1).clamp(NEAR**2, FAR**2)
-        far = 0.5 * (square / NEAR**2).log() / math.log(FAR / NEAR)
-        longest: Tensor = near + far * (self.far_burst(near) - near)
-        return longest
 
     def rarity(self, cost: Tensor, beyond: Tensor, rarer: Tensor, jumped: Jumped, first: Tensor) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
@@ -494,14 +474,15 @@ class Regimes(Part):
             surprise: of the measurement.
         """
         manoeuvre = -2 * (surprise.nis / MANOEUVRE_NIS).clamp_min(1.0).log()
-        others = log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre))
+        # Of a belief without weight that has failed both are NaN.
+        others = without_failed(log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre)))
         if not self.jump_count:
             return others
         before, _, settled = others.split(self.counts, MOTION)
         unsettled = log_weight.narrow(MOTION, 0, self.landed.start)
         jumps = log_sum(unsettled, MOTION).unsqueeze(MOTION) + self._log_shares(log_weight) + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, -torch.inf, jumps)  # none without a measurement
-        return torch.cat([before, jumps, settled], MOTION)
+        return torch.cat([before, without_failed(jumps), settled], MOTION)
 
     @once
     def _log_shares(self, like: Tensor) -> Tensor:
