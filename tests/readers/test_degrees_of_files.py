@@ -59,12 +59,15 @@ def test_metres_that_stand_for_none_in_both_coordinates_are_refused_until_it_is_
     assert len(track(x=x - 1000, y=np.full(ROWS, -999.0)).time) == ROWS
 
 
-def test_altitudes_that_stand_for_none_are_refused_until_it_is_said(track):
+@pytest.mark.parametrize("none", ["-9999", "2147483647"])
+def test_altitudes_that_stand_for_none_are_refused_until_it_is_said(track, none):
     gone = np.arange(ROWS) % 10 == 3
-    columns = {"lat": LATITUDE, "lon": LONGITUDE, "alt": np.where(gone, -9999, 400)}
-    with pytest.raises(AskError, match=r"received -9999 as alt in data row 4, .*missing='-9999' if it stands for none"):
+    columns = {"lat": LATITUDE, "lon": LONGITUDE, "alt": np.where(gone, int(none), 400)}
+    with pytest.raises(
+        AskError, match=rf"received {none} as alt in data row 4, .*missing='{none}' if it stands for no"
+    ):
         track(**columns)
-    assert np.flatnonzero(track(**columns, missing="-9999").filled).tolist() == [3, 13, 23, 33]
+    assert np.flatnonzero(track(**columns, missing=none).filled).tolist() == [3, 13, 23, 33]
     assert not track(lat=LATITUDE, lon=LONGITUDE, alt=np.where(gone, 9999, 9980)).repairs  # a level of aircraft
 
 

@@ -348,6 +348,9 @@ def test_rows_that_jump_to_and_fro_with_a_word_beside_them_are_of_several_target
     rows = [(60 * i, f"!a{i % 2}", 47 + i / 1e4 + 0.02 * (i % 2), 8 + i / 1e4, "gps") for i in range(40)]
     with pytest.raises(ValueError, match=r"jump to and fro, and do not where node stays the same, .*: say id='node'"):
         read(write(rows_of("time,node,lat,lon,provider", rows)))
+    cells = [(i, 47 + i / 1e4, 8, 5, "gps") if i % 3 else (i, 47.01, 8.01, 800, "cell") for i in range(40)]
+    (phone,) = read(write(rows_of("time,lat,lon,accuracy,provider", cells)))
+    assert len(phone.time) == 40
 
 
 def test_a_few_degrees_that_are_called_x_and_y_are_no_metres(write):

@@ -132,7 +132,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         wanted = {column: kind and replace(kind, decimal=",") for column, kind in wanted.items()}
     used = {*clock.columns, *columns.values(), *noise.columns, *roles.get("id", ())}
     ignored = [column for column in head.names if column and column not in used and column not in unused]
-    if "id" not in columns:
+    if "id" not in columns and not noise.columns:  # an accuracy may be that of another source, as cells of phones
         _check_interleaved(head, columns, ignored)
     others = f"; not {listed(unused)} (option time takes another)" if unused else ""
     lines = (
@@ -257,7 +257,7 @@ def _check_interleaved(head: Head, columns: Mapping[str, str], others: Iterable[
     if parting:
         asks = [part for name in parting for part in (" or ", {"id": name})][1:]
         raise AskError(f"rows jump to and fro, and do not where {' or '.join(parting)} stays the same, as of several "
-                       "targets: say ", *asks)  # fmt: skip
+                       "targets: say ", *asks, ", or leave such columns out of the file")  # fmt: skip
 
 
 def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | None, head: Head) -> float:

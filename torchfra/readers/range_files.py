@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from torchfra.readers.bounded import MAX_BYTES
+from torchfra.readers.clocks import YEAR_1980, clock_of
 from torchfra.readers.columns import DECIMAL, Array, Head, Kind, grouped
-from torchfra.readers.options import listed
+from torchfra.readers.options import ReadOptions, listed
 from torchfra.readers.ranges import RangeRecording
 from torchfra.readers.recording import Recording
 from torchfra.readers.tables import Wanted, naming, read_table
@@ -28,9 +29,7 @@ _NAMES = {
     "x": ("x",), "y": ("y",), "z": ("z",),
 }  # fmt: skip
 """Names of columns, best first, in small letters, without signs and without a leading "field"."""
-_UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (0.0, 1.0))
-"""Least time, and how many of its unit are a second: ns, us, ms since 1970, and seconds."""
-_TIME, _METRES = Kind("a time", limit=1e19), Kind("a number of metres")
+_METRES = Kind("a number of metres")
 _SAME_PLACE = 0.01
 """Metres by which the places of an anchor that stands still may differ."""
 
@@ -52,7 +51,7 @@ def read_ranges(
     - ``t, x, y[, z]``: the reference path.
 
     Columns may have other common names (``stamp``, ``timestamp``; ``id``; ``distance``, ``field.distanceFromTag``);
-    further ones do not matter.  Metres, and seconds, or ms, us or ns since 1970.
+    further ones do not matter.  Metres, and times as in files of tracks.
 
     These are repaired and counted: rows without time or without range, ranges that are not above 0, rows out of time
     order, all but the first of the rows of an anchor with the same time, anchors without any range, and in a folder
@@ -117,15 +116,19 @@ class _Found:
 def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -> None:
     """Adds what a file holds; a file of another kind is counted if ``any_kind`` may come."""
     columns, stem, other = dict[str, str](), Path(path.name.removesuffix(".gz")).stem, False
+    earliest = -math.inf
 
     def choose(head: Head) -> Wanted:
-        nonlocal columns, other
+        nonlocal columns, other, earliest
         columns = _columns_of(head.names)
         if other := any_kind and not _kind_of(columns) and not all(map(DECIMAL.fullmatch, head.names)):
             return {}
         if not _kind_of(columns):
             raise ValueError(f"{_HEADERS}; received {listed(head.names)}")
-        kinds = {"time": _TIME, "anchor": None}
+        kinds: dict[str, Kind | None] = {"anchor": None}
+        if "time" in columns:
+            clock, _ = clock_of(head, ReadOptions(), {"time": (columns["time"],)}, None)
+            kinds["time"], earliest = clock.kind, YEAR_1980 if clock.dated else earliest
         return {name: kinds.get(what, _METRES) for what, name in columns.items()}
 
     with naming(path):
@@ -140,7 +143,8 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
         if kind == "places":
             found.places.update({name: _place(position[i], name) for name, i in rows.items() if name})
             return
-        time = _seconds(table.column(columns["time"]))
+        time = table.column(columns["time"])
+        time = np.where(time < earliest, np.nan, time)  # of a clock that was not set yet
         if kind == "path":
             position = position[:, :2] if np.isnan(position[:, 2]).all() else position
             repairs = Counter[str]()
@@ -208,17 +212,6 @@ def _kind_of(columns: dict[str, str]) -> str:
     """What a table with these columns holds: ``"ranges"``, a ``"path"`` or ``"places"``; "" where that is not known."""
     kinds = (("ranges", "time range"), ("path", "time x y"), ("places", "anchor x y"))
     return next((kind for kind, needed in kinds if {*needed.split()} <= columns.keys()), "")
-
-
-def _seconds(time: Array) -> Array:
-    """Times, in whichever unit they are."""
-    known = np.abs(time[np.isfinite(time)])
-    if not len(known):
-        return time
-    units = [next(unit for least, unit in _UNITS if t >= least) for t in (known.min(), known.max())]
-    if units[0] != units[1]:
-        raise ValueError(f"expected times in one unit, received {known.min():g} to {known.max():g}")
-    return time / units[0]
 
 
 def _in_order(data: Array, what: str, repairs: Counter[str]) -> Array:

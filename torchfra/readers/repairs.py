@@ -34,7 +34,9 @@ _HOUR, _COARSE = 3600.0, (60.0, 1.0)
 """Seconds; whole minutes and seconds, in which several rows may be."""
 _NEIGHBOURS = 1.5
 """How much farther apart rows of a moment may be than those of two moments, if all are of one target."""
-_PLACEHOLDERS, _ENOUGH, _NULL_ISLAND = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0), 25, 1.0
+_PLACEHOLDERS = (-999.0, -1000.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, -32768.0, 32767.0, -2147483648.0,
+                 2147483647.0)  # fmt: skip
+_ENOUGH, _NULL_ISLAND = 25, 1.0
 """Numbers that may stand for none, the fewest others that show it; degrees around 0, 0 without any other fix."""
 
 
@@ -124,9 +126,9 @@ def _check_placeholders(several: Mapping[str, Array], stated: str | None) -> Non
         at = np.all([np.isclose(values, number, rtol=0, atol=1e-6) for values in several.values()], axis=0)
         rest = [np.sign(number) * values[~at & np.isfinite(values)] for values in several.values()]
         if at.any() and all(len(one) >= _ENOUGH and one.max() < abs(number) / 2 for one in rest):
-            raise AskError(f"received {number:g} as {' and '.join(several)} in data row {int(at.argmax()) + 1}, far "
-                           "from all others: say ", {"missing": f"{before}{number:g}"}, " if it stands for none, or ",
-                           {"missing": f"{before}none"})  # fmt: skip
+            raise AskError(f"received {number:.10g} as {' and '.join(several)} in data row {int(at.argmax()) + 1}, far "
+                           "from all others: say ", {"missing": f"{before}{number:.10g}"},
+                           " if it stands for none, or ", {"missing": f"{before}none"})  # fmt: skip
 
 
 class _Columns:
