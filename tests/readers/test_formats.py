@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
-from datetime import datetime, timedelta, timezone
+from datetime import date, datetime, timedelta, timezone
 
 import numpy as np
 import pymap3d
@@ -162,6 +162,19 @@ def test_columns_of_parquet_and_feather_are_read_too(tmp_path, name, zone):
     np.testing.assert_allclose(track.position, EAST_NORTH_UP, rtol=0, atol=1e-3)
     assert track.name == "a"
     assert track.source.written(track.time[:1]) == ["2020-09-13T12:26:40Z"]
+
+
+def test_marks_and_dates_of_parquet_are_read(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    days = [date(2024, 5, 6 + i) for i in range(6)]
+    valid = [True, True, False, None, True, True]
+    columns = {"date": days, "lat": LATITUDE, "lon": LONGITUDE, "valid": valid}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "a.parquet")
+    (track,) = read(tmp_path / "a.parquet")
+    np.testing.assert_array_equal(np.diff(track.time), 86_400 * np.array([1, 2, 1, 1]))
+    assert track.repairs == {"rows marked as invalid dropped": 1}
 
 
 @pytest.mark.parametrize(

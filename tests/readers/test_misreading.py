@@ -386,3 +386,10 @@ def test_parts_of_times_in_columns_are_joined_as_the_error_says(write):
     np.testing.assert_allclose(
         track.time, datetime(2024, 5, 6, 10, 0, 3, tzinfo=timezone.utc).timestamp() + 60 * np.arange(80)
     )
+
+
+def test_a_decimal_comma_where_points_are_expected_names_the_option(write):
+    path = write("time,x,y\n" + "".join(f'{i},"{i},50",2\n' for i in range(30)))
+    with pytest.raises(ValueError, match=r"received '0,50', whose sign may part thousands or decimals.*option decimal"):
+        read(path)
+    np.testing.assert_allclose(read(path, decimal=",")[0].position[:, 0], np.arange(30) + 0.5)

@@ -231,7 +231,7 @@ HEADER = r"expected a header with t,range\[,anchor\]\[,x,y\[,z\]\]; or t,x,y\[,z
         ({"a_csv": "t,range,range\n1,2,3"}, r"a\.csv: expected every column once, received several named range"),
         ({"a_csv": "t,range,x,y\n1,far,0,0"},
          r"a\.csv: expected a number of metres in data row 1, column range, received 'far'"),
-        ({"a_csv": "t,range,x,y\n1,2,0,0\nnoon,2,0,0"}, r"a\.csv: a number in data row 2, column t, .* 'noon'"),
+        ({"a_csv": "t,range,x,y\n1,2,0,0\nnoon,2,0,0"}, r"a\.csv: expected a number in data row 2, column t, .* 'noo"),
         ({"a_csv": "t,field.range,x,y\n1,2,0,0\n2,1e99,0,0"}, r"data row 2, column field\.range, received '1e99'"),
         ({"a_csv": "t,range,x,y\n1,2,0,0\n2,2,0,0.5"},
          r"a\.csv: expected an anchor that stands still, received a with y from 0 to 0\.5 m"),

@@ -49,11 +49,12 @@ def damaged(error: Exception) -> ValueError:
 
 
 def is_flat(kind: Any) -> bool:
-    """Whether a column has numbers, moments or text; others may unfold to any size."""
+    """Whether a column has numbers, moments, marks or text; others may unfold to any size."""
     from pyarrow import types
 
     kind = kind.value_type if types.is_dictionary(kind) else kind
-    tests = (types.is_integer, types.is_floating, types.is_timestamp, types.is_string, types.is_large_string)
+    tests = (types.is_integer, types.is_floating, types.is_timestamp, types.is_date, types.is_boolean, types.is_string,
+             types.is_large_string)  # fmt: skip
     return any(test(kind) for test in tests)
 
 

@@ -24,7 +24,7 @@ _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none
 _SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
 """Text of these characters alone is a decimal number to ``float``, or an error."""
 _SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
-_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[., '\u2019\u00a0\u202f][0-9]{3})+(?:[.,][0-9]*)?")
+_PARTED = re.compile(r"[+-]?[0-9]+(?:[., '\u2019\u00a0\u202f][0-9]{3})*(?:[.,][0-9]*)?")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 short = _SHORT.repr
@@ -148,7 +148,7 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
 
     def refused(i: int, advice: str = "") -> ValueError:
         cell = cells[i].item() if isinstance(cells[i], np.generic) else cells[i]
-        if isinstance(cell, str) and _THOUSANDS.fullmatch(cell.strip()) and not kind.form:
+        if isinstance(cell, str) and _PARTED.fullmatch(cell.strip()) and not DECIMAL.fullmatch(cell) and not kind.form:
             advice = (
                 ", whose sign may part thousands or decimals: part no thousands, or state the other (option decimal)"
             )
