@@ -131,6 +131,16 @@ def test_the_covariance_is_the_weighted_sum_also_where_weights_are_negative():
     torch.testing.assert_close(spread @ spread.mT - lost @ lost.mT, (weights[:, None] * centred).mT @ centred)
 
 
+def test_as_many_columns_are_added_and_subtracted_as_there_are_directions_of_each_sign():
+    rule = fifth_degree(6)
+    points, weights, extra, _ = (x.numpy() if isinstance(x, torch.Tensor) else x for x in rule._rule)
+    slope = weights[:, None] * points.T
+    values = np.linalg.eigvalsh(np.diag(weights) + (extra - 1) * np.outer(weights, weights) - slope @ slope.T)
+    assert rule.minus.shape[1] == (values < -1e-9).sum() > 0
+    assert rule.combine.shape[1] == 1 + (values > 1e-9).sum() + 6
+    assert min(rule.minus.norm(dim=0).min(), rule.combine.norm(dim=0).min()) > 1e-3
+
+
 # ---------------------------------------------------------------- downdates
 
 

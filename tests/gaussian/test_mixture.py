@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchfra.gaussian import moment_match
-from torchfra.gaussian.mixture import share_roots
+from torchfra.gaussian.mixture import nearest, share_roots
 from torchfra.types import Gaussian
 
 
@@ -83,3 +83,13 @@ def test_shares_and_their_sum_have_exact_gradients():
     log_weights = torch.tensor([[0.3, -40.0], [-1.0, 2.0], [0.5, 2.0]], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(share_roots, (log_weights,))
     assert torch.autograd.gradgradcheck(share_roots, (log_weights,))
+
+
+def test_where_squares_overflow_under_every_model_the_nearest_counts_alone():
+    """Also beside one that failed, which is infinitely far off; where one says a number, or all failed, nothing is."""
+    inf, nan = torch.inf, torch.nan
+    log_density = [[-inf, -inf], [-inf, -3.0], [-1.0, -2.0], [-inf, -inf], [-inf, -inf], [-inf, -inf]]
+    far = [[3e200, 2e200], [3e200, 1.0], [1.0, 2.0], [3e200, nan], [nan, nan], [2e200, 2e200]]
+    expected = [[-inf, 0.0], [-inf, -3.0], [-1.0, -2.0], [0.0, -inf], [-inf, -inf], [0.0, 0.0]]
+    found = nearest(torch.tensor(log_density).double(), torch.tensor(far, dtype=torch.float64).unsqueeze(-1))
+    assert found.tolist() == expected

@@ -1,5 +1,6 @@
 """``tria`` gives the one lower root with a non-negative diagonal and its exact gradient, also where rank is lost."""
 
+import itertools
 import math
 
 import numpy as np
@@ -25,6 +26,7 @@ from torchfra.linalg import (
     tria_beside,
     whiten,
 )
+from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import elementary
 from torchfra.linalg.triangular import eliminated
 
@@ -308,12 +310,13 @@ def test_safe_functions_run_under_torch_compile_and_in_kernels(name):
     np.testing.assert_allclose([book.values[i] for i in traced.ids.tolist()], values)
 
 
-def test_rows_are_taken_out_of_others_at_any_rank():
+@pytest.mark.parametrize("graded", [False, True])
+def test_rows_are_taken_out_of_others_at_any_rank(graded):
     rng = torch.Generator().manual_seed(3)
     a = torch.randn(4, 5, 7, generator=rng).double()
     a[0, 1] = 2 * a[0, 0]  # it depends on the row above
     a[1, 0] = 0.0
-    root, cross, rest, dependent = eliminated(a, 3, 1e-13)
+    root, cross, rest, dependent = eliminated(a, 3, 1e-13, graded=graded)
     assert dependent.tolist() == [[False, True, False], [True, False, False], [False] * 3, [False] * 3]
     rebuilt = torch.where(dependent.unsqueeze(-2), 0.0, root)  # without the ones that stand for nothing
     whole = torch.cat([torch.cat([rebuilt, torch.zeros(4, 3, 7)], -1), torch.cat([cross, rest], -1)], -2).double()
@@ -323,3 +326,28 @@ def test_rows_are_taken_out_of_others_at_any_rank():
     torch.testing.assert_close(torch.where(independent, product[:, :3, :3], 0.0), torch.where(independent, own, 0.0))
     torch.testing.assert_close(product[:, 3:, 3:], a[:, 3:] @ a[:, 3:].mT)
     torch.testing.assert_close(cross[2:], tria(a)[2:, 3:, :3])  # of full rank
+
+
+def test_what_is_left_of_rows_has_nothing_along_those_taken_out_however_alike_they_are():
+    """Where columns are of any scale, to the last digit of what is left and not of what was there."""
+    rng = torch.Generator().manual_seed(5)
+    a = torch.randn(1, 4, 6, generator=rng).double()
+    a[:, 1:] = 1e6 * a[:, :1] + a[:, 1:]
+    a = a * torch.tensor([1e5, 1.0, 1.0, 1e-3, 1.0, 1.0])
+    root, cross, rest, _ = eliminated(a, 2, 1e-13, graded=True)
+    units = torch.linalg.solve_triangular(root, a[:, :2], upper=False)
+    torch.testing.assert_close(cross @ units + rest, a[:, 2:], rtol=1e-9, atol=0)
+    along = (rest.unsqueeze(-2) * units.unsqueeze(-3)).sum(-1)
+    assert (along.abs() < 1e-9 * rest.norm(dim=-1, keepdim=True)).all()
+
+
+def test_shapes_broadcast_as_those_of_torch_or_are_refused_as_there():
+    shapes = [(), (1,), (2,), (3,), (1, 2), (2, 1), (2, 3), (4, 1, 1), (0,)]
+    for some in itertools.product(shapes, repeat=3):
+        try:
+            expected = torch.broadcast_shapes(*some)
+        except RuntimeError:
+            with pytest.raises(RuntimeError, match="do not broadcast"):
+                broadcast_shapes(*some)
+        else:
+            assert broadcast_shapes(*some) == expected

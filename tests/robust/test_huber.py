@@ -1,5 +1,6 @@
 """The Huber score and the Huber regression follow their papers, and can be learned."""
 
+import itertools
 import math
 from functools import partial
 
@@ -162,6 +163,16 @@ def test_the_regression_agrees_with_its_covariance_form(iterations):
     x, cov = oracles.huber_regression(P0, H, R, s, 0.9, iterations)
     np.testing.assert_allclose(mean, x, rtol=1e-9)
     np.testing.assert_allclose(P, cov, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("tol", "far"), [(1e-2, 1.0), (1e-5, 1.0), (1e-5, 0.0)])
+def test_it_iterates_until_a_step_is_small_beside_the_whole_in_units_of_the_prediction(tol, far):
+    S, H, R, s = plain()
+    f = SRCKF(Rest(), Linear(H, R), rule=third_degree, robust=HuberRegression(0.9, max_iter=50, tol=tol))
+    e = f(torch.from_numpy(far * s)[None], Gaussian(torch.zeros(4).double(), torch.from_numpy(S)))
+    x = [np.linalg.solve(S, oracles.huber_regression(S @ S.T, H, R @ R.T, far * s, 0.9, k)[0]) for k in range(51)]
+    moved = [np.linalg.norm(b - a) > tol * np.linalg.norm(b) for a, b in itertools.pairwise(x)]
+    assert e.info.iterations.item() == 1 + moved.index(False)
 
 
 @pytest.mark.slow
