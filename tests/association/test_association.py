@@ -46,7 +46,7 @@ def test_one_target_is_the_non_parametric_filter_of_bar_shalom():
     share=st.sampled_from([0.3, 0.6, 1.0]),
     seed=st.integers(0, 10_000),
 )
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 def test_probabilities_are_those_of_an_oracle_that_enumerates_every_event(targets, count, diffuse, share, seed):
     rng = np.random.default_rng(seed)
     L, c = random_scan(rng, targets, count, share)

@@ -29,7 +29,7 @@ def somewhere(count, seed=0):
     position=st.lists(st.floats(-1e5, 1e5), min_size=3, max_size=3).filter(lambda p: math.hypot(p[0], p[1]) > 10.0),
     velocity=st.lists(st.floats(-500, 500), min_size=3, max_size=3),
 )
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=60)
 def test_there_and_back_is_where_it_began(position, velocity):
     x = tensor(*position, *velocity)
     state = from_cartesian(x)

@@ -5,7 +5,6 @@ import json
 import bearings
 import benchmark
 import clean_check
-import export
 import gradients
 import layer
 import lorenz
@@ -55,11 +54,6 @@ def test_layer_has_every_teacher_of_both_networks(run):
     assert len(errors) == 2 + 2 * len(layer.TEACHERS)
 
 
-def test_reproduce_has_every_filter_of_scenario_2(run):
-    found = run(reproduce, "bearings-manoeuvre", "--runs", "2")
-    assert list(found["filters"]) == list(reproduce.EXPERIMENTS["bearings-manoeuvre"].defaults)
-
-
 def test_reproduce_has_every_filter_of_reentry(run):
     found = run(reproduce, "reentry", "--runs", "2")
     assert list(found["filters"]) == list(reproduce.EXPERIMENTS["reentry"].defaults)
@@ -106,8 +100,3 @@ def test_peers_targets_has_every_tracker_that_is_installed(run):
 def test_clean_check_has_every_kind(run):
     cases = run(clean_check, "--flights", "1", "--runs", "1", "--steps", "12", quiet=())["cases"]
     assert {case["kind"] for case in cases} == set(clean_check.KINDS) - {"ranges"}  # which are recorded
-
-
-def test_export_writes_srckf(tmp_path, monkeypatch):
-    monkeypatch.setenv("CXXFLAGS", "-O0")
-    assert export.main(["--tracks", "2", "--out", str(tmp_path / "srckf")]) == 0

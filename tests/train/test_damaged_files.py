@@ -79,7 +79,7 @@ def test_no_changed_bit_of_learned_values_is_loaded(tmp_path):
     saved(tmp_path)
     path = tmp_path / "state_dict.pt"
     assert isinstance(learned_filter(path, SCENARIO), torch.nn.Module)
-    for data in flipped(path.read_bytes(), 100):
+    for data in flipped(path.read_bytes(), 40):
         path.write_bytes(data)
         with pytest.raises(
             ValueError, match=r"^learned: expected .*state_dict\.pt to hold a state dictionary of fra: "
@@ -91,7 +91,7 @@ def test_no_changed_bit_of_a_checkpoint_is_resumed_from(tmp_path, capsys):
     descent = saved(tmp_path, 1)
     path = tmp_path / "checkpoint.pt"
     assert descent.resume(path, "train")
-    for data in flipped(path.read_bytes(), 100):
+    for data in flipped(path.read_bytes(), 40):
         path.write_bytes(data)
         with pytest.raises(ValueError, match=r"no checkpoint in .* can be read"):
             descent.resume(path, "train")
@@ -102,7 +102,7 @@ def test_a_changed_bit_of_what_torch_saved_never_changes_a_value(tmp_path):
     path, f = tmp_path / "f.pt", made(threshold=0.5)
     torch.save(f.state_dict(), path)
     refused = 0
-    for data in flipped(path.read_bytes(), 100):
+    for data in flipped(path.read_bytes(), 40):
         path.write_bytes(data)
         try:
             found = learned_filter(path, SCENARIO).state_dict()
@@ -110,7 +110,7 @@ def test_a_changed_bit_of_what_torch_saved_never_changes_a_value(tmp_path):
             refused += 1
         else:
             assert all(torch.equal(found[key], value) for key, value in f.state_dict().items())
-    assert refused > 50
+    assert refused > 20
 
 
 @pytest.mark.parametrize("signed", [True, False])
@@ -141,7 +141,7 @@ def test_a_digest_does_not_make_an_archive_of_something_else(tmp_path):
 # ---------------------------------------------------------------- values
 
 
-@pytest.mark.parametrize("path", hypers(made()))
+@pytest.mark.parametrize("path", {str(hyper.constraint): path for path, hyper in hypers(made()).items()}.values())
 @pytest.mark.parametrize("raw", [torch.nan, 1e6, -1e6])
 def test_values_that_are_not_finite_or_out_of_range_are_refused_by_name(path, raw, tmp_path):
     f = made()
