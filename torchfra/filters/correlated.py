@@ -70,8 +70,6 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         sensor: the sensor with its errors.
     """
 
-    keeps_past = True
-
     def __init__(self, inner: Filter, sensor: Sensor) -> None:
         super().__init__(inner, sensor)
         self.zero_dt = inner.zero_dt

@@ -80,8 +80,6 @@ class IMM(Around[IMMState]):
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
 
-    keeps_past = True
-
     transition: Hyper | None
     """None if ``self_transition`` or ``durations`` alone was given."""
     self_transition: Hyper | None

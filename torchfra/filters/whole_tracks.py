@@ -81,8 +81,9 @@ class WholeTracks(NamedTuple):
                 estimate = estimate._replace(failure=diagnose(f, estimate, measurements, prior))
             if estimate.past:
                 return estimate._replace(past=()), estimate.past
-        if estimate is None or f.keeps_past:
-            estimate, state, steps = self._run(measurements, prior, past=f.keeps_past)
+        more = type(f).last is not Recursion.last  # it goes back over more than the beliefs that an estimate holds
+        if estimate is None or more:
+            estimate, state, steps = self._run(measurements, prior, past=more)
         return estimate, f.past(Gaussian(estimate.mean, estimate.scale_tril), estimate.info, state, steps)
 
     def _back(

@@ -88,8 +88,6 @@ class Recursion(Part, Generic[S]):
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
     zero_dt = True
     """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
-    keeps_past = False
-    """Whether the backward pass needs more of a step than an estimate holds of it."""
     one_sensor: str | None = None
     """Why the filter takes no other sensor than its own; None where it does."""
     motion: Motion
@@ -158,13 +156,17 @@ class Recursion(Part, Generic[S]):
         Args:
             belief: the estimates of ``forward``.
             info: the info of ``forward``.
-            state: after the last step; None for a filter that keeps no past.
-            steps: ``Record.past`` of all steps; None for a filter that keeps no past.
+            state: after the last step; None for a filter whose ``last`` is the default.
+            steps: ``Record.past`` of all steps; None for such a filter.
         """
         return Past(belief, None, info=info)
 
     def last(self, past: Any) -> tuple[Any, Smoothed]:
-        """Where the backward pass begins: its state at the last step, and the smoothed estimate there."""
+        """Where the backward pass begins: its state at the last step, and the smoothed estimate there.
+
+        The default is for a pass over beliefs, which an estimate holds; of a filter with one of its own ``Record.past``
+        is kept too.
+        """
         repairs = self.motion_rule.signed and not self.motion.linear
         repaired = torch.zeros_like(past.belief.mean[..., 0], dtype=torch.bool) if repairs else None
         return past.belief, Smoothed(past.belief, repaired=repaired)

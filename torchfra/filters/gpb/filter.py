@@ -130,7 +130,6 @@ class GPB(Filter[GPBState]):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
-    keeps_past = True
     smooths_one_sensor = (
         "GPB: hypotheses of outliers are of one sensor in the backward pass; smooth several as one, "
         "sensors.Stacked(first, second), with NaN for what was not measured"

@@ -102,7 +102,6 @@ class JPDA(Soft, Around[JPDAState]):
     """
 
     scans = True
-    keeps_past = True
     one_sensor = "gate and clutter are of the elements of one sensor"
     scanner: Sensor | None
     """The sensor, if it is another than that of the inner filter, as one of ``targets.Targets`` may be."""
