@@ -9,8 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchfra.metrics.lives import tracks_and_targets
-from torchfra.running.optional import optional
+from torchfra.metrics.lives import least_cost, tracks_and_targets
 
 THRESHOLDS = np.arange(1, 20) / 20
 """Least similarities of a pair, over which HOTA is a mean."""
@@ -103,7 +102,7 @@ def idf1(mean: Tensor, truth: Tensor, states: slice, *, cutoff: float = 100.0) -
     shared = np.zeros(len(tracks))
     for i, (e, t) in enumerate(zip(tracks, targets, strict=True)):
         together = (_distances(t, e) < cutoff).sum(-1)
-        shared[i] = together[_assigned(-together)].sum()
+        shared[i] = together[least_cost(-together)].sum()
     estimates, there = ((~np.isnan(x).any(-1)).sum((-2, -1)) for x in (tracks, targets))
     own, all_estimates, all_targets = (
         torch.from_numpy(np.asarray(x, dtype=np.float64)).to(mean.device).reshape(batch)
@@ -131,7 +130,7 @@ def _hota(similar: _Floats, targets: NDArray[np.int64], tracks: NDArray[np.int64
         gain = np.where(near, 1 / _TINY + association[..., None] + _TINY * similar, 0.0)
         pairs = np.zeros_like(near)
         for t in np.flatnonzero(near.any((0, 1))):
-            pairs[(*_assigned(-gain[..., t]), t)] = True
+            pairs[(*least_cost(-gain[..., t]), t)] = True
         pairs &= near
         together, count = pairs.sum(-1), pairs.sum()
         detection = count / (whole - count)
@@ -139,10 +138,3 @@ def _hota(similar: _Floats, targets: NDArray[np.int64], tracks: NDArray[np.int64
         parts[k] = np.sqrt(detection * shared), detection, shared, similar[pairs].sum() / max(1, count)
     mean: _Floats = parts.mean(0)
     return mean
-
-
-def _assigned(cost: NDArray[np.generic]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the assignment of least cost."""
-    assign = optional("scipy.optimize", "assignment", "assignment").linear_sum_assignment
-    rows, columns = assign(cost)
-    return rows, columns

@@ -98,9 +98,18 @@ def tracks_and_targets(
     return estimates, targets, batch
 
 
+def least_cost(cost: NDArray[np.generic]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the assignment of least ``cost (M, N)``.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    rows, columns = optional("scipy.optimize", "assignment", "assignment").linear_sum_assignment(cost)
+    return rows, columns
+
+
 def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cutoff: float) -> NDArray[np.int64]:
     """The track ``(M, T)`` that follows each target in each scan; -1 for none."""
-    assign = optional("scipy.optimize", "assignment", "assignment").linear_sum_assignment
     follower = np.full(targets.shape[:2], -1)
     last: NDArray[np.int64] = np.full(len(targets), -1)
     for t in range(targets.shape[1]):
@@ -114,7 +123,7 @@ def _followers(estimates: NDArray[np.float64], targets: NDArray[np.float64], cut
         if len(rows):
             # Any pair that is near costs less than none.
             cost = np.where(near, gap, 1e3 * cutoff * len(targets))[np.ix_(rows, columns)]
-            i, j = assign(cost)
+            i, j = least_cost(cost)
             good = near[rows[i], columns[j]]
             follower[rows[i[good]], t] = columns[j[good]]
         last[:] = follower[:, t]

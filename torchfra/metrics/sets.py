@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchfra.running.optional import optional
+from torchfra.metrics.lives import least_cost
 
 
 class OSPA(NamedTuple):
@@ -141,13 +141,12 @@ def _assigned(pairs: Tensor, limit: float, within: bool = False) -> tuple[Tensor
 
     With ``within`` pairs at the limit do not count.
     """
-    assign = optional("scipy.optimize", "assignment", "assignment").linear_sum_assignment
     flat = pairs.detach().cpu().reshape(math.prod(pairs.shape[:-2]), *pairs.shape[-2:])
     totals, counts = torch.zeros(len(flat), dtype=flat.dtype), torch.zeros(len(flat), dtype=flat.dtype)
     for i, cost in enumerate(flat):
         finite = cost[cost.isfinite().any(-1)][:, cost.isfinite().any(-2)].clamp_max(limit)
         if finite.numel():
-            rows, columns = assign(finite.numpy())
+            rows, columns = least_cost(finite.numpy())
             chosen = finite[rows, columns]
             chosen = chosen[chosen < limit] if within else chosen
             totals[i], counts[i] = chosen.sum(), len(chosen)
