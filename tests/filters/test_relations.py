@@ -151,9 +151,8 @@ def test_the_origin_changes_nothing(name):
 
 
 @every
-@pytest.mark.parametrize("axes", [[[0.0, -1], [1, 0]], [[1.0, 0], [0, -1]]], ids=["quarter turn", "reflection"])
-def test_axes_may_be_swapped_and_point_the_other_way(name, axes):
-    (p, whole), turn = told(name), torch.block_diag(*[torch.tensor(axes, dtype=torch.float64)] * 2)
+def test_axes_may_be_swapped_and_point_the_other_way(name):
+    (p, whole), turn = told(name), torch.block_diag(*[torch.tensor([[0.0, -1], [-1, 0]], dtype=torch.float64)] * 2)
     same(whole, replace(p, z=p.z @ turn[:2, :2].T, mean=p.mean @ turn.T).run(p.filter(name)), p.units, turn=turn)
 
 

@@ -18,10 +18,8 @@ from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
 
 MOTION, SENSOR, BANK = ConstantVelocity(1.0), Position(2.0), [ConstantVelocity(1.0), ConstantVelocity(100.0)]
 DURATIONS = {"durations": (100.0,) * 7, "outlier_durations": (100.0, 3.0), "outlier_offsets": (1.0, 2.0, 3.0, 4.0)}
-SINGLE = [
-    *("srckf", "rsrckf", "ukf", "ekf", "ghckf", "hghckf", "hghckf1", "hghckf2", "mr_ckf", "asrckf", "rmckf", "iaukf"),
-    *("fra", "fra_srckf", "alphabeta", "gpb"),
-]
+SINGLE = ["rsrckf", "hghckf1", "hghckf2", "mr_ckf", "asrckf", "iaukf", "fra", "alphabeta"]
+"""Every part with hyperparameters of its own is in one of the filters."""
 FILTERS = {name: (lambda name=name: getattr(presets, name)(MOTION, SENSOR)) for name in SINGLE} | {
     "three gains": lambda: presets.alphabeta(ConstantAcceleration(1.0), SENSOR),
     "gpb of a bank": lambda: presets.gpb(BANK, SENSOR, manoeuvres="hard", same_offset=0.5, lag=1),
@@ -29,7 +27,6 @@ FILTERS = {name: (lambda name=name: getattr(presets, name)(MOTION, SENSOR)) for 
     "imm": lambda: presets.imm(BANK, SENSOR),
     "imm of a matrix": lambda: presets.imm(BANK, SENSOR, transition=[[0.9, 0.1], [0.2, 0.8]], initial=[0.5, 0.5]),
     "imm in continuous time": lambda: presets.imm(BANK, SENSOR, durations=[10.0, 20.0]),
-    "imm_fra": lambda: presets.imm_fra(BANK, SENSOR),
 }
 
 

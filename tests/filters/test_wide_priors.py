@@ -67,8 +67,8 @@ def lost(f, z, root, dt=1.0):
     prior = Gaussian(torch.zeros(root.shape[:-1]).double(), root)
     single = tree.map_tensors(torch.Tensor.float, (z, prior, dt))
     double = tree.map_tensors(torch.Tensor.double, single)
-    for run in (f.smooth, f):
-        expected, found = run(*double[:2], dt=double[2]), run(*single[:2], dt=single[2])
+    both = [f.smooth(*given[:2], dt=given[2]) for given in (double, single)]
+    for expected, found in (both, [smoothed.info.filtered for smoothed in both]):
         std = expected.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
         yield ((found.mean - expected.mean) / std).abs().max()
         yield (found.covariance.double().diagonal(dim1=-2, dim2=-1).sqrt() / std - 1).abs().max()

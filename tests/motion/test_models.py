@@ -32,7 +32,7 @@ RULES = [third_degree, unscented(), unscented(0.5, 2.0, 0.0), unscented(1.0, 0.0
 # ---------------------------------------------------------------- rules
 
 
-@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("n", [1, 2, 3, 8])
 @pytest.mark.parametrize("rule", RULES)
 def test_polynomials_of_third_degree_have_their_exact_mean(rule, n):
     belief = Gaussian(torch.zeros(n).double(), torch.eye(n).double())
@@ -186,9 +186,9 @@ class Sight(Sensor):
         return torch.stack([torch.atan2(both[..., 0] - both[..., 2], both[..., 1] - both[..., 3]), x[..., 2]], -1)
 
 
-@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+@pytest.mark.parametrize("batch", [(), (2, 3)])
 @pytest.mark.parametrize("dt", [0.5, "of steps", "of tracks"])
-@pytest.mark.parametrize("preset", [presets.ukf, presets.ekf, presets.ghckf, presets.fra])
+@pytest.mark.parametrize("preset", [presets.ekf, presets.fra])
 def test_motions_and_sensors_of_a_user_get_the_shapes_of_their_documentation(batch, dt, preset):
     steps, generator = 4, torch.Generator().manual_seed(0)
     z = torch.randn(*batch, steps, 2, generator=generator, dtype=torch.float64)
