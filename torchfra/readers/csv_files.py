@@ -66,11 +66,13 @@ def csv_sheet(text: str, options: ReadOptions | None) -> Sheet:
             f"expected every column once, received several named {twice}: give each a name of its own in the header"
         )
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
-    longer, place, width = Counter[str](), {name: i for i, name in enumerate(names)}, len(names)
     format = format or (format_of(names) if options is not None else None)
     if pair := [name for name in names if format is not None and format.pair and plain(name) == format.pair]:
         said.append(f"latitude, longitude: both in {pair[0]}")
-        place |= dict.fromkeys(("latitude", "longitude"), place.pop(pair[0]))
+        names[names.index(pair[0])] = "latitude"
+        names.insert(names.index("latitude") + 1, "longitude")
+        rest = re.sub('"([^",\n]*),([^",\n]*)"', r"\1,\2", rest)
+    longer, place, width = Counter[str](), {name: i for i, name in enumerate(names)}, len(names)
 
     def mended(row: list[str], before: int) -> list[str]:
         """A row of another length: a comment, or one whose further fields are empty or not asked for."""
@@ -100,11 +102,11 @@ def csv_sheet(text: str, options: ReadOptions | None) -> Sheet:
                     # no rows: Python's garbage collector would take longer than all else
                     cells += row if len(row) == width else mended(row, rows + len(cells) // width)
                 if len(cells) > _CELLS:
-                    yield len(cells) // width, partial(_cells, cells, place, width, bool(pair))
+                    yield len(cells) // width, partial(_cells, cells, place, width)
                     rows, cells = rows + len(cells) // width, []
         except csv.Error as error:
             raise ValueError(f"expected CSV, received other text ({error})") from error
-        yield len(cells) // width, partial(_cells, cells, place, width, bool(pair))
+        yield len(cells) // width, partial(_cells, cells, place, width)
 
     return Sheet([*place], parts(), tuple(said), sign != ",", format, longer=longer)
 
@@ -276,12 +278,9 @@ def _split(line: str, sign: str) -> list[str]:
         return []
 
 
-def _cells(cells: list[str], place: dict[str, int], width: int, pair: bool, name: str) -> list[str]:
-    """The cells of one column, out of the cells of all rows in one list; of a ``pair``, the part before its comma."""
-    column = cells[place[name] :: width]
-    if pair and name in ("latitude", "longitude"):
-        return [cell.partition(",")[2 * (name == "longitude")] for cell in column]
-    return column
+def _cells(cells: list[str], place: dict[str, int], width: int, name: str) -> list[str]:
+    """The cells of one column, out of the cells of all rows in one list."""
+    return cells[place[name] :: width]
 
 
 def _is_number(cell: str) -> bool:
