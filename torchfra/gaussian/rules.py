@@ -121,9 +121,9 @@ class SigmaPoints(nn.Module):
         """``[rest, slope]`` of an indefinite Gram matrix, whose negative part goes into ``minus``."""
         slope = weights.unsqueeze(-1) * points.mT
         eigenvalues, basis = torch.linalg.eigh(gram - slope @ slope.mT)
-        small = 1e-12 * eigenvalues.abs().max()
-        self.minus = (basis * eigenvalues.clamp_max(0.0).abs().sqrt())[:, eigenvalues < -small]
-        return torch.cat([(basis * eigenvalues.clamp_min(0.0).sqrt())[:, eigenvalues > small], slope], 1)
+        small, root = 1e-12 * eigenvalues.abs().max(), basis * eigenvalues.abs().sqrt()
+        self.minus = root[:, eigenvalues < -small]
+        return torch.cat([root[:, eigenvalues > small], slope], 1)
 
     def marginal(self, d: int) -> SigmaPoints:
         """The points projected on the first ``d`` components; points that coincide become one."""
