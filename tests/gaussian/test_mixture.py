@@ -89,7 +89,7 @@ def test_where_squares_overflow_under_every_model_the_nearest_counts_alone():
     """Also beside one that failed, which is infinitely far off; where one says a number, or all failed, nothing is."""
     inf, nan = torch.inf, torch.nan
     log_density = [[-inf, -inf], [-inf, -3.0], [-1.0, -2.0], [-inf, -inf], [-inf, -inf], [-inf, -inf]]
-    far = [[3e200, 2e200], [3e200, 1.0], [1.0, 2.0], [3e200, nan], [nan, nan], [2e200, 2e200]]
+    far = [[-3e200, 2e200], [3e200, 1.0], [1.0, 2.0], [3e200, nan], [nan, nan], [2e200, 2e200]]
     expected = [[-inf, 0.0], [-inf, -3.0], [-1.0, -2.0], [0.0, -inf], [-inf, -inf], [0.0, 0.0]]
     found = nearest(torch.tensor(log_density).double(), torch.tensor(far, dtype=torch.float64).unsqueeze(-1))
     assert found.tolist() == expected
