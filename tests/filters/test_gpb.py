@@ -336,7 +336,7 @@ RANGES = Ranges(ANCHORS[:2], 2.0)
 
 
 def learned(sensor=RANGES, **options):
-    values = VALUES | {"noise": "learned", "noise_doubt": 0.9, "noise_memory": 8.0}
+    values = VALUES | {"noise": "learned", "noise_doubt": 0.9, "noise_memory": 8.0, "noise_least": 0.0}
     return presets.gpb(MOTION, sensor, **values | options)
 
 
@@ -354,7 +354,7 @@ def position_rmse(estimate, tracks):
 def test_noise_that_is_stated_twice_off_is_found(stated):
     cell = scenarios.as_stated("velocity", index=0.1, std=stated)
     tracks = cell.simulate(runs=32, seed=71)
-    f = presets.gpb(cell.motion, cell.sensor, noise="learned").compile()
+    f = presets.gpb(cell.motion, cell.sensor, noise="learned", noise_least=0.0).compile()
     best, found = (g(tracks.z, tracks.prior, dt=cell.dt) for g in (presets.iaukf(cell.motion, cell.sensor), f))
     assert position_rmse(found, tracks) < 1.08 * position_rmse(best, tracks)
     assert 0.6 < found.info.noise[:, -1].log().mean().exp() * stated**2 < 1.6
@@ -371,28 +371,36 @@ def test_noise_that_is_stated_right_costs_little():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", ["learned", "raised"])
-def test_a_target_that_moves_more_than_stated_is_not_taken_for_noise(noise):
+@pytest.mark.parametrize("least", [0.0, 1.0])
+def test_a_target_that_moves_more_than_stated_is_not_taken_for_noise(least):
     cell = scenarios.as_stated("velocity", index=0.1, q=0.01)
     tracks = cell.simulate(runs=32, seed=73)
-    each = (presets.gpb(cell.motion, cell.sensor, noise=of).compile() for of in ("stated", noise))
+    options = {}, {"noise": "learned", "noise_least": least}
+    each = (presets.gpb(cell.motion, cell.sensor, **x).compile() for x in options)
     stated, found = (f(tracks.z, tracks.prior, dt=cell.dt) for f in each)
     assert position_rmse(found, tracks) < 1.05 * position_rmse(stated, tracks)
     assert found.info.noise[:, -1].log().mean().exp() < 1.3
 
 
 @pytest.mark.slow
-def test_raised_noise_is_never_below_what_is_stated_and_follows_what_is_above():
+def test_noise_is_never_below_its_least_and_follows_what_is_above():
     below, above = (scenarios.as_stated("velocity", index=0.1, std=std) for std in (2.0, 0.5))
-    for cell, least, most in ((below, 0.99, 1.2), (above, 0.6 * 4, 1.6 * 4)):
+    for cell, low, high in ((below, 0.49, 0.6), (above, 0.6 * 4, 1.6 * 4)):
         tracks = cell.simulate(runs=16, seed=74)
         noise = (
-            presets.gpb(cell.motion, cell.sensor, noise="raised")
+            presets.gpb(cell.motion, cell.sensor, noise="learned")
             .compile()(tracks.z, tracks.prior, dt=cell.dt)
             .info.noise
         )
-        assert (noise >= 1).all()
-        assert least < noise[:, -1].log().mean().exp() < most
+        assert (noise > 0.4999).all()
+        assert low < noise[:, -1].log().mean().exp() < high
+
+
+def test_an_outlier_at_the_first_measurement_says_nothing_about_the_noise():
+    f, z = presets.gpb(ConstantVelocity(0.01), Position(2.0), noise="learned"), torch.zeros(8, 6, 2).double()
+    z += 2 * torch.randn(z.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    z[:, 0] += 2e4
+    assert (f(z, Gaussian(torch.zeros(4).double(), torch.eye(4).double())).info.noise[:, 1].log().abs() < 0.1).all()
 
 
 def test_what_is_not_measured_says_nothing_about_the_noise():
@@ -484,8 +492,14 @@ def walk(x):
 
 
 def test_another_word_is_refused():
-    with pytest.raises(ValueError, match=r"noise: expected one of \('stated', 'raised', 'learned'\), received 'known'"):
+    with pytest.raises(ValueError, match=r"noise: expected one of \('stated', 'learned'\), received 'known'"):
         presets.gpb(MOTION, RANGES, noise="known")
+
+
+@pytest.mark.parametrize("least", [-0.1, 1.5, math.nan])
+def test_a_least_noise_that_is_no_share_is_refused(least):
+    with pytest.raises(ValueError, match="noise_least: expected a number from 0 to 1, received"):
+        presets.gpb(MOTION, RANGES, noise="learned", noise_least=least)
 
 
 def test_gradients_are_finite_where_outliers_never_come():

@@ -101,13 +101,13 @@ def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far()
     assert (error[1:-4] < 20).all()  # then it jumps
 
 
-@pytest.mark.parametrize("noise", ["learned", "raised"])
+@pytest.mark.parametrize("least", [0.0, 0.9, 1.0])
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_noise_that_is_learned(sensor, noise):
+def test_noise_that_is_learned(sensor, least):
     case, motion, (options, r) = sensor(), ConstantAcceleration(0.05), regimes(*TWO)
-    f = presets.gpb(motion, case.sensor, **options | {"noise": noise, "noise_doubt": 2.0, "noise_memory": 20.0})
-    estimate = f(tensor(case.z), PRIOR)
-    found = expected(case, [carried(motion, 1.0)], r, noise=(2.0, 20.0), only_raised=noise == "raised")
+    options |= {"noise": "learned", "noise_doubt": 2.0, "noise_memory": 20.0, "noise_least": least}
+    estimate = presets.gpb(motion, case.sensor, **options)(tensor(case.z), PRIOR)
+    found = expected(case, [carried(motion, 1.0)], r, noise=(2.0, 20.0), least=least)
     same(estimate, found)
     torch.testing.assert_close(estimate.info.noise, tensor(found["noise"]), rtol=1e-9, atol=0.0)
     assert (estimate.info.noise - 1).abs().max() > 0.03

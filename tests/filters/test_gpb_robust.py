@@ -292,7 +292,7 @@ def test_a_walker_far_from_all_anchors_is_not_lost_where_ranges_state_more_noise
     sensor = Ranges(scenario.sensor.anchors, 0.45, height=0.1)  # three times the true one: a belief is a wide arc then
     rmse = {
         name: metrics.track_rmse(f(tracks.z, tracks.prior, dt=scenario.dt).mean, tracks.truth, slice(0, 2)).mean()
-        for name, options in (("rsrckf", {}), ("gpb", {"noise": "learned"}))
+        for name, options in (("rsrckf", {}), ("gpb", {"noise": "learned", "noise_least": 0.0}))
         for f in [getattr(presets, name)(ConstantAcceleration(0.3), sensor, **options).compile()]
     }
     assert rmse["gpb"] < rmse["rsrckf"]

@@ -115,7 +115,7 @@ class OutlierModes(NamedTuple):
     same_offset: float = 0.0  # probability that an outlier after another has its offset; of linear sensors
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
     noise: tuple[float, float] | None = None  # what is learned of it: std of its log variance, and measurements kept
-    only_raised: bool = False  # whether the noise is at least as stated
+    least: float = 0.5  # factor on the stated variance below which the noise is not
     line: Any = None  # the measurement as a `Line`, for beliefs whose points are far off any
 
     def over(self, seconds: float) -> Array:
@@ -555,7 +555,7 @@ class State(NamedTuple):
     last: Array  # (m,) the measurement
     elapsed: float = 0.0  # s since the last measurement
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
-    waiting: Array | None = None  # (4,m) of each element: what its last residual says once the next one has come
+    waiting: Array | None = None  # (5,m) of each element: what its last residual says once the next one has come
     count: float = 0  # of the measurements; minus the binary log of a mean of 1/2^count where these differ
     wider: float = 1.0  # than the inflated prior, at the first of them
 
@@ -568,7 +568,7 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
         log_regimes = np.log(np.array([share * first for share in (1 - prior_outlier, prior_outlier)]))
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
-    waiting = np.zeros((4, len(nothing)))
+    waiting = np.zeros((5, len(nothing)))
     return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise, waiting)
 
 
@@ -634,7 +634,7 @@ def judged(
     noise: Array, waiting: Array, about: Array, inlier: Array, expected: Any, z: Array, model: Model, k: int,
     blocks: list[list[int]],
 ) -> tuple[Array, Array]:  # fmt: skip
-    """What is known (B,2) of the noise after a measurement, and what waits (4,m) for the next one.
+    """What is known (B,2) of the noise after a measurement, and what waits (5,m) for the next one.
 
     The residuals that wait are right about the noise if this innovation has nothing in common with them.
     """
@@ -647,14 +647,14 @@ def judged(
     noise, after = noise.copy(), waiting.copy()
     for b, block in enumerate(blocks):
         block = [i for i in block if i in measured]
-        residual, excess, share, scale = waiting[:, block]
+        residual, excess, share, scale, weight = waiting[:, block]
         unit = std[block] * scale
         spread = max((unit**2 * variance[block]).sum(), (unit**2 * e[block] ** 2).sum())
         if block and share.any():
-            c = (2 * share.sum() + spread) / len(block)
+            c = (2 * share.sum() + spread) / weight.sum()
             noise[b, 1] = 1 / (1 / noise[b, 1] + inlier[b] * share.sum() / c)
             noise[b, 0] += noise[b, 1] * inlier[b] * (excess - residual * unit * e[block]).sum() / c
-        now = [*about[:, block], inlier[b] / std[block]]
+        now = [*about[:, block], inlier[b] / std[block], inlier[b] * np.ones(len(block))]
         after[:, block] = np.array(now) + (1 - inlier[b]) * waiting[:, block]
     return noise, after
 
@@ -742,7 +742,7 @@ def step(
         about = np.sum([math.exp(h.log_weight) * h.noise for h in every], axis=0)
         if not nothing:
             known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
-            known[:, 0] = known[:, 0].clip(min=0.0) if q.only_raised else known[:, 0]
+            known[:, 0] = known[:, 0].clip(min=math.log(q.least)) if q.least else known[:, 0]
         output["noise"] = np.exp(known[:, 0])
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))

@@ -97,6 +97,7 @@ def gpb(
     noise: str = "stated",
     noise_doubt: Value = 0.7,
     noise_memory: Value = 200.0,
+    noise_least: float = 0.5,
     lag: int = 0,
     rule: Callable[[int], Rule] = third_degree,
     learn: Collection[str] = (),
@@ -150,12 +151,13 @@ def gpb(
         outliers_update: whether outliers update the belief, as measurements with larger noise.
         same_offset: probability that an outlier after another has the same offset, as the fixes of a second target
             have; for linear sensors.  None for 0.
-        noise: whether the scale of each block's measurement noise is ``"stated"`` by the sensor, ``"learned"`` from the
-            inliers, or ``"raised"``: learned, but never below what is stated, which may hold for errors that last, too;
-            ``Estimate.info.noise`` has what it believes.
+        noise: whether the scale of each block's measurement noise is ``"stated"`` by the sensor, or ``"learned"``
+            from the inliers; ``Estimate.info.noise`` has what it believes.
         noise_doubt: if learned, standard deviation of the log of the factor on the variance of the noise: with 0.7 a
             standard deviation is within a factor of 2 of what is stated in 95 of 100 sensors.
         noise_memory: if learned, number of measurements after which what was learned has fallen to 37 %.
+        noise_least: if learned, factor on the stated variance below which the noise is not taken to be, from 0 to 1:
+            errors that last look like motion, and who states a larger noise for them is right.
         lag: 0 for the filtered estimate, 1 for the one-step smoothed estimate; the other is in ``Estimate.info``.
         rule: from a dimension to the points: ``torchfra.gaussian.cubature``.
         **options
@@ -183,7 +185,7 @@ def gpb(
     if manoeuvres not in MANOEUVRES:
         received = f"{manoeuvres!r}{meant(manoeuvres, MANOEUVRES)}"
         raise ValueError(f"manoeuvres: expected one of {', '.join(MANOEUVRES)}, received {received}")
-    one_of(noise=(noise, ("stated", "raised", "learned")))
+    one_of(noise=(noise, ("stated", "learned")))
     arguments = {
         "noise_levels": noise_levels, "separate_levels": separate_levels, "manoeuvre_factors": manoeuvre_factors,
         "jump_factors": jump_factors, "self_transition": self_transition, "durations": durations, "restart": restart,
@@ -211,7 +213,7 @@ def gpb(
         outliers_update=outliers_update,
         same_offset=same_offset,
     )
-    learned = LearnedNoise(noise_doubt, noise_memory, only_raised=noise == "raised")  # checks values that nobody needs
+    learned = LearnedNoise(noise_doubt, noise_memory, noise_least)  # checks values that nobody needs
     f = GPB(
         models,
         sensor,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -21,9 +22,9 @@ FAR = 1e6
 
 
 class LastResidual(NamedTuple):
-    """What the last measurement of each element says about its noise once the next one has come; 0 before the first.
+    """What the last measurement of each element says about its noise once the next one has come.
 
-    By hypotheses in which it is an inlier, each with its probability.
+    By hypotheses in which it is an inlier, each with its probability; before the first inlier they have a small sum.
     """
 
     residual: Tensor
@@ -34,6 +35,8 @@ class LastResidual(NamedTuple):
     """``(..., m)`` 1 minus that variance: the share of the noise that a residual shows."""
     scale: Tensor
     """``(..., m)`` 1 over the standard deviation of the noise, in the units of the measurement."""
+    weight: Tensor
+    """``(..., m)`` the sum of these probabilities."""
 
 
 class NoiseScale(NamedTuple):
@@ -74,23 +77,29 @@ class LearnedNoise(nn.Module):
     Args:
         doubt: standard deviation ``d`` of the log of that factor.
         memory: number of measurements after which what was learned has fallen to 37 %.
-        only_raised: whether ``m`` is at least 0.  Errors that last, as of a receiver that smooths, look like motion:
-            by ``x`` the noise would be what is left of them, where it is stated large enough for them.
+        least: factor on the stated variance below which the noise is not taken to be.  Errors that last, as of a
+            receiver that smooths, look like motion: by ``x`` the noise is what is left of them, where it is stated
+            large enough for them.
+
+    Raises:
+        ValueError: ``least`` is no number from 0 to 1.
 
     Source: Mehra (1970) for the noise from the correlation of innovations; Creal, Koopman & Lucas (2013) for values
     that follow a score, scaled by its information; Sarkka & Nummenmaa (2009) for learning the noise with forgetting.
     """
 
-    def __init__(self, doubt: Value = 0.7, memory: Value = 200.0, *, only_raised: bool = False) -> None:
+    def __init__(self, doubt: Value = 0.7, memory: Value = 200.0, least: float = 0.5) -> None:
         super().__init__()
-        self.only_raised = only_raised
+        if not 0 <= least <= 1:
+            raise ValueError(f"noise_least: expected a number from 0 to 1, received {least!r}")
+        self.noise_least = least
         self.noise_doubt = Hyper(doubt, name="noise_doubt")
         self.noise_memory = Hyper(memory, name="noise_memory")
 
     def begin(self, like: Tensor, size: int) -> NoiseScale:
         """The noise as stated, for ``like (..., B)`` and ``size`` elements."""
         none, empty = torch.zeros_like(like), like.new_zeros(*like.shape[:-1], size)
-        return NoiseScale(none, none + self._doubt(like).square(), LastResidual(empty, empty, empty, empty))
+        return NoiseScale(none, none + self._doubt(like).square(), LastResidual(*[empty] * 5))
 
     def predict(self, noise: NoiseScale, measured: Tensor) -> NoiseScale:
         """What is known before a step.
@@ -132,13 +141,15 @@ class LearnedNoise(nn.Module):
             return by_block(inlier * x, blocks)
 
         shown, spread = total(last.share), torch.maximum(total(variance), total(ahead.square()))
-        rate = safe_divide(by_block(inlier, blocks), 2 * shown + spread)
+        rate = safe_divide(total(last.weight), 2 * shown + spread)
         known = noise.variance / (1 + noise.variance * rate * shown)
         log_scale = noise.log_scale + known * rate * total(last.excess - last.residual * ahead)
         # What an outlier does not judge waits for the next inlier.
-        now = *residuals, inlier / std
+        now = *residuals, inlier / std, inlier
         waiting = LastResidual(*(x + (1 - inlier) * before for x, before in zip(now, last, strict=True)))
-        return NoiseScale(log_scale.clamp_min(0.0) if self.only_raised else log_scale, known, waiting)
+        if self.noise_least > 0:
+            log_scale = log_scale.clamp_min(math.log(self.noise_least))
+        return NoiseScale(log_scale, known, waiting)
 
     def _doubt(self, like: Tensor) -> Tensor:
         doubt: Tensor = self.noise_doubt(like).unsqueeze(-1)
