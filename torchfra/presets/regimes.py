@@ -94,7 +94,7 @@ def gpb(
     adaptive_largest_size: bool = True,
     outliers_update: bool = True,
     same_offset: Value | None = None,
-    noise: str = "stated",
+    noise: str = "learned",
     noise_doubt: Value = 0.7,
     noise_memory: Value = 200.0,
     noise_least: float = 0.5,
