@@ -107,5 +107,5 @@ def test_hypotheses_forget_within_a_thousand_steps(pieces_that_ran):
     z[::37] += 30.0
     check_same(f(z, PRIOR), batched(f(in_a_batch(z), PRIOR)))
     ((lanes, again),) = pieces_that_ran
-    assert lanes == 64
+    assert lanes == 17  # begun 1024 steps early
     assert again <= 2

@@ -151,8 +151,8 @@ def gpb(
         outliers_update: whether outliers update the belief, as measurements with larger noise.
         same_offset: probability that an outlier after another has the same offset, as the fixes of a second target
             have; for linear sensors.  None for 0.
-        noise: whether the scale of each block's measurement noise is ``"stated"`` by the sensor, or ``"learned"``
-            from the inliers; ``Estimate.info.noise`` has what it believes.
+        noise: whether the scale of each block's measurement noise is ``"learned"`` from the inliers, or ``"stated"`` by
+            the sensor; ``Estimate.info.noise`` has what it believes.
         noise_doubt: if learned, standard deviation of the log of the factor on the variance of the noise: with 0.7 a
             standard deviation is within a factor of 2 of what is stated in 95 of 100 sensors.
         noise_memory: if learned, number of measurements after which what was learned has fallen to 37 %.
