@@ -124,8 +124,8 @@ def test_interacting_models_of_two_targets_are_those_of_plain_loops(rate):
 def test_gpb_of_two_targets_is_that_of_plain_loops():
     z, prior, motion = crowd(), priors(4, (0.0, 0.0), (0.0, 20.0)), ConstantVelocity(0.05)
     f = presets.jpda(
-        motion, Position(STD), inner=partial(presets.gpb, **GPB, separate_levels=0), gate=Euclidean(15.0),
-        detection=0.9, clutter=Clutter(VOLUME, rate=2.0),
+        motion, Position(STD), inner=partial(presets.gpb, **GPB, separate_levels=0, noise="stated"),
+        gate=Euclidean(15.0), detection=0.9, clutter=Clutter(VOLUME, rate=2.0),
     )  # fmt: skip
     F, SQ = carried(motion)
     # One motion: its two levels, and the jump.

@@ -206,14 +206,13 @@ def carried(size, **options):
     return sorted((off > 0.5 * size).sum(-1).tolist())
 
 
-def test_beside_odometry_sixty_equal_measurements_may_be_outliers_unless_another_number_is_said_or_they_are_far():
-    """A sensor that is wrong for long by some tens of standard deviations is likelier than a robot that was carried."""
-    lost = carried(45.0)
+def test_a_robot_that_was_carried_is_followed_at_once_unless_bursts_are_said_to_be_longer():
+    assert carried(45.0)[-1] <= 1
+    assert carried(900.0)[-1] == 0
+    lost = carried(45.0, burst=60, manoeuvres="jumps", noise="stated")
     assert lost[0] > 20  # outliers draw the belief nearer, too
     assert lost[1] > 40
     assert lost[-1] < 60
-    assert carried(45.0, burst=4)[-1] <= 1
-    assert carried(900.0)[-1] == 0
 
 
 def test_two_equal_outliers_at_the_beginning_are_no_prior_that_is_off():
