@@ -375,7 +375,7 @@ def test_noise_that_is_stated_right_costs_little():
 def test_a_target_that_moves_more_than_stated_is_not_taken_for_noise(least):
     cell = scenarios.as_stated("velocity", index=0.1, q=0.01)
     tracks = cell.simulate(runs=32, seed=73)
-    options = {}, {"noise": "learned", "noise_least": least}
+    options = {"noise": "stated"}, {"noise_least": least}
     each = (presets.gpb(cell.motion, cell.sensor, **x).compile() for x in options)
     stated, found = (f(tracks.z, tracks.prior, dt=cell.dt) for f in each)
     assert position_rmse(found, tracks) < 1.05 * position_rmse(stated, tracks)

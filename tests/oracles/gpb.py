@@ -457,7 +457,8 @@ def about_noise(belief: Belief, m: Measured, R: Array, first: bool, block: list[
     Pzz = m.Pzz if first else m.Pxz.T @ np.linalg.inv(P) @ m.Pxz + R
     S, root = np.linalg.inv(Pzz), np.linalg.cholesky(R)
     square = np.diag(root.T @ S @ root)
-    residual = (root.T @ S @ m.e).clip(-5.0 * np.sqrt(square), 5.0 * np.sqrt(square))
+    residual = root.T @ S @ m.e
+    residual *= min(1.0, 5.0 * math.sqrt(square.sum()) / max(np.linalg.norm(residual), 1e-300))
     about[:, measured] = residual, residual**2 - square, square
     return about
 

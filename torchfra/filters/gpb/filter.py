@@ -159,7 +159,9 @@ class GPB(Filter[GPBState]):
             raise ValueError(f"same_offset: expected None or a linear sensor, received {type(sensor).__name__}")
         self.regimes, self.outliers, self.noise, self.lag = regimes, outliers, noise, lag
         self.prior_outlier = Hyper(prior_outlier, constraints.unit_interval, name="prior_outlier")
-        self.prior_inflation = Hyper(prior_inflation, constraints.greater_than_eq(1.0), name="prior_inflation")
+        self.prior_inflation = Hyper(
+            prior_inflation, constraints.greater_than_eq(1.0), finite=True, name="prior_inflation"
+        )
 
     @property
     def regime_names(self) -> tuple[str, ...]:

@@ -12,13 +12,14 @@ from torch import Tensor, nn
 from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_sqrt
+from torchfra.numbers import as_number
 from torchfra.types import Gaussian
 
 FARTHEST = 5.0
-"""Residual of an inlier in its standard deviations beyond which it tells no more: one that is farther off is none, or
-has no digits left, as where a jump goes to an outlier."""
+"""Residual of an inlier, root mean square of a block, in its standard deviations, beyond which it tells no more: one
+that is farther off is none, or has no digits left, as where a jump goes to an outlier."""
 FAR = 1e6
-"""Innovation in units of the noise beyond which its square is not needed and may not be a number."""
+"""Innovation or residual in units of the noise beyond which its square is not needed and may not be a number."""
 
 
 class LastResidual(NamedTuple):
@@ -68,8 +69,8 @@ class LearnedNoise(nn.Module):
     stated too small, adds ``b`` to both ``r`` and ``e``, so that ``x`` keeps its mean, nearly; in ``r^2`` alone the lag
     would be noise, and more of it would let the estimate lag more.  The mean of ``x`` grows with ``m`` by about
     ``1 - h``, and its variance is ``(1 - h) c`` with ``c = 2 (1 - h) + s``, where ``s`` is the variance of ``e``, or
-    its square where that is larger, as where a manoeuvre begins; an ``r`` beyond ``FARTHEST`` of its own standard
-    deviations counts as that far.  So after a measurement, with sums over the block's elements, and means of ``h`` and
+    its square where that is larger, as where a manoeuvre begins; an ``r`` of a block beyond ``FARTHEST`` of its own
+    standard deviations counts as that far.  So after a measurement, with sums over the block's elements, and means of ``h`` and
     ``s`` in ``c``,
 
         v <- 1 / (1 / v + sum (1 - h) / c),      m <- m + v sum x / c.
@@ -90,10 +91,10 @@ class LearnedNoise(nn.Module):
 
     def __init__(self, doubt: Value = 0.7, memory: Value = 200.0, least: float = 0.5) -> None:
         super().__init__()
-        if not 0 <= least <= 1:
+        self.noise_least = as_number(least)
+        if not 0 <= self.noise_least <= 1:
             raise ValueError(f"noise_least: expected a number from 0 to 1, received {least!r}")
-        self.noise_least = least
-        self.noise_doubt = Hyper(doubt, name="noise_doubt")
+        self.noise_doubt = Hyper(doubt, finite=True, name="noise_doubt")
         self.noise_memory = Hyper(memory, name="noise_memory")
 
     def begin(self, like: Tensor, size: int) -> NoiseScale:
@@ -188,6 +189,7 @@ def of_inlier(updated: Gaussian, rows: Tensor, residual: Tensor, missing: Tensor
     """
     left = residual - (rows * updated.mean.unsqueeze(-2)).sum(-1)
     share = (1 - (rows @ updated.scale_tril).square().sum(-1)).clamp_min(0.0)  # it is not below 0 but for rounding
-    farthest = FARTHEST * safe_sqrt(share)
-    left = torch.minimum(torch.maximum(left, -farthest), farthest)
-    return (1 - missing) * torch.stack([left, left.square() - share, share.expand_as(left)])
+    left, share = (1 - missing) * left.clamp(-FAR, FAR), (1 - missing) * share
+    size, farthest = (safe_sqrt(x.sum(-1, keepdim=True)) for x in (left.square(), FARTHEST**2 * share))
+    left = left * safe_divide(farthest, torch.maximum(size, farthest))
+    return torch.stack([left, left.square() - share, share.expand_as(left)])
