@@ -58,13 +58,15 @@ SCALE = -0.076
 OPTIONS: dict[str, dict[str, Any]] = {
     "gpb": {
         "manoeuvres": "none",
+        "noise": "stated",
         "outlier_transition": ((0.999, 0.001), (0.01, 0.99)),
         "outlier_sizes": (10.0, 100.0),
         "outlier_shares": (0.5, 0.5),
     }
 }
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
-average, so a place that lasts is no jump of the robot, and wheels are as accurate as stated."""
+average, so a place that lasts is no jump of the robot, and wheels are as accurate as stated.  Noise is stated for errors that
+last, which look like motion."""
 OWN_PRESETS = IN_STATE = ("imm",)
 """Presets of this kind beside those that commands list, and those with time-correlated errors in their state."""
 MIXED = ("gpb", "imm")

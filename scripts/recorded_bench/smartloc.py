@@ -76,6 +76,7 @@ START = {"position": 10.0, "velocity": 10.0, "heading": 0.2, "scale": 0.05, "bia
 """Standard deviations before the first step: m, m/s, rad, 1, rad/s, m, m/s, m."""
 OPTIONS: dict[str, Any] = {
     "manoeuvres": "none",
+    "noise": "stated",
     "outlier_durations": (LASTS, LASTS),
     "outlier_sizes": tuple((max(0.3 * late, 4.0) / STD) ** 2 for late in LATE),
     "outlier_shares": (1 / len(LATE),) * len(LATE),
@@ -83,7 +84,7 @@ OPTIONS: dict[str, Any] = {
     "adaptive_largest_size": False,
     "prior_outlier": 1e-3,
 }
-"""Of ``gpb``: pseudoranges are in line of sight, or too long."""
+"""Of ``gpb``: pseudoranges are in line of sight, or too long; noise is stated for errors that last."""
 
 
 def read(path: Path) -> Track:
