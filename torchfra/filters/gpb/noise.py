@@ -70,8 +70,8 @@ class LearnedNoise(nn.Module):
     would be noise, and more of it would let the estimate lag more.  The mean of ``x`` grows with ``m`` by about
     ``1 - h``, and its variance is ``(1 - h) c`` with ``c = 2 (1 - h) + s``, where ``s`` is the variance of ``e``, or
     its square where that is larger, as where a manoeuvre begins; an ``r`` of a block beyond ``FARTHEST`` of its own
-    standard deviations counts as that far.  So after a measurement, with sums over the block's elements, and means of ``h`` and
-    ``s`` in ``c``,
+    standard deviations counts as that far.  So after a measurement, with sums over the block's elements, and means of
+    ``h`` and ``s`` in ``c``,
 
         v <- 1 / (1 / v + sum (1 - h) / c),      m <- m + v sum x / c.
 
