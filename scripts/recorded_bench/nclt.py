@@ -65,8 +65,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     }
 }
 """Arguments of presets, others than their defaults: satellite positions that are wrong stay so for 100 steps on
-average, so a place that lasts is no jump of the robot, and wheels are as accurate as stated.  Noise is stated for errors
-that last, which look like motion."""
+average, so a place that lasts is no jump of the robot, and wheels are as accurate as stated.  Noise is stated for
+errors that last, which look like motion."""
 OWN_PRESETS = IN_STATE = ("imm",)
 """Presets of this kind beside those that commands list, and those with time-correlated errors in their state."""
 MIXED = ("gpb", "imm")
