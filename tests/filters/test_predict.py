@@ -5,7 +5,7 @@ import torch
 
 from torchfra import Gaussian, presets
 from torchfra.motion import ConstantVelocity, aircraft
-from torchfra.sensors import Position, RangeBearing
+from torchfra.sensors import Position, RangeBearing, Ranges
 
 F64 = {"dtype": torch.float64}
 GPS, RADAR = Position(2.0), RangeBearing(torch.tensor([3.0, 0.02], **F64))
@@ -74,6 +74,15 @@ def test_another_sensor_sees_the_same_state(name):
     seen = RADAR(x) + RADAR.std() * torch.randn(200_000, 2, generator=draws, **F64)
     torch.testing.assert_close(there.measurement.mean[0], seen.mean(0), rtol=0, atol=0.02)
     torch.testing.assert_close(there.measurement.covariance[0], seen.T.cov(), rtol=0.02, atol=0.01)
+
+
+@pytest.mark.parametrize("name", ["srckf", "fra", "gpb", "imm_srckf"])
+def test_another_sensor_may_measure_more(name):
+    f = made(name)
+    anchors = torch.tensor([[0.0, 0.0], [300.0, 0.0], [0.0, 300.0]], **F64)
+    seen = f.predict(after_some(f), 0.5, sensor=Ranges(anchors, 2.0)).measurement
+    assert seen.mean.shape[-1] == 3
+    assert seen.covariance.isfinite().all()
 
 
 def test_gradients_flow_through_it_and_angles_stay_near_the_mean():

@@ -286,10 +286,10 @@ class Filter(Recursion[S]):
             raise NotImplementedError(f"{type(self).__name__} has no predict: in a scan many measurements are expected")
         other = self.other_sensor(sensor)
         check_state(self, state)
-        state = state if other is None else self.forget(state, other)
         mean = state.belief.mean
         nothing = mean.new_full((*mean.shape[:-1], (other or self.sensor).size), torch.nan)
         track = check_step(self, state, measurements_of(nothing, dt, u, sensor=other))
+        state = state if other is None else self.forget(state, other)
         (frame,), _ = self._frames(track, mean.dim() - 1)
         beliefs, log_weights = self.predict_hypotheses(state, frame)
         belief = canonical(self.motion, moments(beliefs, log_weights, self.motion.angles))

@@ -51,7 +51,8 @@ def read_ranges(
     - ``t, x, y[, z]``: the reference path.
 
     Columns may have other common names (``stamp``, ``timestamp``; ``id``; ``distance``, ``field.distanceFromTag``);
-    further ones do not matter.  Metres, and times as in files of tracks.
+    further ones do not matter.  Metres, and times as in files of tracks; ``timestamp`` may
+    begin at 0.
 
     These are repaired and counted: rows without time or without range, ranges that are not above 0, rows out of time
     order, all but the first of the rows of an anchor with the same time, anchors without any range, and in a folder
@@ -127,7 +128,7 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
             raise ValueError(f"{_HEADERS}; received {listed(head.names)}")
         kinds: dict[str, Kind | None] = {"anchor": None}
         if "time" in columns:
-            clock, _ = clock_of(head, ReadOptions(), {"time": (columns["time"],)}, None)
+            clock, _ = clock_of(head, ReadOptions(time=columns["time"]), {"time": (columns["time"],)}, None)
             kinds["time"], earliest = clock.kind, YEAR_1980 if clock.dated else earliest
         return {name: kinds.get(what, _METRES) for what, name in columns.items()}
 
