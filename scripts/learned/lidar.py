@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from learned.okf import Cholesky, Tracks
+from learned.okf import Cholesky, Model, Tracks, draws
 from torchfra.sensors import Position
 from torchfra.sensors.base import MeasurementNoise
 
@@ -24,18 +24,13 @@ ALONG, ACROSS = 2.0, 15.0
 """Accelerations of a part, m/s^2: the standard deviation along the path, and the largest across."""
 RANGE, BEARING = 2.0, math.radians(1.5)
 """Standard deviations of the lidar, m and rad."""
+MODEL = Model(lambda place: torch.eye(2, 4, dtype=place.dtype), lambda z: torch.cat([z, torch.zeros_like(z)], -1), 1e3)
+"""Positions are measured, of a target that is at rest at first."""
 
 
 def simulate(runs: int, seed: int) -> Tracks:
     """Tracks of a target that goes straight and turns in parts of constant acceleration."""
-    rng = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(runs, *shape, generator=rng, dtype=torch.float64)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(runs, *shape, generator=rng, dtype=torch.float64)
-
+    uniform, normal = draws(runs, seed)
     most, steps = INTERVALS[1], INTERVALS[1] * LENGTHS[1]
     parts = uniform(INTERVALS[0], INTERVALS[1] + 1, 1).long()
     ends = uniform(LENGTHS[0], LENGTHS[1] + 1, most).long().cumsum(-1)

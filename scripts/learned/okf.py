@@ -11,6 +11,7 @@ make an iteration and the rates are those of the example that its authors have p
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -28,17 +29,15 @@ BATCH, RATE, CLIP, HALVED, VALID = 10, 1e-2, 1.0, 150, 0.15
 share of the tracks by which the best values are chosen."""
 VALIDATED = 30
 """Iterations between validations."""
-START = 1e3**0.5
-"""Standard deviation of each component of the state at the first measurement, m and m/s."""
 
 
 class Tracks(NamedTuple):
     """Tracks of different lengths, which end in NaN."""
 
     truth: Tensor
-    """``(B, T, 4)`` positions, m, and velocities, m/s."""
+    """``(B, T, 2 d)`` positions, m, and velocities, m/s."""
     z: Tensor
-    """``(B, T, 2)`` measured positions, m."""
+    """``(B, T, m)`` measurements, of which the first ``d`` are the position, m."""
 
     @property
     def lasts(self) -> Tensor:
@@ -50,6 +49,30 @@ class Tracks(NamedTuple):
         some = Tracks(self.truth[index], self.z[index])
         longest = int(some.lasts.sum(1).max())
         return Tracks(some.truth[:, :longest], some.z[:, :longest])
+
+
+def draws(runs: int, seed: int) -> tuple[Callable[..., Tensor], Callable[..., Tensor]]:
+    """Uniform numbers ``(runs, ...)``, by ``uniform(low, high, *shape)``, and ``normal(*shape)`` ones, of one seed."""
+    rng = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(runs, *shape, generator=rng, dtype=torch.float64)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(runs, *shape, generator=rng, dtype=torch.float64)
+
+    return uniform, normal
+
+
+class Model(NamedTuple):
+    """What a Kalman filter assumes besides its noise."""
+
+    matrix: Callable[[Tensor], Tensor]
+    """From a position ``(..., d)`` to what is measured of a state there, ``H (..., m, 2 d)``."""
+    start: Callable[[Tensor], Tensor]
+    """From first measurements ``(B, m)`` to first states ``(B, 2 d)``."""
+    variance: float
+    """Of each component of the state at the first measurement, before it counts."""
 
 
 # ---------------------------------------------------------------- covariances of any form
@@ -75,40 +98,42 @@ class Cholesky(nn.Module):
 
 
 class AnyNoise(ConstantVelocity):
-    """Constant velocity with process noise of any covariance ``(4, 4)`` in a step of 1 s, none in one of 0 s."""
+    """Constant velocity with process noise of any covariance ``(2 d, 2 d)`` in a step of 1 s, none in one of 0 s."""
 
     def __init__(self, covariance: Tensor) -> None:
-        super().__init__(1.0)
+        super().__init__(1.0, len(covariance) // 2)
         del self.q
         self.noise = Cholesky(covariance)
 
     def process_noise(self, dt: Tensor) -> Tensor:
-        """Its root ``(..., 4, 4)``."""
+        """Its root ``(..., 2 d, 2 d)``."""
         return self.noise(dt) * dt[..., None, None]
 
 
-def sampled(tracks: Tracks) -> tuple[Tensor, Tensor]:
-    """Sample covariances of process ``(4, 4)`` and measurement noise ``(2, 2)``.
+def sampled(tracks: Tracks, model: Model) -> tuple[Tensor, Tensor]:
+    """Sample covariances of process ``(2 d, 2 d)`` and measurement noise ``(m, m)``.
 
     A position that is off by half of what its velocity is makes the first singular but for ``LEAST``.
     """
     place, velocity = tracks.truth.chunk(2, -1)
     moved = torch.cat([place + velocity, velocity], -1)
-    off, missed = tracks.truth[:, 1:] - moved[:, :-1], tracks.z - place
+    expected = (model.matrix(place) @ tracks.truth.unsqueeze(-1)).squeeze(-1)
+    off, missed = tracks.truth[:, 1:] - moved[:, :-1], tracks.z - expected
     process, measured = (x[~x.isnan().any(-1)].mT.cov() for x in (off, missed))
     return tuple(x + LEAST * torch.eye(len(x), dtype=x.dtype) for x in (process, measured))  # type: ignore[return-value]
 
 
-def prior(tracks: Tracks) -> Gaussian:
-    """The belief at the first measurement of each track before it counts: wide around a target at rest there."""
-    first = tracks.z[:, 0]
-    return Gaussian(torch.cat([first, torch.zeros_like(first)], -1), START * torch.eye(4, dtype=first.dtype))
+def prior(tracks: Tracks, model: Model) -> Gaussian:
+    """The belief at the first measurement of each track before it counts: wide around the model's first state."""
+    mean = model.start(tracks.z[:, 0])
+    return Gaussian(mean, model.variance**0.5 * torch.eye(mean.shape[-1], dtype=mean.dtype))
 
 
 def squared(means: Tensor, tracks: Tracks) -> Tensor:
     """Squared distance ``(B,)`` from the true positions, summed over the steps of each track."""
-    truth = tracks.truth[..., :2]
-    return torch.where(truth.isnan(), 0.0, means[..., :2] - truth).square().sum((-1, -2))
+    dims = tracks.truth.shape[-1] // 2
+    truth = tracks.truth[..., :dims]
+    return torch.where(truth.isnan(), 0.0, means[..., :dims] - truth).square().sum((-1, -2))
 
 
 def mse(means: Tensor, tracks: Tracks) -> Tensor:
@@ -122,24 +147,27 @@ def mse(means: Tensor, tracks: Tracks) -> Tensor:
 class OKF(nn.Module):
     """A Kalman filter of constant velocity in plain torch, with the covariances of ``sampled`` to begin with."""
 
-    def __init__(self, tracks: Tracks) -> None:
+    def __init__(self, tracks: Tracks, model: Model) -> None:
         super().__init__()
-        self.process, self.measurement = (Cholesky(x) for x in sampled(tracks))
+        self.model = model
+        self.process, self.measurement = (Cholesky(x) for x in sampled(tracks, model))
         for part in (self.process, self.measurement):
             part.diagonal.learn()
             part.below.learn()
 
     def forward(self, z: Tensor) -> Tensor:
-        """Estimates ``(B, T, 4)`` of measurements ``(B, T, 2)``; after the last one they stay finite."""
+        """Estimates ``(B, T, 2 d)`` of measurements ``(B, T, m)``; after the last one they stay finite."""
         q, r = (root @ root.mT for root in (self.process(z), self.measurement(z)))
-        one, h = torch.eye(4, dtype=z.dtype), torch.eye(2, 4, dtype=z.dtype)
-        f = one + torch.diag(torch.ones(2, dtype=z.dtype), 2)
-        mean, covariance, means = torch.cat([z[:, 0], torch.zeros_like(z[:, 0])], -1), START**2 * one, []
+        n = len(q)
+        one, f = torch.eye(n, dtype=z.dtype), torch.eye(n, dtype=z.dtype)
+        f = f + torch.diag(torch.ones(n // 2, dtype=z.dtype), n // 2)
+        mean, covariance, means = self.model.start(z[:, 0]), self.model.variance * one, []
         for step, measured in enumerate(z.unbind(1)):
             if step:
                 mean, covariance = mean @ f.mT, f @ covariance @ f.mT + q
+            h = self.model.matrix(measured[:, : n // 2].nan_to_num(1.0))
             gain = covariance @ h.mT @ torch.linalg.inv(h @ covariance @ h.mT + r)
-            gap = torch.where(measured.isnan(), 0.0, measured - mean[:, :2])
+            gap = torch.where(measured.isnan(), 0.0, measured - (h @ mean.unsqueeze(-1)).squeeze(-1))
             mean = mean + (gain @ gap.unsqueeze(-1)).squeeze(-1)
             left = one - gain @ h
             covariance = left @ covariance @ left.mT + gain @ r @ gain.mT

@@ -79,7 +79,8 @@ def test_lorenz_has_every_filter_in_every_setting(run, monkeypatch):
 
 def test_okf_has_every_way_of_the_lidar(run):
     found = run(okf, "--draws", "1", "--tracks", "20", "--iterations", "0", "--no-compile")["found"]
-    assert list(found) == list(okf.WAYS)
+    assert list(found) == ["lidar"]
+    assert list(found["lidar"]) == list(okf.PROBLEMS["lidar"].ways)
 
 
 def test_targets_counts_runs_that_end_before_any_target_is_there(run):
