@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import particles
 import pytest
 import reproduce
 import torch
@@ -233,6 +234,16 @@ def test_an_infinite_number_in_a_summary_of_an_experiment_is_found():
         "n": [1, "inf"],
     }
     assert list(reproduce.infinite(summary)) == ["by_size 2 ukf mse"]
+
+
+def test_an_error_of_the_particles_that_is_not_finite_shows_in_the_exit_status(monkeypatch, capsys):
+    of = {"gpb": 1.0, "lagged": 1.0, "particles": float("nan")}
+    monkeypatch.setattr(particles, "cells", lambda runs, seed: {"a": (), "b": ()})
+    monkeypatch.setattr(particles, "compare", lambda *cell, progress: of)
+    assert particles.main(["--runs", "1", "--quiet"]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"particles: error: {cell}: an error that is not finite" for cell in "ab"
+    ]
 
 
 @pytest.mark.usefixtures("rough_figures")

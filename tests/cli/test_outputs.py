@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 import benchmark
+import particles
 import pytest
 import regret
 import reproduce
@@ -228,7 +229,7 @@ def test_an_output_that_cannot_be_written_is_found_before_any_work(make, tmp_pat
         raise AssertionError("there was work")
 
     for module in ("torchfra.cli.compare_command.scenario_of", "torchfra.readers.read", "time_stamps.read",
-                   "regret.chosen_cells", "reproduce.evaluate",
+                   "regret.chosen_cells", "particles.cells", "reproduce.evaluate",
                    "train.tune.Training"):  # fmt: skip
         monkeypatch.setattr(module, work)
     monkeypatch.setattr(benchmark, "KINDS", dict.fromkeys(benchmark.KINDS, work))
@@ -241,6 +242,7 @@ def test_an_output_that_cannot_be_written_is_found_before_any_work(make, tmp_pat
         (time_stamps.main, ["flight.csv", "--json", path]),
         (regret.main, ["--json", path]),
         (regret.main, ["--figure", path]),
+        (particles.main, ["--json", path]),
         (reproduce.main, ["growth", "--json", path]),
         (benchmark.main, ["--json", path]),
         (benchmark.main, ["--what", "scaling", "--figure", path]),

@@ -81,9 +81,11 @@ HELP_ONLY = {
             "field",
             "gradients",
             "layer",
+            "learning",
             "lorenz",
             "many",
             "okf",
+            "particles",
             "regret",
         )
     },

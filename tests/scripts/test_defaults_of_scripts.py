@@ -7,6 +7,7 @@ import benchmark
 import clean_check
 import gradients
 import layer
+import learning
 import lorenz
 import okf
 import peers_targets
@@ -52,6 +53,16 @@ def test_gradients_has_every_filter_of_both_systems(run, monkeypatch):
 def test_layer_has_every_teacher_of_both_networks(run):
     errors = run(layer, "--steps", "1", "--tracks", "2")["errors"]
     assert len(errors) == 2 + 2 * len(layer.TEACHERS)
+
+
+def test_learning_has_every_way_in_every_cell(run, monkeypatch):
+    monkeypatch.setattr(learning, "BATCH", 2)
+    monkeypatch.setattr(learning, "of_grid", lambda *arguments: {"grid": {}})
+    monkeypatch.setattr(learning, "of_fits", lambda *arguments: {})  # both: test_learning.py
+    monkeypatch.setattr(learning, "table", None)
+    cells = run(learning, "--trainings", "2", "--iterations", "1", "--runs", "2", "--no-compile")["cells"]
+    assert list(cells) == list(learning.CELLS)
+    assert all(len(of["trainings"]) == len(learning.WAYS.split(",")) for of in cells.values())
 
 
 def test_reproduce_has_every_filter_of_reentry(run):
