@@ -51,8 +51,7 @@ def read_ranges(
     - ``t, x, y[, z]``: the reference path.
 
     Columns may have other common names (``stamp``, ``timestamp``; ``id``; ``distance``, ``field.distanceFromTag``);
-    further ones do not matter.  Metres, and times as in files of tracks; ``timestamp`` may
-    begin at 0.
+    further ones do not matter.  Metres, and times as in files of tracks, which may begin at 0 whatever their name.
 
     These are repaired and counted: rows without time or without range, ranges that are not above 0, rows out of time
     order, all but the first of the rows of an anchor with the same time, anchors without any range, and in a folder
