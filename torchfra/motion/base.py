@@ -115,8 +115,8 @@ class Motion(Part):
     by_inputs: frozenset[str] = frozenset()
     """Which of ``transition`` and ``process_noise`` have an argument ``u``, the inputs of a step."""
 
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
+    def __init_subclass__(cls, **keywords: object) -> None:
+        super().__init_subclass__(**keywords)
         methods = {"transition": cls.transition, "process_noise": cls.process_noise}
         cls.by_inputs = frozenset(name for name, method in methods.items() if "u" in signature(method).parameters)
         has_transition = cls.transition is not Motion.transition

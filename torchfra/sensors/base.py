@@ -101,8 +101,8 @@ class Sensor(Part):
     measures_each_direction: bool = False
     """Whether there is one element for each direction of space, as ``units_per_metre`` needs; it may be a property."""
 
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
+    def __init_subclass__(cls, **keywords: object) -> None:
+        super().__init_subclass__(**keywords)
         if "forward" in vars(cls):  # with another function, what was declared for the inherited one does not hold
             cls.linear = vars(cls).get("linear", False)
             cls.expects = vars(cls).get("expects", ())
