@@ -129,12 +129,6 @@ def test_a_moment_without_state_vectors_is_none_of_theirs(write):
     assert len(track.time) == ROWS - ROWS // 4
 
 
-def test_records_called_states_are_no_state_vectors(write):
-    records = [{"t": i, "x": 3 * i, "y": i} for i in range(ROWS)]
-    (track,) = read(write(json.dumps({"time": 5, "states": records}), "states.json"))
-    assert track.source.columns == {"x": "x", "y": "y", "time": "t"}
-
-
 def samples():
     return [
         {
@@ -148,20 +142,10 @@ def samples():
     ]
 
 
-@pytest.mark.parametrize("content", [
-    {"DeviceLog": {"Header": {"Duration": 40}, "Samples": [{"HR": 2.3, "TimeISO8601": "x"}, *samples()]}},
-    {"Samples": [{"Attributes": {"suunto/sml": {"Sample": sample}}, "TimeISO8601": "x"} for sample in samples()]},
-])  # fmt: skip
-def test_a_watch_may_tell_radians(write, content):
-    (track,) = read(write(json.dumps(content), "a.json"))
+def test_a_watch_may_tell_radians(write):
+    (track,) = read(write(json.dumps([{"HR": 2.3, "TimeISO8601": "x"}, *samples()]), "a.json"))
     assert_in_place(track)
     assert track.origin[2] == 408
-
-
-def test_samples_of_a_watch_that_are_no_radians_are_degrees(write):
-    records = [{"EHPE": 5, "UTC": moment.isoformat(), "Latitude": lat, "Longitude": lon}
-               for moment, (lat, lon) in zip(MOMENTS, PLACES, strict=True)]  # fmt: skip
-    assert_in_place(read(write(json.dumps({"Samples": records}), "a.json"))[0])
 
 
 def test_small_degrees_of_records_that_are_no_samples_of_a_watch_are_no_radians(write):

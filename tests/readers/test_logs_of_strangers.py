@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from datetime import datetime, timedelta, timezone
 
@@ -147,16 +146,6 @@ def test_topics_of_ros_are_read_by_the_comment_that_names_them(write):
 def test_laps_of_a_watch_as_tcx_are_asked_for_as_gpx(write):
     with pytest.raises(ValueError, match="export TCX as GPX"):
         read(write("<TrainingCenterDatabase><Activities/></TrainingCenterDatabase>", "run.tcx"))
-
-
-def test_objects_within_records_are_columns(write):
-    records = [
-        {"timestamp": round(1000 * moment.timestamp()), "coords": {"latitude": lat, "longitude": lon, "accuracy": 5}}
-        for moment, (lat, lon) in zip(moments(), PLACES, strict=True)
-    ]
-    (track,) = read(write(json.dumps(records), "phone.json"))
-    assert_in_place(track)
-    assert track.sigma[0] == pytest.approx(3.3, abs=0.1)
 
 
 def test_a_glider_flies_on_after_midnight(write):

@@ -1,4 +1,4 @@
-"""JSON: records, columns, objects line by line, tracks of GeoJSON, and rows of ``formats.JSON``."""
+"""JSON: records, columns, objects line by line, tracks of GeoJSON, and what OpenSky and readsb write."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from torchfra.readers.columns import short
-from torchfra.readers.names import found, places_in, plain
+from torchfra.readers.options import listed
 from torchfra.readers.sheets import Sheet, points_sheet, records_sheet, repeated
 
 _POINTS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2}
@@ -21,10 +21,6 @@ _ROWS = {
 }  # fmt: skip
 """Names of what the lists of numbers hold that OpenSky gives for a moment and for a flight."""
 _READSB = ("time", "hex", "callsign", "lat", "lon", "alt_baro")
-_DEEPEST = 5
-"""Objects in another that are looked into."""
-_OF_ALL = {"unit", "units", "fps", "framerate"}
-"""What an object around records may say of them besides their target."""
 
 
 def json_sheet(content: str) -> Sheet:
@@ -60,27 +56,17 @@ def json_sheet(content: str) -> Sheet:
             heard = [fix for one in several for fix in fixes_of(one)]
             return points_sheet({name: [fix[name] for fix in heard] for name in _READSB}, (f"JSON: {key} of readsb",))
     if not isinstance(parsed, dict):
-        return records_sheet(_flat(several), ())
-    lists = {name: column for name, column in parsed.items() if isinstance(column, list)}
-    around, nested = _around(parsed, "")
-    flat = all(not isinstance(cell, list | dict) for column in lists.values() for cell in column)
-    if len(lists) > 1 and flat and len({len(column) for column in lists.values()}) == 1:
-        count = len(next(iter(lists.values())))
-        lists = {name: [cell] * count for name, cell in around.items()} | lists
-        return Sheet([*lists], [(count, lists.__getitem__)])
-    columns = {name: column for name, column in parsed.items() if isinstance(column, dict)}
-    if len(columns) > 1 and len({frozenset(column) for column in columns.values()}) == 1:
-        keys = [*next(iter(columns.values()))]
-        return Sheet([*columns], [(len(keys), lambda name: [columns[name][key] for key in keys])])
-    every = {path: _flat(records) for path, records in nested.items()}
-    placed = {path: records for path, records in every.items() if places_in({key for one in records for key in one})}
-    if len(placed or every) > 1:
-        raise ValueError(
-            f"expected one list of records, received {', '.join([*(placed or every)][:5])}: write a row for each"
-        )
-    for path, records in (placed or every).items():
-        return records_sheet([around | record for record in records], (f"JSON: records in {path}",))
-    return records_sheet(_flat([parsed]), ())
+        return records_sheet(_records(several), ())
+    columns = [*parsed.values()]
+    flat = not any(isinstance(cell, list | dict) for of in columns if isinstance(of, list) for cell in of)
+    if flat and all(isinstance(of, list) for of in columns) and len({len(of) for of in columns}) == 1:
+        return Sheet([*parsed], [(len(columns[0]), parsed.__getitem__)])
+    if all(isinstance(of, dict) for of in columns) and len({frozenset(of) for of in columns}) == 1:
+        keys = [*columns[0]]  # as data frames of pandas are written
+        return Sheet([*parsed], [(len(keys), lambda name: [parsed[name][key] for key in keys])])
+    if not any(isinstance(cell, list | dict) for cell in columns):
+        return records_sheet([parsed], ())
+    raise _nested(parsed)
 
 
 def _parsed(content: str) -> Any:
@@ -103,50 +89,24 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return whole
 
 
-def _around(parsed: dict[str, Any], path: str) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-    """What objects around records say of all of them: the target, units, frames a second; and the lists of records."""
-    cells, lists = dict[str, Any](), dict[str, list[Any]]()
-    for key, value in parsed.items():
-        if isinstance(value, dict) and path.count(".") < _DEEPEST:
-            inner, more = _around(value, f"{path}{key}.")
-            cells, lists = inner | cells, lists | more
-        elif isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
-            lists[f"{path}{key}"] = value
-        elif isinstance(value, str | int | float) and (found([key], "id") or plain(key) in _OF_ALL):
-            cells[key] = value
-    units = parsed.get("units", parsed.get("unit"))
-    if isinstance(units, dict):
-        cells |= {f"{one} unit": of for one, of in units.items() if isinstance(of, str)}
-    return cells, lists
-
-
-def _flat(several: list[Any]) -> list[dict[str, Any]]:
-    """Objects as records; an object in one is its cells, ``coords.latitude``, and a few numbers are ``point.1``."""
-    records = list[dict[str, Any]]()
+def _records(several: list[Any]) -> list[dict[str, Any]]:
+    """Objects as records, none of which has an object in it."""
     for value in several:
         if not isinstance(value, dict):
             kind = type(value).__name__
             raise ValueError(f"expected a list of records or a table of columns, received {kind} instead of an object")
-        records.append(record := dict[str, Any]())
-        _add(record, "", value)
-    full = {name for record in records for name, cell in record.items() if cell is not None}
-    for column in (name.rpartition(".")[0] for record in records for name in record):
-        if column in full:  # an object in one record, and not in another
-            raise ValueError(f"expected numbers in column {column}, received an object or a list in one of the records")
-    return records
+        if any(isinstance(cell, dict) for cell in value.values()):
+            raise _nested(value)
+    return several
 
 
-def _add(record: dict[str, Any], path: str, value: dict[str, Any]) -> None:
-    """Adds the cells of an object to a record; one that should name the target is refused later, as it is no text."""
-    for key, cell in value.items():
-        name = f"{path}{key}"
-        if isinstance(cell, dict) and path.count(".") < _DEEPEST and not (
-                found([name], "id") and not found([f"{name}.{one}" for one in cell], "id")):  # fmt: skip
-            _add(record, f"{name}.", cell)
-        elif isinstance(cell, list) and 2 <= len(cell) <= 4 and all(isinstance(one, int | float) for one in cell):
-            record.update({f"{name}.{i + 1}": one for i, one in enumerate(cell)})
-        else:
-            record[name] = cell
+def _nested(value: dict[str, Any]) -> ValueError:
+    """The error for objects in others."""
+    inner = listed(name for name, cell in value.items() if isinstance(cell, list | dict))
+    return ValueError(
+        "expected a list of records, or lists of one length by the names of columns, received objects or lists in "
+        f"{inner}: pandas.json_normalize makes a table of a list of fixes, which torchfra.clean takes or to_csv writes"
+    )
 
 
 def _of_trace(one: dict[str, Any]) -> Iterator[dict[str, Any]]:
