@@ -93,7 +93,7 @@ def step(
     ahead, doubts = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.full_like(before.log_weight, doubt)
     every, _, _ = f.predict_regimes(mixed, ahead, frame, doubts, None)  # an outlying prior is inflated as is said
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
-    widest = len(f.regimes.each) - 1 - f.regimes.settled  # the last jump
+    widest = f.regimes.widest
     compare = f.comparison(Gaussian(*(x[widest : widest + 1] for x in predicted)), frame)
     whitened = compare(read(predicted, frame), f.outliers.blocks[0])  # of (R, N)
     sizes = f.outliers.outlier_sizes(predicted.mean)

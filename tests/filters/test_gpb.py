@@ -320,7 +320,7 @@ def test_an_unknown_word_is_an_error():
 def test_a_motion_that_measures_itself_slips_and_has_no_manoeuvres_unless_it_is_asked_for_some():
     own, plain = Odometry(0.01, 1e-4, 1e-6), ConstantVelocity(0.1)
     levels = {
-        name: presets.gpb(motion, Position(STD), **options).regimes.level_count
+        name: presets.gpb(motion, Position(STD), **options).regimes.kinds.count("level")
         for name, motion, options in (
             ("odometry", own, {}), ("with a bias", Augmented(own, GaussMarkov(1.0, 60.0)), {}),
             ("asked for", own, {"manoeuvres": "some"}), ("any other", plain, {}),

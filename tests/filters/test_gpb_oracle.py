@@ -425,7 +425,7 @@ def test_regimes_have_names_in_the_order_of_their_probabilities():
     assert len(names) == info.probabilities.shape[-1]
     assert names[0].startswith("constant velocity, noise x ")
     settled = "settled, noise x 1", "settled, noise x 2e+04"
-    assert names[f.regimes.level_count :] == (f.bank.names[1], "climb", "manoeuvre", "jump", *settled)
+    assert names[f.regimes.kinds.count("level") :] == (f.bank.names[1], "climb", "manoeuvre", "jump", *settled)
 
 
 # ---------------------------------------------------------------- when there are climbs
@@ -436,9 +436,9 @@ def test_climbs_are_for_motions_in_space_unless_values_are_given():
     none = presets.gpb(SPACE, SENSOR, manoeuvres="none")
     own = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 2.0, 50.0, 500.0))
     asked = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 50.0, 500.0), climbs=True)
-    counts = [f.regimes.climb_count for f in (plane, none, own, presets.gpb(SPACE, SENSOR), asked)]
+    counts = [f.regimes.kinds.count("climb") for f in (plane, none, own, presets.gpb(SPACE, SENSOR), asked)]
     assert counts == [0, 0, 0, 1, 1]
-    assert presets.gpb(SPACE, SENSOR, manoeuvres="hard").regimes.manoeuvre_count == 1
+    assert presets.gpb(SPACE, SENSOR, manoeuvres="hard").regimes.kinds.count("manoeuvre") == 1
 
 
 def test_a_target_in_the_plane_does_not_climb():

@@ -529,7 +529,7 @@ NOTHING = torch.full((2, 2), torch.nan, dtype=torch.float64)
 
 def lasting(f, state):
     """Logs of the probabilities of regimes: a jump and what follows it are one, whose parts are the same every step."""
-    others, jumped = state.log_weights.split([f.regimes.landed.start, len(f.regimes.landed)], -1)
+    others, jumped = state.log_weights.tensor_split([f.regimes.kinds.index("jump")], -1)
     return torch.cat([others, jumped.logsumexp(-1, keepdim=True)], -1)
 
 
@@ -571,7 +571,8 @@ def test_of_one_motion_the_regimes_wait_too_if_they_count_steps():
 
 def test_other_motions_of_a_bank_may_begin_so_that_less_is_known_the_longer_a_gap_is():
     f = presets.gpb(CONTINUOUS["bank"], FIXES)
-    first, last = f.regimes.level_count, f.regimes.level_count + f.regimes.motions - 1
+    first = f.regimes.kinds.index("motion")
+    last = first + f.regimes.motions - 1
     state = after_some(f, "bank")
     shares = []
     for _ in range(4):

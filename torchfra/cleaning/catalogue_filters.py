@@ -106,14 +106,15 @@ def _calm_first(f: GPB, weights: Tensor) -> Tensor:
     A climb is calm but for the vertical noise, which is the stated one.  After a jump a target moves as stated, or is
     agile.
     """
-    regimes, levels = f.regimes, f.regimes.noise_levels()
-    counts = regimes.climb_count, regimes.manoeuvre_count, regimes.jump_count, regimes.settled
-    parts = weights.split((regimes.level_count, regimes.motions - 1, *counts), -1)
-    own, others, climbs, manoeuvres, jumps, settled = parts
+
+    def of(kind: str) -> Tensor:
+        return weights[..., [r for r, regime in enumerate(f.regimes.each) if regime.kind == kind]]
+
+    levels, own, settled = f.regimes.noise_levels(), of("level"), of("settled")
     calm, agile = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
-    calm = calm + torch.cat([climbs, settled[..., :1]], -1).sum(-1, keepdim=True)
-    agile = agile + torch.cat([manoeuvres, settled[..., 1:]], -1).sum(-1, keepdim=True)
-    return torch.cat([calm, agile, others, jumps.sum(-1, keepdim=True)], -1)
+    calm = calm + torch.cat([of("climb"), settled[..., :1]], -1).sum(-1, keepdim=True)
+    agile = agile + torch.cat([of("manoeuvre"), settled[..., 1:]], -1).sum(-1, keepdim=True)
+    return torch.cat([calm, agile, of("motion"), of("jump").sum(-1, keepdim=True)], -1)
 
 
 def manoeuvre_of(regimes: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Outliers
-from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regimes, Surprise, Switching
+from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regime, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
@@ -166,12 +166,16 @@ class GPB(Filter[GPBState]):
     @property
     def regime_names(self) -> tuple[str, ...]:
         """What each regime is, in the order of ``info.probabilities``; of a batch of values by its first levels."""
-        regimes, (first, *others) = self.regimes, self.bank.names
-        levels = regimes.noise_levels().flatten()[: regimes.level_count].tolist()
-        counts = {"climb": regimes.climb_count, "manoeuvre": regimes.manoeuvre_count, "jump": regimes.jump_count}
-        named = (f"{first}, noise x {level:.3g}" for level in levels)
-        settled = [f"settled, noise x {level:.3g}" for level in (1.0, *levels[-1:])][: regimes.settled]
-        return (*named, *others, *(name for name, count in counts.items() for _ in range(count)), *settled)
+        regimes, motions = self.regimes, self.bank.names
+        levels = [*regimes.noise_levels().flatten()[: regimes.kinds.count("level")].tolist(), 1.0]
+
+        def name(regime: Regime) -> str:
+            if regime.kind == "motion":
+                return motions[regime.belief]
+            named = {"level": f"{motions[0]}, ", "settled": "settled, "}.get(regime.kind)
+            return regime.kind if named is None else f"{named}noise x {levels[regime.level]:.3g}"
+
+        return tuple(map(name, regimes.each))
 
     @property
     def bank(self) -> Bank:
@@ -391,18 +395,16 @@ class GPB(Filter[GPBState]):
         kept = ("angle", "rate", "bias", "parameter", "acceleration")
         inflated = torch.tensor([kind not in kept for kind in self.motion.kinds], device=widening.device)
         rows = torch.where(inflated, widening.sqrt().unsqueeze(-1), 1.0)
-        both, (start, jumps, settled) = (
-            torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1),
-            self.regimes.counts,
-        )
-        return torch.cat([both] * start + [torch.ones_like(both)] * jumps + [both] * settled, MOTION) if jumps else both
+        both = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1)
+        every = both.expand(1, len(self.regimes.each), *both.shape[2:])
+        return self.regimes.among("jump", torch.ones_like(both), every)
 
     def update(
         self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None,
     ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
         """Hypotheses after the measurement: see ``Outliers.update``."""
-        widest = len(self.regimes.each) - 1 - self.regimes.settled  # a jump if there is one
+        widest = self.regimes.widest
         mean, root = [x[:, widest : widest + 1] for x in predicted.belief]
         compare = self.comparison(Gaussian(mean, root), frame)
         outliers, reads = self.outliers_of(frame.sensor), frame.sensor.reads

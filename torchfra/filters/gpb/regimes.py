@@ -38,15 +38,17 @@ FASTER = 3.0
 """Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
 NEVER = 1e-12
 """Probability at a restart up to which a jump hardly ever begins, however far off a measurement is."""
+LANDED = ("jump", "settled")
+"""Kinds of regimes of a target that has jumped, in the step of the jump and after it."""
 MANOEUVRE_NIS = 30.0
 """Normalised innovation squared beyond which the weight of a manoeuvre falls with its size."""
 
 
 class Regime(NamedTuple):
-    """What a regime has, by index; regimes may share any of it."""
+    """What a regime is; all but the first are indices, and regimes may share any of them."""
 
-    motion: int
-    """Of the bank."""
+    kind: str
+    """``"level"``, ``"motion"`` (another of the bank), ``"climb"``, ``"manoeuvre"``, ``"jump"`` or ``"settled"``."""
     belief: int
     """Into which it is merged after the step, and from which it predicts unless there is a ``source``."""
     level: int
@@ -171,57 +173,46 @@ class Regimes(Part):
         for name, value in (("noise_levels", levels), ("manoeuvre_factors", manoeuvres), ("jump_factors", jumps)):
             if value.dim() == 0:
                 raise ValueError(f"{name}: expected a sequence of numbers, received {value.item():g}")
-        self.motions, self.level_count = motions, levels.shape[-1]
-        self.manoeuvre_count, self.jump_count = manoeuvres.shape[-1], jumps.shape[-1]
-        own = _levels(separate_levels, self.level_count)
-        kinds = self.level_count + 1 + self.manoeuvre_count + self.jump_count
+        self.motions, agile, jump_count = motions, levels.shape[-1] - 1, jumps.shape[-1]
+        scaled = manoeuvres.shape[-1] + jump_count  # regimes whose covariance scales with the innovation
+        kinds = agile + 2 + scaled
         count = kinds + motions - 2  # of regimes
-        self.by_kind = motions < 3 or stay.shape[-1:] != (count,)
+        by_kind = motions < 3 or stay.shape[-1:] != (count,)
         expected = f"(..., {kinds})" if motions < 3 else f"(..., {kinds}), or of each regime (..., {count})"
         for name, value in ((sojourn, stay), ("restart", begin)):
-            if value.shape[-1:] != (kinds if self.by_kind else count,):
+            if value.shape[-1:] != (kinds if by_kind else count,):
                 raise ValueError(f"{name}: expected {expected}, received {tuple(value.shape)}")
-        calm = sum(level == i for i, level in enumerate(own))  # lower than all others
-        self.vertical, self.climb_count = tuple(vertical), calm if vertical else 0
-        scaled = self.manoeuvre_count + self.jump_count  # regimes whose covariance scales with the innovation
-        levels_own = {level: motions + i for i, level in enumerate(own)}  # beliefs
-        entry_of_motion = [self.level_count + (0 if self.by_kind else k) for k in range(motions - 1)]
-        last = (kinds if self.by_kind else count) - scaled
-        landed = motions + len(own) + self.climb_count  # the belief of jumps
-        settled = [self.level_count, self.level_count - 1][: min(self.level_count, 2)] if self.jump_count else []
+        own = {level: motions + i for i, level in enumerate(_levels(separate_levels, agile + 1))}  # beliefs
+        # Of the separate levels those that are lower than all others.
+        climbs = [level for i, level in enumerate(own) if level == i] if vertical else []
+        self.vertical, landed = tuple(vertical), motions + len(own) + len(climbs)  # the belief of jumps
+        last = (kinds if by_kind else count) - scaled  # the first entry of manoeuvres
+        settled = [agile + 1, agile][: min(agile + 1, 2)] if jump_count else []  # levels
         self.each = (
-            *(Regime(0, levels_own.get(i, 0), i, i) for i in range(self.level_count)),
-            *(Regime(k, k, self.level_count, entry) for k, entry in enumerate(entry_of_motion, 1)),
-            *(Regime(0, motions + len(own) + i, i, i) for i in range(self.climb_count)),
-            *(Regime(0, 0, self.level_count - 1, last + i) for i in range(self.manoeuvre_count)),
-            *(Regime(0, landed, self.level_count - 1, last + i, 0) for i in range(self.manoeuvre_count, scaled)),
-            *(Regime(0, landed, level, last + scaled - 1) for level in settled),
+            *(Regime("level", own.get(i, 0), i, i) for i in range(agile + 1)),
+            *(Regime("motion", k, agile + 1, agile + (1 if by_kind else k)) for k in range(1, motions)),
+            *(Regime("climb", motions + len(own) + i, level, level) for i, level in enumerate(climbs)),
+            *(Regime("manoeuvre", 0, agile, last + i) for i in range(scaled - jump_count)),
+            *(Regime("jump", landed, agile, last + i, 0) for i in range(scaled - jump_count, scaled)),
+            *(Regime("settled", landed, level, last + scaled - 1) for level in settled),
         )
         """The regimes."""
-        self.settled = len(settled)
-        """The number of regimes of a target that has jumped."""
-        self.landed = range(len(self.each) - self.jump_count - self.settled, len(self.each))
-        """The indices of jumps and of these."""
-        self.counts = [self.landed.start, self.jump_count, self.settled]
-        """The numbers of regimes before jumps, of jumps, and of a target that has jumped."""
-        self.belief_of = tuple(regime.belief for regime in self.each)
-        """The index of each regime's belief."""
-        self.source_of = tuple(regime.belief if regime.source is None else regime.source for regime in self.each)
-        """The index of the belief from which each regime predicts."""
+        self.kinds = [regime.kind for regime in self.each]
+        self.widest = max(r for r, kind in enumerate(self.kinds) if kind != "settled")
+        """The regime with the widest prediction: a jump, if there is one."""
+        self.entries = [regime.entry for regime in self.each]
+        self.belief_of = [regime.belief for regime in self.each]
+        self.source_of = [regime.belief if regime.source is None else regime.source for regime in self.each]
         self.beliefs = max(self.belief_of) + 1
         """The number of beliefs, ``S``."""
-        self.of_first = tuple(r for r, k in enumerate(self.belief_of) if k == 0)
-        """The indices of the first belief's regimes."""
-        self.of_others = tuple(self.belief_of.index(belief) for belief in range(1, landed))
-        """The index of the only regime of each other belief, but that of jumps."""
-        self.entries = tuple(regime.entry for regime in self.each)
-        """The index of each regime's values."""
-        self.begins = sorted(set(self.entries[: self.landed.start]))
+        self.merged_from, self.predicting = _by_belief(self.belief_of), _by_belief(self.source_of)
+        """The regimes that are merged into each belief, and those that predict from it."""
+        self.begins = sorted({regime.entry for regime in self.each if regime.kind not in LANDED})
         """The entries of the restart distribution of which a regime may begin, unlike of jumps; of a single motion the
         kind "any other motion" has no regime."""
         self.noise_levels = Hyper(levels, event_dim=1, finite=True, name="noise_levels")
         self.manoeuvre_factors = None
-        if self.manoeuvre_count:
+        if "manoeuvre" in self.kinds:
             self.manoeuvre_factors = Hyper(manoeuvres, event_dim=1, name="manoeuvre_factors")
         self.jump_factors = Hyper(jumps, event_dim=1, name="jump_factors")
         self.burst = Hyper(burst, constraints.greater_than_eq(SOONER), name="burst")
@@ -242,14 +233,18 @@ class Regimes(Part):
     def restart_distribution(self, like: Tensor) -> Tensor:
         """The restart distribution ``(R, ...)`` but for jumps, which sums to one, for ``like (R, ...)``."""
         odds = self._by_regime(self.restart(like), like.dim() - 1) / self._sharing(like)
-        odds = torch.where(self._landed_and_settled(like)[0], 0.0, odds)
+        odds = torch.where(self._landed(like), 0.0, odds)
         return odds / odds.sum(0)  # of a single motion the kind "any other motion" has no regime
 
     @once
-    def _landed_and_settled(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Whether a regime is a jump or settled, and whether it is settled, ``(R, ...)`` bool for ``like (R, ...)``."""
-        number = torch.arange(len(self.each), device=like.device).reshape(-1, *(1,) * (like.dim() - 1))
-        return number >= self.landed.start, number >= self.landed.start + self.jump_count
+    def _landed(self, like: Tensor) -> Tensor:
+        """Whether a regime is of a target that has jumped, ``(R, ...)`` bool for ``like (R, ...)``."""
+        return self._of_kinds(like, *LANDED)
+
+    def _of_kinds(self, like: Tensor, *kinds: str) -> Tensor:
+        """Whether a regime is of one of these kinds, ``(R, ...)`` bool for ``like (R, ...)``."""
+        found = torch.tensor([kind in kinds for kind in self.kinds], device=like.device)
+        return found.reshape(-1, *(1,) * (like.dim() - 1))
 
     def initial_distribution(self, like: Tensor) -> Tensor:
         """Probabilities ``(R, ...)`` of the regimes before the first step, for ``like (R, ...)``.
@@ -298,8 +293,7 @@ class Regimes(Part):
     @once
     def _other_motions(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """The restart distribution without the first motion's regimes, ``(R, ...)``, and its sum ``(...)``."""
-        other = torch.tensor([regime.motion > 0 for regime in self.each], device=like.device)
-        others = torch.where(other.reshape(-1, *(1,) * (like.dim() - 1)), self.restart_distribution(like), 0.0)
+        others = torch.where(self._of_kinds(like, "motion"), self.restart_distribution(like), 0.0)
         return others, others.sum(0)
 
     def continuous(self, like: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
@@ -364,29 +358,30 @@ class Regimes(Part):
             ended = restart.unsqueeze(1) * (1 - stay)
         else:
             stay, ended = self.continuous(like, dt)
-        if not self.jump_count:
+        if "jump" not in self.kinds:
             return stay, ended
-        landed, settled = self._landed_and_settled(like)
-        keeps = torch.where(measured & settled, self._keeps(like), 1.0)
+        landed, keeps = self._landed(like), torch.where(measured, self._keeps(like), 1.0)
         begins = self.restart_distribution(like).unsqueeze(1) * (1 - keeps)
         return torch.where(landed, keeps, stay), torch.where(landed, begins, ended)
 
     @once
     def _keeps(self, like: Tensor) -> Tensor:
-        """Probabilities ``(R, ...)`` that a settled target is one after a measurement, for ``like (R, ...)``."""
+        """Probabilities ``(R, ...)`` that a target is settled after a measurement too; 1 of all other regimes."""
         if self.durations is None:
-            return self._stay(like)
-        return self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
+            keeps = self._stay(like)
+        else:
+            keeps = self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
+        return torch.where(self._of_kinds(like, "settled"), keeps, 1.0)
 
     def _settled(self, x: Tensor, axis: int) -> Tensor:
         """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
-        if not self.jump_count:
+        jumps, settled = (self.kinds.count(kind) for kind in LANDED)
+        if not jumps:
             return x
-        others, jumped = x.split([self.landed.start, len(self.landed)], axis)
-        total = jumped.sum(axis, keepdim=True)
-        shares = [1.0] if self.settled == 1 else [1 - AGILE_AFTER, AGILE_AFTER]
-        none = torch.zeros_like(jumped.narrow(axis, 0, self.jump_count))
-        return torch.cat([others, none, *map(total.mul, shares)], axis)
+        others, landed = x.split([len(self.each) - jumps - settled, jumps + settled], axis)
+        shares = [1.0] if settled == 1 else [1 - AGILE_AFTER, AGILE_AFTER]
+        total = landed.sum(axis, keepdim=True)
+        return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *map(total.mul, shares)], axis)
 
     def jumped(
         self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, roots: Tensor, frame: Frame,
@@ -409,7 +404,7 @@ class Regimes(Part):
         seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
         usual = safe_divide(seen * safe_divide(before, place), count).log1p()
         expected = usual.clamp(max=EXPECTED)
-        if not self.jump_count:
+        if "jump" not in self.kinds:
             return Jumped(expected, *[torch.zeros_like(seen)] * 4)
         # The diagonal of a root: what a component varies by where those before it are known, as after a measurement.
         variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
@@ -444,7 +439,7 @@ class Regimes(Part):
             jumped: what the jump costs by itself.
             first: as in ``jumped``.
         """
-        if not self.jump_count:
+        if "jump" not in self.kinds:
             return -cost
         held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
         cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
@@ -459,7 +454,7 @@ class Regimes(Part):
 
         What a prior that is off is given back, a settled target is not: a jump has been given it before.
         """
-        return torch.where(self._landed_and_settled(rarity[0])[0], rarity.clamp_max(0.0), rarity)
+        return torch.where(self._landed(rarity[0]), rarity.clamp_max(0.0), rarity)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
@@ -475,20 +470,20 @@ class Regimes(Part):
         """
         manoeuvre = -2 * (surprise.nis / MANOEUVRE_NIS).clamp_min(1.0).log()
         # Of a belief without weight that has failed both are NaN.
-        others = without_failed(log_weight + self._of_kinds(0.0, manoeuvre, torch.zeros_like(manoeuvre)))
-        if not self.jump_count:
+        others = without_failed(log_weight + self.among("manoeuvre", manoeuvre, 0.0))
+        if "jump" not in self.kinds:
             return others
-        before, _, settled = others.split(self.counts, MOTION)
-        unsettled = log_weight.narrow(MOTION, 0, self.landed.start)
+        unsettled = log_weight.narrow(MOTION, 0, self.kinds.index("jump"))
         jumps = log_sum(unsettled, MOTION).unsqueeze(MOTION) + self._log_shares(log_weight) + surprise.rarity
         jumps = torch.where(surprise.rarity == 0, -torch.inf, jumps)  # none without a measurement
-        return torch.cat([before, without_failed(jumps), settled], MOTION)
+        return self.among("jump", without_failed(jumps), others)
 
     @once
     def _log_shares(self, like: Tensor) -> Tensor:
         """Logs ``(1, J, ...)`` of the shares of jumps in those that begin, for ``like (1, R, ...)``."""
         restart = self._by_regime(self.restart(like[0]), like.dim() - 2)
-        restart = restart[self.landed.start : self.landed.start + self.jump_count]
+        first = self.kinds.index("jump")
+        restart = restart[first : first + self.kinds.count("jump")]
         return safe_log(restart / (restart.sum(0) + NEVER)).unsqueeze(0)
 
     # ------------------------------------------------------------ predictions
@@ -504,11 +499,11 @@ class Regimes(Part):
 
     def jump_roots(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
         """Roots ``(1, J, 2, ..., n, n)`` of predictions by jumps, from that by the agile level with a lower root."""
-        if not self.jump_count:
+        if "jump" not in self.kinds:
             return agile.scale_tril[:, :0]
         factors = self._jumps(nis)
-        _, widths, _ = self.widths(agile, factors, motion).split(self.counts, MOTION)
-        roots: Tensor = widths * tria(hstack(agile.scale_tril, self._offsets(agile, factors, motion)))
+        offsets = self._offsets(agile, factors, motion)
+        roots: Tensor = self.widths(agile, factors, motion) * tria(hstack(agile.scale_tril, offsets))
         return roots
 
     def predictions(self, propagated: Propagated, nis: Tensor, jumps: Tensor) -> Gaussian:
@@ -524,36 +519,30 @@ class Regimes(Part):
             jumps: from ``jump_roots``.
         """
         root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)), graded=False)
-        if self.jump_count:
-            before, _, settled = root.split(self.counts, MOTION)
-            root = torch.cat([before, jumps, settled], MOTION)
-        return Gaussian(self.per_regime(propagated.mean), root)
+        return Gaussian(self.per_regime(propagated.mean), self.among("jump", jumps, root))
 
     def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made."""
         mean, spread = self.per_regime(propagated.mean), self.per_regime(propagated.spread)
         noise = self._noise(propagated, nis)
-        if not self.jump_count:
+        if "jump" not in self.kinds:
             return Propagated(mean, spread, noise, None)
         agile, factors = self.agile_prediction(propagated), self._jumps(nis)
-        widths, offsets = self.widths(agile, factors, motion), self._offsets(agile, factors, motion)
-        none = torch.zeros_like(offsets[:, :1])
-        noise = hstack(noise, torch.cat([*[none] * self.landed.start, offsets, *[none] * self.settled], MOTION))
-        return Propagated(mean, widths * spread, widths * noise, None)
+        widths = self.among("jump", self.widths(agile, factors, motion), 1.0)
+        offsets = self.among("jump", self._offsets(agile, factors, motion), 0.0)
+        return Propagated(mean, widths * spread, widths * hstack(noise, offsets), None)
 
     def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
         """Roots ``(1, R, 2, ..., n, r)`` of the process noise of every regime."""
         variances = self._levels(nis[0])
         if self.manoeuvre_factors is not None:
             factors = values_first(self.manoeuvre_factors(nis), nis.dim() - 2) * nis
-            variances = variances * self._of_kinds(1.0, factors.clamp(1.0, LARGEST_FACTOR), torch.ones_like(nis))
+            variances = variances * self.among("manoeuvre", factors.clamp(1.0, LARGEST_FACTOR), 1.0)
         factors = variances.sqrt()[..., None, None]
-        if self.climb_count:
-            first = self.level_count + self.motions - 1
-            climbing = [first <= r < first + self.climb_count for r in range(len(self.each))]
-            vertical = [i in self.vertical for i in range(propagated.mean.shape[-1])]
-            stated = torch.tensor([[climbs and i for i in vertical] for climbs in climbing], device=nis.device)
-            factors = torch.where(stated.reshape(len(stated), *(1,) * (nis.dim() - 2), -1, 1), 1.0, factors)
+        if "climb" in self.kinds:
+            vertical = torch.tensor([i in self.vertical for i in range(propagated.mean.shape[-1])], device=nis.device)
+            stated = self._of_kinds(nis[0], "climb")[..., None, None] & vertical.unsqueeze(-1)
+            factors = torch.where(stated, 1.0, factors)
         return factors * self.per_regime(propagated.process_noise)
 
     @once
@@ -564,7 +553,7 @@ class Regimes(Part):
         return taken(levels, [regime.level for regime in self.each], 0).unsqueeze(0)
 
     def widths(self, agile: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
-        """Factors ``(1, R, 2, ..., n, 1)`` on the rows of predicted roots: of velocity and acceleration in a jump.
+        """Factors ``(1, J, 2, ..., n, 1)`` on the rows of predicted roots: of velocity and acceleration in a jump.
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
         standard deviation of the velocity is at least ``FASTER`` times the speed, if it is not multiplied by more than
@@ -582,10 +571,7 @@ class Regimes(Part):
             std = safe_sqrt(taken(variances, part, -1).mean(-1))
             rows |= dict.fromkeys(part, torch.minimum(jump, safe_divide(FASTER * size, std).clamp_min(1.0)))
         each = [rows.get(i, torch.ones_like(jump)) for i in range(motion.size)]
-        jumps = torch.stack(torch.broadcast_tensors(*each), -1)
-        before = jumps.new_ones(1, self.landed.start, *jumps.shape[2:])
-        after = jumps.new_ones(1, self.settled, *jumps.shape[2:])
-        return torch.cat([before, jumps, after], MOTION).unsqueeze(-1)
+        return torch.stack(torch.broadcast_tensors(*each), -1).unsqueeze(-1)
 
     def _jumps(self, nis: Tensor) -> Tensor:
         """Factors ``(1, J, 2, ...)`` on the covariance of the position by jumps."""
@@ -608,31 +594,24 @@ class Regimes(Part):
 
     def by_source(self, weight: Tensor) -> Tensor:
         """Weights ``(1, R, 2, ...)`` of regimes, summed for each belief from which they predict, ``(1, S, 2, ...)``."""
-        if not self.jump_count:
-            return self.by_belief(weight)
-        before, jumps, settled = weight.split(self.counts, MOTION)
-        weight = self.by_belief(torch.cat([before, torch.zeros_like(jumps), settled], MOTION))
-        jumps = jumps.sum(MOTION, keepdim=True)  # they predict from the first belief
-        return torch.cat([weight[:, :1] + jumps, weight[:, 1:]], MOTION)
+        return _each_group(weight, self.predicting, MOTION, partial(torch.sum, dim=MOTION, keepdim=True))
 
     def by_belief(self, weight: Tensor, axis: int = MOTION) -> Tensor:
         """Weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
-        return self._per_belief(weight, axis, partial(torch.sum, dim=axis, keepdim=True))
+        return _each_group(weight, self.merged_from, axis, partial(torch.sum, dim=axis, keepdim=True))
 
     def log_by_belief(self, log_weight: Tensor, axis: int = MOTION) -> Tensor:
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
-        return self._per_belief(log_weight, axis, lambda x: log_sum(x, axis).unsqueeze(axis))
+        return _each_group(log_weight, self.merged_from, axis, lambda x: log_sum(x, axis).unsqueeze(axis))
 
     def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
         """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``."""
-        parts = [every.of(self.of_first).merged(MOTION, BEFORE, angles=angles)]
-        if self.of_others:
-            parts.append(every.of(self.of_others).merged(BEFORE, angles=angles))
-        if self.landed:
-            parts.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles))
+        parts = [
+            every.of(regimes).merged(*[MOTION] * share, BEFORE, angles=angles) for regimes, share in self.merged_from
+        ]
         if len(parts) == 1:
             return parts[0]
-        (means, roots), log_weights = zip(*(part.belief for part in parts), strict=True), [p.log_weight for p in parts]
+        (means, roots), log_weights = zip(*[part.belief for part in parts], strict=True), [p.log_weight for p in parts]
         return Hypotheses(Gaussian(torch.cat(means, MOTION), torch.cat(roots, MOTION)), torch.cat(log_weights, MOTION))
 
     def merged_parts(self, parts: Propagated, log_weight: Tensor, angles: Sequence[int]) -> Gaussian:
@@ -647,40 +626,58 @@ class Regimes(Part):
             angles: as in ``Hypotheses.merged``.
         """
         every = Hypotheses(Gaussian(parts.mean, hstack(parts.spread, parts.process_noise)), log_weight)
-        (mean, spread, noise, _), first = parts, self.of_first[0]
-        roots, total = every.of(self.of_first).share_roots(MOTION)
-        noise = (roots[..., None, None] * taken(noise, self.of_first, MOTION)).movedim(MOTION, -2).flatten(-2)
-        root = hstack(spread[:, first : first + 1], noise.unsqueeze(MOTION))
-        levels = Hypotheses(Gaussian(mean[:, first : first + 1], root), total)
-        merged = [levels.merged(BEFORE, angles=angles, triangular=False)]
-        if self.of_others:
-            merged.append(every.of(self.of_others).merged(BEFORE, angles=angles, triangular=False))
-        if self.landed:
-            merged.append(every.of(self.landed).merged(MOTION, BEFORE, angles=angles, triangular=False))
-        beliefs = [each.belief for each in merged]
-        columns = max(root.shape[-1] for _, root in beliefs)
-        padded = [pad(root, (0, columns - root.shape[-1])) for _, root in beliefs]
-        return Gaussian(torch.cat([mean for mean, _ in beliefs], MOTION), torch.cat(padded, MOTION))
-
-    def _per_belief(self, x: Tensor, axis: int, combine: Callable[[Tensor], Tensor]) -> Tensor:
-        """Values of regimes along an axis as those of beliefs: all regimes of a belief are combined."""
-        parts = [combine(taken(x, self.of_first, axis))]
-        parts += [taken(x, self.of_others, axis)] if self.of_others else []
-        parts += [combine(taken(x, self.landed, axis))] if self.landed else []
-        return torch.cat(parts, axis) if len(parts) > 1 else parts[0]
+        (mean, spread, noise, _), merged = parts, list[Gaussian]()
+        for regimes, share in self.merged_from:
+            hypotheses, first = every.of(regimes), regimes[0]
+            if share and self.belief_of[first] == 0:
+                roots, total = hypotheses.share_roots(MOTION)
+                noises = (roots[..., None, None] * taken(noise, regimes, MOTION)).movedim(MOTION, -2).flatten(-2)
+                root = hstack(spread[:, first : first + 1], noises.unsqueeze(MOTION))
+                hypotheses, share = Hypotheses(Gaussian(mean[:, first : first + 1], root), total), False
+            merged.append(hypotheses.merged(*[MOTION] * share, BEFORE, angles=angles, triangular=False).belief)
+        columns = max(root.shape[-1] for _, root in merged)
+        padded = [pad(root, (0, columns - root.shape[-1])) for _, root in merged]
+        return Gaussian(torch.cat([mean for mean, _ in merged], MOTION), torch.cat(padded, MOTION))
 
     def _by_regime(self, kinds: Tensor, rank: int) -> Tensor:
         """Values by kind or regime as ``(R, ...)`` with ``rank`` dimensions behind the first."""
         return taken(values_first(kinds, rank), self.entries, 0)
 
-    def _of_kinds(self, others: float, manoeuvres: Tensor, jumps: Tensor) -> Tensor:
-        """Values ``(1, R, 2, ...)`` from those ``(1, 1 or more, 2, ...)`` of manoeuvres and jumps, and all others."""
-        batch = jumps.shape[2:]
-        manoeuvres = manoeuvres.expand(1, self.manoeuvre_count, *batch)
-        jumps = jumps.expand(1, self.jump_count, *batch)
-        rest = jumps.new_full((1, self.landed.start - self.manoeuvre_count, *batch), others)
-        settled = jumps.new_full((1, self.settled, *batch), others)
-        return torch.cat([rest, manoeuvres, jumps, settled], MOTION)
+    def among(self, kind: str, values: Tensor, others: Tensor | float) -> Tensor:
+        """Values ``(1, R, 2, ...)`` of regimes: those ``(1, 1 or more, 2, ...)`` of a kind, and of all ``others``."""
+        count = self.kinds.count(kind)
+        if isinstance(others, float):
+            others = values.new_full((1, len(self.each), *values.shape[2:]), others)
+        if not count:
+            return others
+        first, rest = self.kinds.index(kind), values.shape[2:]
+        before, _, after = others.split([first, count, len(self.each) - first - count], MOTION)
+        return torch.cat([before, values.expand(-1, count, *rest), after], MOTION)
+
+
+def _by_belief(beliefs: Sequence[int]) -> list[tuple[list[int], bool]]:
+    """The regimes of each belief in turn, and whether they share it; those that have one alone are together.
+
+    Args:
+        beliefs: of each regime.
+    """
+    groups: list[tuple[list[int], bool]] = []
+    for belief in range(max(beliefs) + 1):
+        regimes = [r for r, of in enumerate(beliefs) if of == belief]
+        if len(regimes) == 1 and groups and not groups[-1][1]:
+            groups[-1][0].extend(regimes)
+        else:
+            groups.append((regimes, len(regimes) > 1))
+    return groups
+
+
+def _each_group(
+    x: Tensor, groups: list[tuple[list[int], bool]], axis: int, combine: Callable[[Tensor], Tensor]
+) -> Tensor:
+    """Values of ``R`` regimes along an axis as those of ``S`` beliefs: those that share one are combined."""
+    parts = [taken(x, regimes, axis) for regimes, _ in groups]
+    parts = [combine(part) if share else part for part, (_, share) in zip(parts, groups, strict=True)]
+    return torch.cat(parts, axis) if len(parts) > 1 else parts[0]
 
 
 def _derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
