@@ -207,22 +207,25 @@ class GPB(Filter[GPBState]):
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step; the numbers are those of the class's docstring."""
-        regimes, angles, measured = self.regimes, self.motion.angles, frame.measured.sum(-1) > 0
+        regimes, outliers, measured = self.regimes, self.outliers_of(frame.sensor), frame.measured.sum(-1) > 0
         before, stated = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION)), frame
         noise, frame = self.noise_of(state, frame)
         switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
-        relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
+        relaxation = outliers.relaxation(state.relaxation, frame.dt)
         predicted, surprise, widening = self.predict_regimes(
             mixed, switching.log_weight, frame, state.doubt, relaxation
         )  # (3)
-        log_mode, blocks_outlying = self.outliers_of(frame.sensor).predict(state.outlier, relaxation, measured)
+        log_mode, blocks_outlying = outliers.predict(state.outlier, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
         modes = log_mode + regimes.given_back(rarity), blocks_outlying
         change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
-        updated, outlier, log_ratio, inliers = self.update(predicted, frame, modes, change)  # (4)
+        compare = self.comparison(predicted.of([regimes.widest]).belief, frame)
+        updated, outlier, log_ratio, inliers = outliers.update(
+            predicted, compare, frame, modes, change, learn_noise=noise is not None
+        )  # (4)
         posterior = updated.posterior()  # (5)
-        after = regimes.merged(updated, angles)  # (6)
+        after = regimes.merged(updated, self.motion.angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
         smoothed = mixing.smoothed(regimes.by_source(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
@@ -236,14 +239,16 @@ class GPB(Filter[GPBState]):
         last = (
             None
             if state.last is None
-            else LastMeasurement(*(x.expand_as(state.last.z) for x in (frame.z, frame.measured)))
+            else LastMeasurement(*[x.expand_as(state.last.z) for x in (frame.z, frame.measured)])
         )
         expected = self.compare(self.expected(predicted, frame), frame)
         root, normalised = innovation(expected)
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1) * blocks
         if self.noise is not None and noise is not None and inliers is not None:
-            innovated, of = Gaussian(expected.residual, root), self.outliers_of(frame.sensor).blocks
-            noise = self.noise.update(noise, frame, innovated, inliers, posterior.probability, some_outlier, of)
+            innovated = Gaussian(expected.residual, root)
+            noise = self.noise.update(
+                noise, frame, innovated, inliers, posterior.probability, some_outlier, outliers.blocks
+            )
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
         widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
         widened = torch.where(measured, widened, state.widening)
@@ -398,19 +403,6 @@ class GPB(Filter[GPBState]):
         both = torch.stack([torch.ones_like(rows), rows])[None, None].unsqueeze(-1)
         every = both.expand(1, len(self.regimes.each), *both.shape[2:])
         return self.regimes.among("jump", torch.ones_like(both), every)
-
-    def update(
-        self, predicted: Hypotheses, frame: Frame, modes: tuple[Tensor, Tensor],
-        change: tuple[Tensor, Whitened] | None,
-    ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:  # fmt: skip
-        """Hypotheses after the measurement: see ``Outliers.update``."""
-        widest = self.regimes.widest
-        mean, root = [x[:, widest : widest + 1] for x in predicted.belief]
-        compare = self.comparison(Gaussian(mean, root), frame)
-        outliers, reads = self.outliers_of(frame.sensor), frame.sensor.reads
-        return outliers.update(
-            predicted, compare, reads, 1 - frame.measured, modes, change, learn_noise=self.noise is not None
-        )
 
     def comparison(self, widest: Gaussian, frame: Frame) -> Callable[[Gaussian, Sequence[int]], Whitened]:
         """What compares a block of the measurement with predicted beliefs.

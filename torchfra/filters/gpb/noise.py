@@ -137,17 +137,14 @@ class LearnedNoise(nn.Module):
         unit = std * last.scale
         ahead = (unit * expected.mean).clamp(-FAR, FAR)
         variance = (unit.square() * expected.scale_tril.square().sum(-1)).clamp_max(FAR**2)
-
-        def total(x: Tensor) -> Tensor:
-            return by_block(inlier * x, blocks)
-
-        shown, spread = total(last.share), torch.maximum(total(variance), total(ahead.square()))
-        rate = safe_divide(total(last.weight), 2 * shown + spread)
+        of_elements = last.share, last.weight, last.excess - last.residual * ahead, variance, ahead.square()
+        shown, weight, score, *spreads = by_block(inlier * torch.stack(of_elements), blocks)
+        rate = safe_divide(weight, 2 * shown + torch.maximum(*spreads))
         known = noise.variance / (1 + noise.variance * rate * shown)
-        log_scale = noise.log_scale + known * rate * total(last.excess - last.residual * ahead)
+        log_scale = noise.log_scale + known * rate * score
         # What an outlier does not judge waits for the next inlier.
         now = *residuals, inlier / std, inlier
-        waiting = LastResidual(*(x + (1 - inlier) * before for x, before in zip(now, last, strict=True)))
+        waiting = LastResidual(*[x + (1 - inlier) * before for x, before in zip(now, last, strict=True)])
         if self.noise_least > 0:
             log_scale = log_scale.clamp_min(math.log(self.noise_least))
         return NoiseScale(log_scale, known, waiting)
@@ -190,6 +187,6 @@ def of_inlier(updated: Gaussian, rows: Tensor, residual: Tensor, missing: Tensor
     left = residual - (rows * updated.mean.unsqueeze(-2)).sum(-1)
     share = (1 - (rows @ updated.scale_tril).square().sum(-1)).clamp_min(0.0)  # it is not below 0 but for rounding
     left, share = (1 - missing) * left.clamp(-FAR, FAR), (1 - missing) * share
-    size, farthest = (safe_sqrt(x.sum(-1, keepdim=True)) for x in (left.square(), FARTHEST**2 * share))
+    size, farthest = [safe_sqrt(x.sum(-1, keepdim=True)) for x in (left.square(), FARTHEST**2 * share)]
     left = left * safe_divide(farthest, torch.maximum(size, farthest))
     return torch.stack([left, left.square() - share, share.expand_as(left)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import reduce
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,6 +17,7 @@ from torchfra.filters.gpb.noise import by_block, of_inlier
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.gpb.updates import small_power, update
 from torchfra.filters.markov import sojourn_times
+from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import log_sum, share_roots, without_failed
 from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
 from torchfra.linalg.safe import in_range, safe_divide, safe_log, safe_log1p
@@ -34,6 +36,45 @@ NEVER = 1e-12
 EXPECTED = 0.7
 """How much less likely an element is as predicted than with its noise alone, at most: twice the log, where they vary
 alike."""
+
+
+class Noise(NamedTuple):
+    """The noise of a block, by the sizes of outliers, in units of what the sensor states."""
+
+    sizes: Tensor
+    """``(1 + C, ...)`` factors on its covariance, the first of no outlier."""
+    log_shares: Tensor
+    """``(C, ...)`` logs of the shares of outliers."""
+    offsets: Tensor | None
+    """``(1 + C, ...)`` its mean; None for 0."""
+
+
+class Weighed(NamedTuple):
+    """What a block says; the first dimension is whether the blocks so far, this one included, have an outlier."""
+
+    unknowns: Gaussian
+    """``(2, R, 2, ..., k)`` after the block, of ``_in_space_of``."""
+    log_density: Tensor
+    """``(2, R, 2, ...)`` of the block."""
+    outlier: Tensor
+    """``(1, R, 2, ...)`` probability that it is an outlier, given that some block is."""
+    log_ratio: Tensor | None
+    """``(1, R, 2, ...)`` log likelihood ratio of outliers with and without the same offset; None without that."""
+    inlier: Gaussian | None
+    """``(1, R, 2, ..., k)`` if another block is an outlier and this one is not; None of a single block."""
+
+
+class Updates(NamedTuple):
+    """The update of all hypotheses by a measurement."""
+
+    every: Hypotheses
+    """``(2, R, 2, ...)`` without and with outliers."""
+    outlier: Tensor
+    """``(1, R, 2, ..., B)`` probability that each block is an outlier, given that some block is."""
+    log_ratio: Tensor | None
+    """``(1, R, 2, ...)`` log likelihood ratio of outliers with and without the same offset; None without that."""
+    inliers: Tensor | None
+    """``(3, 2, R, 2, ..., m)`` of ``noise.of_inlier`` without and with outliers; None where noise is as stated."""
 
 
 class Outliers(Part):
@@ -271,13 +312,12 @@ class Outliers(Part):
         self,
         predicted: Hypotheses,
         compare: Callable[[Gaussian, Sequence[int]], Whitened],
-        reads: int,
-        missing: Tensor,
+        frame: Frame,
         modes: tuple[Tensor, Tensor],
         change: tuple[Tensor, Whitened] | None = None,
         *,
         learn_noise: bool = False,
-    ) -> tuple[Hypotheses, Tensor, Tensor | None, Tensor | None]:
+    ) -> Updates:
         """The update of all hypotheses, without outliers and with outliers in some blocks.
 
         Blocks are independent, so the update takes one after the other, and its cost is linear in their number.  For
@@ -290,23 +330,17 @@ class Outliers(Part):
             predicted: ``(1, R, 2, ...)``.
             compare: compares some elements of the measurement with a belief ``(..., d)`` of the components that
                 the sensor reads.
-            reads: ``d``, the number of leading components of a state that the sensor reads.
-            missing: ``(..., m)`` 1 where missing, 0 where measured.
+            frame: of the step.
             modes: from ``predict``.
             change: from ``same_offset_probability``, and the change of the measurement compared with its prediction.
             learn_noise: whether to return what inliers say about the noise.
-
-        Returns:
-            ``(2, R, 2, ...)`` without and with outliers, the probability ``(1, R, 2, ..., B)`` that each block is one,
-            given that some block is, ``(1, R, 2, ...)`` the log likelihood ratio of outliers with and without
-            the same offset, and ``(3, 2, R, 2, ..., m)`` of ``noise.of_inlier`` without and with outliers.
         """
-        log_mode, prior = modes
+        (log_mode, prior), reads, missing = modes, frame.sensor.reads, 1 - frame.measured
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
         eye, noise = torch.eye(reads, dtype=root.dtype, device=root.device), self._noise(mean)
         belief, log_density = Gaussian(torch.zeros_like(mean), eye.expand_as(root)), torch.zeros_like(mean[..., 0])
         none_measured = torch.ones_like(missing[..., :1, None])
-        outliers, ratios, learned = [], [], []
+        weighed, learned = list[Weighed](), list[Tensor]()
         for b, block in enumerate(self.blocks):
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
             whitened, block_missing = compare(so_far, block), missing[..., list(block)]
@@ -315,45 +349,40 @@ class Outliers(Part):
             none_measured = none_measured * block_missing.amin(-1)[..., None, None]
             rows, cross, independent, residual = _in_space_of(whitened, belief)
             since = None if change is None else (change[0][..., b], elements_of(change[1], block))
-            unknowns, log_block, outlier, ratio, inlier = self._weigh_modes(
-                rows, residual, block_missing, prior[..., b], noise, since
-            )
+            found = self._weigh_modes(rows, residual, block_missing, prior[..., b], noise, since)
+            weighed.append(found)
             if learn_noise:
-                learned.append(_of_inliers(unknowns, inlier, outlier, rows, residual, block_missing))
-            spread = cross @ unknowns.scale_tril
+                learned.append(_of_inliers(found, rows, residual, block_missing))
+            spread = cross @ found.unknowns.scale_tril
             spread = spread if independent is None else hstack(spread, independent)
-            belief = Gaussian(belief.mean + apply(cross, unknowns.mean), tria(spread))
-            log_density = log_density + log_block
-            outliers.append(outlier)
-            ratios += [] if ratio is None else [ratio]
+            belief = Gaussian(belief.mean + apply(cross, found.unknowns.mean), tria(spread))
+            log_density = log_density + found.log_density
         log_weight = without_failed(log_mode + predicted.log_weight + log_density)
-        log_ratio = reduce(torch.add, ratios) if ratios else None
-        every = Hypotheses(_lifted(predicted.belief, belief), log_weight)
-        if not learned:
-            return every, torch.stack(outliers, -1), log_ratio, None
-        place = {i: k for k, i in enumerate(i for block in self.blocks for i in block)}
-        together = torch.cat(learned, -1)
-        inliers = torch.stack([together[..., place[i]] for i in range(len(place))], -1)
-        return every, torch.stack(outliers, -1), log_ratio, inliers
+        ratios = [found.log_ratio for found in weighed if found.log_ratio is not None]
+        elements = [i for block in self.blocks for i in block]
+        return Updates(
+            Hypotheses(_lifted(predicted.belief, belief), log_weight),
+            torch.stack([found.outlier for found in weighed], -1),
+            reduce(torch.add, ratios) if ratios else None,
+            torch.cat(learned, -1)[..., sorted(range(len(elements)), key=elements.__getitem__)] if learned else None,
+        )
 
     @once
-    def _noise(self, mean: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Sizes ``(1 + C, ...)`` of the noise, the first of no outlier, logs ``(C, ...)`` of shares, and offsets."""
+    def _noise(self, mean: Tensor) -> Noise:
+        """The noise of a block, by the sizes of outliers, for ``mean (..., n)``."""
         rank = mean.dim() - 1
         sizes, shares = values_first(self.outlier_sizes(mean), rank), self.outlier_shares(mean)
         sizes, log_shares = torch.cat([torch.ones_like(sizes[:1]), sizes]), values_first(shares.log(), rank)
         if self.outlier_offsets is None:
-            return sizes, log_shares, None
+            return Noise(sizes, log_shares, None)
         offsets = values_first(self.outlier_offsets(mean), rank)
-        return sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets])
+        return Noise(sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets]))
 
     def _weigh_modes(
-        self, rows: Tensor, residual: Tensor, missing: Tensor, prior: Tensor,
-        noise: tuple[Tensor, Tensor, Tensor | None], change: tuple[Tensor, Whitened] | None,
-    ) -> tuple[Gaussian, Tensor, Tensor, Tensor | None, Gaussian | None]:  # fmt: skip
+        self, rows: Tensor, residual: Tensor, missing: Tensor, prior: Tensor, noise: Noise,
+        change: tuple[Tensor, Whitened] | None,
+    ) -> Weighed:  # fmt: skip
         """The update of the unknowns of ``_in_space_of`` by one block.
-
-        The first dimension is whether the blocks so far, this one included, have an outlier: 0 for none, 1 for some.
 
         Args:
             rows: ``(1 or 2, R, 2, ..., m, k)`` measurement matrix of the unknowns, ``N(0, I)`` before; its first
@@ -361,43 +390,40 @@ class Outliers(Part):
             residual: ``(1 or 2, R, 2, ..., m)``.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
             prior: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
-            noise: from ``_noise``.
+            noise: of the block.
             change: probability that an outlier has the offset of the step before, and the measurement's change since.
-
-        Returns:
-            The posterior ``(2, R, 2, ..., k)`` of the unknowns, the log density ``(2, R, 2, ...)`` of the block, the
-            probability ``(1, R, 2, ...)`` that it is an outlier, given that some block is, the log likelihood ratio
-            with and without the same offset, and the posterior ``(1, R, 2, ..., k)`` if another block is an outlier and
-            this one is not; None of a single block.
         """
-        (sizes, log_shares, offsets), single, log_ratio = noise, len(self.blocks) == 1, None
-        adapted = self.adapted(sizes, residual[-1:], missing, offsets)
-        updated, log_updated = update(rows[-1:], residual[-1:], adapted, missing, offsets)
-        none, log_none, count = updated.of(0), log_updated[0], len(adapted)
-        inlier = None if single else none
-        if not self.outliers_update:
-            updated = updated.before_prior(1, count - 1)
-        if len(rows) > 1:
-            first, log_first = update(rows[:1], residual[:1], sizes[:1].sqrt(), missing)
+        # After blocks of which some is an outlier: this one is none, or one of some size.
+        stds = self.adapted(noise.sizes, residual[-1:], missing, noise.offsets)
+        updated, log_updated = update(rows[-1:], residual[-1:], stds, missing, noise.offsets)
+        inlier, log_inlier = updated.of(0), log_updated[0]
+        none, log_none = inlier, log_inlier
+        if len(rows) > 1:  # after blocks of which none is an outlier, nor is this one
+            first, log_first = update(rows[:1], residual[:1], noise.sizes[:1].sqrt(), missing)
             none, log_none = first.of(0), log_first[0]
-        joint = torch.cat(
-            [(log_updated[0] + torch.log1p(-prior)).unsqueeze(0), log_updated[1:] + prior.log() + log_shares]
-        )
-        start = int(single)  # given that some block is an outlier, a single block is: no inlier among its modes
-        if change is not None:
+        if not self.outliers_update:
+            updated = updated.before_prior(1, len(stds) - 1)
+        single = (
+            len(self.blocks) == 1
+        )  # given that some block is an outlier, a single one is: no inlier among its modes
+        inliers = [] if single else [(log_inlier + torch.log1p(-prior)).unsqueeze(0)]
+        outliers = log_updated[1:] + prior.log() + noise.log_shares
+        joint, log_ratio = torch.cat([*inliers, outliers]), None
+        if change is not None:  # one more mode, which the noise of two steps explains
             probability, whitened = change
-            _, log_same = update(whitened.spread, whitened.residual, (2 * sizes[:1]).sqrt(), missing)  # of two steps
-            without, same = joint[start:], log_same + prior.log() + safe_log(probability)
-            joint = torch.cat([joint[:1], joint[1:] + safe_log1p(-probability), same.expand_as(joint[:1])])
-            updated = updated.before_prior(count, 1)
-            log_ratio = _log_ratio(log_sum(joint[start:], 0), log_sum(without, 0))
-        roots, log_some = share_roots(joint[start:])
+            _, log_same = update(whitened.spread, whitened.residual, (2 * noise.sizes[:1]).sqrt(), missing)
+            same = (log_same + prior.log() + safe_log(probability)).expand_as(outliers[:1])
+            without, joint = joint, torch.cat([*inliers, outliers + safe_log1p(-probability), same])
+            log_ratio = _log_ratio(log_sum(joint, 0), log_sum(without, 0))
+            updated = updated.before_prior(len(stds), 1)
+
+        roots, log_some = share_roots(joint)
         some = updated.merged(roots)
         more = some.scale_tril.shape[-1] - none.scale_tril.shape[-1]
         none = none._replace(scale_tril=pad(none.scale_tril, (0, more)))
-        both = Gaussian(*(torch.cat(x) for x in zip(none, some, strict=True)))
+        both = Gaussian(*[torch.cat(x) for x in zip(none, some, strict=True)])
         outlier = torch.ones_like(log_some) if single else roots[1:].square().sum(0)
-        return both, torch.cat([log_none, log_some]), outlier, log_ratio, inlier
+        return Weighed(both, torch.cat([log_none, log_some]), outlier, log_ratio, None if single else inlier)
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Roots ``(C, ...)`` of the sizes, the last at least the root mean square of a residual if adaptive.
@@ -445,24 +471,20 @@ def _lifted(predicted: Gaussian, belief: Gaussian) -> Gaussian:
     return Gaussian(mean + apply(gain, belief.mean), hstack(own, root[..., gain.shape[-1] :]))
 
 
-def _of_inliers(
-    unknowns: Gaussian, inlier: Gaussian | None, outlier: Tensor, rows: Tensor, residual: Tensor, missing: Tensor
-) -> Tensor:
+def _of_inliers(found: Weighed, rows: Tensor, residual: Tensor, missing: Tensor) -> Tensor:
     """``noise.of_inlier`` of a block, ``(3, 2, R, 2, ..., m)``, without an outlier so far and with some.
 
     Args:
-        unknowns: ``(2, R, 2, ..., k)`` after the block.
-        inlier: ``(1, R, 2, ..., k)`` if another block is an outlier and this one is not; None of a single block.
-        outlier: ``(1, R, 2, ...)`` probability that this one is, given that some block is.
+        found: what it says.
         rows: ``(1 or 2, R, 2, ..., m, k)`` as in ``_weigh_modes``.
         residual: ``(1 or 2, R, 2, ..., m)``.
         missing: ``(..., m)`` 1 where missing, 0 where measured.
     """
-    none = of_inlier(Gaussian(*(x[:1] for x in unknowns)), rows[:1], residual[:1], missing)
-    if inlier is None:
+    none = of_inlier(Gaussian(*[x[:1] for x in found.unknowns]), rows[:1], residual[:1], missing)
+    if found.inlier is None:
         return torch.cat([none, torch.zeros_like(none)], 1)
     # An inlier of no weight may be far beyond the range of numbers.
-    some, outlier = of_inlier(inlier, rows[-1:], residual[-1:], missing), outlier.unsqueeze(-1)
+    some, outlier = of_inlier(found.inlier, rows[-1:], residual[-1:], missing), found.outlier.unsqueeze(-1)
     return torch.cat([none, torch.where(outlier < 1, some, 0.0) * (1 - outlier)], 1)
 
 
