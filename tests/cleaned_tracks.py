@@ -30,9 +30,7 @@ def straight(steps=40, d=3, *, name="3c6444 DLH1AB", origin=(48.0, 11.0, 400.0),
     position = time[:, None] * velocity + np.array([0.0, 0.0, 1000.0])[:d]
     raw = position + 10 * rng.standard_normal((steps, d))
     raw[[k for k in rejected if k < steps], :2] += off
-    source = source or Source(
-        name="flights.csv", columns={"time": "timestamp"}, time="iso", unit=0.3048, notes=("feet",)
-    )
+    source = source or Source(name="flights.csv", columns={"time": "timestamp"}, unit=0.3048, notes=("feet",))
     recording = Recording(name, start + time, raw, origin, {}, row=3 * np.arange(steps) + 1, source=source)
     return made(recording, time, position, np.broadcast_to(velocity, (steps, d)), rejected)
 
@@ -55,7 +53,5 @@ def geodetic(latitude, longitude, altitude, origin, *, name="ship", time=None, s
     """A recording whose fixes and cleaned positions are the given places, at rest."""
     enu = to_enu(latitude, longitude, altitude, origin)
     time = np.arange(len(enu), dtype=float) if time is None else time
-    recording = Recording(
-        name, DAY + time, enu, origin, {}, row=np.arange(len(enu)), source=source or Source(time="iso")
-    )
+    recording = Recording(name, DAY + time, enu, origin, {}, row=np.arange(len(enu)), source=source or Source())
     return made(recording, time, enu, np.ones_like(enu), segments=())

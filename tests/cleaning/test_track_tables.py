@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cleaned_tracks import DAY, FOUND, geodetic, straight
+from cleaned_tracks import FOUND, geodetic, straight
 
 from torchfra.cleaning import outputs
 from torchfra.cleaning.outputs import csv_table, parquet
@@ -23,13 +23,15 @@ def rows(results):
     return list(csv.DictReader(io.StringIO(csv_table.encode(results).decode(), newline="")))
 
 
-def test_rows_times_and_names_are_those_of_the_input():
+def test_rows_and_names_are_those_of_the_input_and_times_utc_or_seconds():
     table = rows([straight(5)])
     assert [row["row"] for row in table] == ["1", "4", "7", "10", "13"]
     assert table[2]["time"] == "2024-05-03T10:00:04Z"
     assert {row["id"] for row in table} == {"3c6444 DLH1AB"}
-    milliseconds = rows([straight(3, source=Source(time="ms"))])
-    assert [row["time"] for row in milliseconds] == ["1714730400000", "1714730402000", "1714730404000"]
+    finer = rows([straight(3, period=0.25)])
+    assert [row["time"][-7:] for row in finer] == ["00.000Z", "00.250Z", "00.500Z"]
+    counted = rows([straight(3, start=5.0, period=0.04)])
+    assert [row["time"] for row in counted] == ["5", "5.04", "5.08"]
 
 
 @pytest.mark.parametrize("name", ["a,b", 'a "b"', "a\nb", "a\rb", " a;b ", ""])
@@ -134,12 +136,12 @@ def test_covariances_are_the_upper_triangle():
 
 def test_parquet_holds_numbers_and_null_where_nothing_is_known():
     pyarrow = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow")
-    of = straight(4, source=Source(time="ms"))
+    of = straight(4, start=0.0)
     of = replace(of, row=np.array([0, -1, 1, 2]), raw=np.where(np.arange(4)[:, None] == 1, np.nan, of.raw))
     table = pyarrow.read_table(io.BytesIO(parquet.encode([of])))
     assert table["row"].to_pylist() == [1, None, 4, 7]
     assert table["raw_x"].null_count == 1
-    assert table["time"].to_pylist()[1] == int(DAY * 1000) + 2000
+    assert table["time"].to_pylist() == [0.0, 2.0, 4.0, 6.0]
     np.testing.assert_array_equal(table["latitude"].to_numpy(), columns(of)["latitude"])
     assert "course" in json.loads(table.schema.metadata[b"torchfra"])
     iso = pyarrow.read_table(io.BytesIO(parquet.encode([straight(2)])))
@@ -150,7 +152,7 @@ def test_metadata_says_how_the_table_was_made(tmp_path):
     outputs.write([straight(4)], tmp_path / "a.csv", {"sigma": None})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "a.meta.json"]
     said = json.loads((tmp_path / "a.meta.json").read_text())
-    assert (said["input"], said["input_time"], said["metres_per_unit"]) == ("flights.csv", "iso", 0.3048)
+    assert (said["input"], said["metres_per_unit"]) == ("flights.csv", 0.3048)
     assert {"torchfra", "torch", "numpy"} <= said["versions"].keys()
     (track,) = said["tracks"]
     assert track["origin"] == {"latitude": 48.0, "longitude": 11.0, "altitude": 400.0}

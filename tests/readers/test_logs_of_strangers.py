@@ -10,7 +10,7 @@ import pytest
 
 from torchfra.readers import read
 from torchfra.readers.options import AskError
-from torchfra.readers.times import seconds_of, written
+from torchfra.readers.times import seconds_of
 
 START = datetime(2024, 6, 3, 8, 15, tzinfo=timezone.utc)
 ROWS = 40
@@ -272,7 +272,6 @@ def test_months_may_have_names(write, form):
     (track,) = read(write(["Date (UTC),Time (UTC),x,y", *rows]))
     assert track.time[0] == START.timestamp()
     assert np.diff(track.time) == pytest.approx(7200)
-    assert track.source.written(track.time[:1]) == [f"{START:{form} %H:%M:%S}"]
 
 
 def test_names_of_months_are_english_in_every_locale(monkeypatch):
@@ -287,7 +286,6 @@ def test_names_of_months_are_english_in_every_locale(monkeypatch):
     monkeypatch.setattr("torchfra.readers.times.datetime", Elsewhere)
     expected = datetime(2024, 12, 3, 1, 2, tzinfo=timezone.utc).timestamp()
     assert seconds_of("03-Dec-2024 01:02", "%d-%b-%Y %H:%M") == expected
-    assert written(np.array([expected]), "%d %B %Y %H:%M") == ["03 December 2024 01:02"]
     with pytest.raises(ValueError, match="does not match"):
         seconds_of("03-Dez-2024 01:02", "%d-%b-%Y %H:%M")
 
@@ -381,7 +379,6 @@ def test_phones_may_count_from_2001(write, header):
     assert_in_place(track)
     assert track.time[0] == START.timestamp()
     assert ", apple" in " ".join(track.source.notes)
-    assert written(track.time[:1], track.source.time) == [f"{SINCE_2001:.0f}"]
 
 
 def test_seconds_since_1970_of_a_phone_stay_so(write):

@@ -42,7 +42,6 @@ def test_one_target_that_cannot_be_does_not_stop_the_others(write):
 def test_times_of_the_day_go_on_after_midnight(write):
     (track,) = read(write("time,x,y\n23:59:59,1,2\n00:00:00.5,1,2\n00:00:02,1,3\n"))
     np.testing.assert_array_equal(track.time, [86399, 86400.5, 86402])
-    assert track.source.written(track.time) == ["23:59:59.000", "00:00:00.500", "00:00:02.000"]
 
 
 # ---------------------------------------------------------------- formats
@@ -140,7 +139,7 @@ def test_rows_join_results_to_the_file_whatever_was_repaired(write):
     (track,) = read(write(table("time,lat,lon,alt", rows)))
     assert track.repairs == {"rows without time dropped": 1, "rows put in time order": 5, "duplicate times dropped": 1}
     for fix, row in enumerate(track.row):
-        assert rows[row][0] == track.source.written(track.time[fix : fix + 1])[0]
+        assert rows[row][0] == iso(track.time[fix] - START)
         assert rows[row][1] == LATITUDE[fix]
     assert track.time[0] == START
     assert (len(LONGITUDE), len(ALTITUDE)) == (6, 6)
@@ -252,7 +251,7 @@ def test_a_date_and_a_clock_in_cells_of_a_workbook_are_joined(tmp_path):
         book.active.append([datetime(2024, 5, 6), clock(10, 0, i), 47 + i / 1e4, 8])
     book.save(tmp_path / "a.xlsx")
     (track,) = read(tmp_path / "a.xlsx")
-    assert track.source.written(track.time[:2]) == ["2024-05-06 10:00:00", "2024-05-06 10:00:01"]
+    assert track.time[:2].tolist() == [1_714_989_600, 1_714_989_601]
 
 
 # ---------------------------------------------------------------- what stands beside rows

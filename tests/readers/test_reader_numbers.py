@@ -99,9 +99,7 @@ def test_times_since_1970_are_read_in_any_unit_and_it_is_said(write, header, uni
     for path in (write(table(header, *rows)), write(records, "a.json")):
         (track,) = read(path)
         np.testing.assert_array_equal(track.time, [START, START + 10])
-        assert track.source.time == form
-        assert "since 1970" in " ".join(track.source.notes)
-        assert [float(text) for text in track.source.written(track.time)] == [row[0] for row in rows]
+        assert f"{form} since 1970" in " ".join(track.source.notes)
 
 
 @pytest.mark.parametrize("unit", [1, 1e3, 1e6, 1e9])

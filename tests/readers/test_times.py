@@ -1,56 +1,36 @@
-"""Times are read from every way of writing them, and written back in the same way."""
+"""Times are read from every way of writing them."""
 
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from torchfra.readers import read
-from torchfra.readers.recording import Source
-from torchfra.readers.times import CLOCK, UNITS, forms_of, iso_written, seconds_of, written
+from torchfra.readers.times import CLOCK, forms_of, seconds_of
 
 START = 1_600_000_000  # 2020-09-13T12:26:40Z
-MOMENTS = {
-    "2020-09-13T12:26:40Z": "iso",
-    "2020-09-13T12:26:40+00:00": "iso",
-    "2020-09-13T12:26:40": "%Y-%m-%dT%H:%M:%S",
-    "2020-09-13 12:26:40": "%Y-%m-%d %H:%M:%S",
-    "2020-09-13 12:26:40.000": "%Y-%m-%d %H:%M:%S",
-    "2020-09-13 12:26:40 UTC": "%Y-%m-%d %H:%M:%S UTC",
-    "2020-09-13T14:26:40+02:00": "iso",
-    "2020-09-13T08:56:40-0330": "iso",
-    "13/09/2020 12:26:40": "%d/%m/%Y %H:%M:%S",
-    "09/13/2020 12:26:40 PM": "%m/%d/%Y %I:%M:%S %p",
-    "13.09.2020 12:26:40": "%d.%m.%Y %H:%M:%S",
-    "2020/09/13 12:26:40": "%Y/%m/%d %H:%M:%S",
-}
+MOMENTS = (
+    "2020-09-13T12:26:40Z", "2020-09-13T12:26:40+00:00", "2020-09-13T12:26:40", "2020-09-13 12:26:40",
+    "2020-09-13 12:26:40.000", "2020-09-13 12:26:40 UTC", "2020-09-13T14:26:40+02:00", "2020-09-13T08:56:40-0330",
+    "13/09/2020 12:26:40", "09/13/2020 12:26:40 PM", "13.09.2020 12:26:40", "2020/09/13 12:26:40",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("text", MOMENTS)
-def test_a_moment_is_read_from_its_text_and_written_in_the_same_form(text):
+def test_a_moment_is_read_from_its_text(text):
     (read,) = forms_of([text])
-    write = iso_written(text) if read == "iso" else read
-    assert write == MOMENTS[text]
     assert seconds_of(text, read) == START
-    if write != "iso":  # of which all zones are written as UTC
-        assert written(np.array([START]), write) == [text.replace(".000", "")]
 
 
-def test_parts_of_a_second_are_read_and_written_where_there_are_some():
+def test_parts_of_a_second_are_read():
     assert seconds_of("2020-09-13 12:26:40.5", "iso") == START + 0.5
     assert seconds_of("2020-09-13T12:26:40,123456789Z", "iso") == START + 0.123456
     assert seconds_of("13/09/2020 12:26:40.25", "%d/%m/%Y %H:%M:%S") == START + 0.25
-    assert Source(time="iso").written(START + np.array([0, 0.5])) == ["2020-09-13T12:26:40.000Z",
-                                                                     "2020-09-13T12:26:40.500Z"]  # fmt: skip
-    assert written(START + np.array([0.000001]), "%d/%m/%Y %H:%M:%S") == ["13/09/2020 12:26:40.000001"]
 
 
 def test_a_time_of_the_day_is_seconds_since_midnight():
     assert forms_of(["12:26:40.5"]) == [CLOCK]
     assert seconds_of("12:26:40.5", CLOCK) == 44800.5
-    assert written(np.array([44800.0, 86401.0]), CLOCK) == ["12:26:40", "00:00:01"]
 
 
 def test_a_day_that_may_be_a_month_has_both_forms_unless_another_row_tells():
@@ -68,29 +48,6 @@ def test_other_text_is_no_time(text):
 def test_moments_that_are_not_there_are_refused(text):
     with pytest.raises(ValueError, match=r"expected|must be in|out of range"):
         seconds_of(text, "iso")
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    micro=st.integers(315_532_800 * 10**6, 4_102_444_800 * 10**6),
-    form=st.sampled_from(["iso", *UNITS, *sorted(set(MOMENTS.values()))]),
-)
-def test_what_is_written_is_read_as_the_same_moment(micro, form):
-    time = np.array([micro / 1e6])
-    (text,) = written(time, form)
-    if form in UNITS:
-        assert abs(float(text) / UNITS[form] - time[0]) < 1e-6
-    else:
-        assert seconds_of(text, "iso" if form == "iso" else form) == time[0]
-    if form == "iso":
-        moment = datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(microseconds=micro)
-        assert datetime.fromisoformat(text.replace("Z", "+00:00")) == moment
-
-
-def test_numbers_keep_the_digits_that_they_came_with():
-    assert written(np.array([0, 0.1, 0.1 + 0.2, 1.5]), "seconds") == ["0", "0.1", "0.3", "1.5"]
-    assert written(START + np.array([0, 0.25]), "ms") == ["1600000000000", "1600000000250"]
-    assert written(np.array([START], float), "seconds") == ["1600000000"]
 
 
 def test_the_clock_of_a_receiver_is_taken_before_that_of_a_computer(tmp_path):

@@ -44,20 +44,17 @@ def test_weeks_of_gps_and_what_of_them_has_passed_are_dates(tmp_path, name, per_
     (track,) = read(path(tmp_path, week=week, **{name: passed}, **straight()))
     assert np.diff(track.time) == pytest.approx(1)
     assert track.time[10] == 1_705_795_200 - 18  # 2024-01-21 of GPS, which was 18 s ahead of UTC
-    assert track.source.written(track.time[10:11]) == ["2298 0"]
 
 
 def test_greenwich_is_utc(tmp_path):
     seconds = [f"2024-05-06 10:{i // 60:02}:{i % 60:02} GMT" for i in range(ROWS)]
     (track,) = read(path(tmp_path, time=seconds, **straight()))
     assert track.time[0] == 1_714_989_600
-    assert track.source.written(track.time[:1]) == seconds[:1]
 
 
-def test_frames_are_read_and_written_by_how_many_a_second_has(tmp_path):
+def test_frames_are_read_by_how_many_a_second_has(tmp_path):
     (track,) = read(path(tmp_path, frame=100 + np.arange(ROWS), **straight()), time="frame", time_format="12.5fps")
     np.testing.assert_allclose(np.diff(track.time), 0.08)
-    assert track.source.written(track.time[:2]) == ["100", "101"]
     assert any("frames, 12.5 a second" in line for line in track.source.notes)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from torchfra.cleaning import Cleaned, clean_tracks
 from torchfra.cleaning.outputs.parquet import Growing
+from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.datasets import DataSet
 from torchfra.readers.options import listed
 from torchfra.readers.recording import Recording
@@ -147,7 +148,8 @@ def _cleaned(recordings: Sequence[Recording], settings: Mapping[str, Any], faile
 
 def _like(work: Work) -> Cleaned:
     """A target with all columns that any target of the data set can have."""
-    layout, time = work.data.reader.layout, np.arange(3, dtype=np.float64)
+    layout = work.data.reader.layout
+    time = np.arange(3, dtype=np.float64) + (YEAR_1980 if layout.clock.dated else 0.0)
     d = 3 if {"altitude", "z"} & layout.columns.keys() else 2
     position, origin = np.repeat(time[:, None], d, 1), (0.0, 0.0, 0.0) if layout.degrees else None
     (cleaned,) = clean_tracks([Recording("", time, position, origin, {}, source=layout.source)], **work.settings)

@@ -41,7 +41,7 @@ _EXAMPLES = f"""examples:
   torchfra track flight.csv --no-smooth --filter vsimm_srckf    # another filter, on line
   torchfra track flight.csv --dt 1 --html flight.html           # also every second, and an interactive page
 
-A row of the table is a fix: its row in the input (from 0), its time as the input has it, the recorded and the cleaned
+A row of the table is a fix: its row in the input (from 0), its time in UTC (or seconds), the recorded and the cleaned
 position in the input's own coordinates, speed, course, climb, standard deviations along and across the course, the
 probability of an outlier, the duration of consecutive outliers, the residual, the probability of a manoeuvre, a flag,
 and the covariance."""

@@ -23,7 +23,6 @@ from torchfra.readers.times import (
     counted,
     forms_of,
     is_clock,
-    iso_written,
     per_second,
     seconds_of,
 )
@@ -57,16 +56,19 @@ class Clock:
 
     columns: tuple[str, ...]
     kind: Kind
-    form: str
-    """How it is written: ``Source.time``."""
     dated: bool
     """Whether it tells the date too."""
+
+    @property
+    def form(self) -> str:
+        """How it is written, as ``ReadOptions.time_format`` says it."""
+        return self.kind.form
 
     @property
     def said(self) -> str:
         """A word or two for a person."""
         form = self.form
-        if self.kind.form == "iso":
+        if form == "iso":
             return "ISO text"
         if per_second(form) and form not in UNITS:
             return f"frames, {per_second(form):g} a second"
@@ -135,15 +137,16 @@ def clock_of(
     finest = max(clocks, key=lambda clock: moments[clock])
     if moments[finest] > _FINER * moments[best]:
         best = finest  # such as ms since a start beside a date of whole seconds: fixes of one moment would be lost
-    _check_whole(best, head.names, candidates, dates)
+    _check_whole(best, head, candidates, dates)
     return best, [name for name in candidates if name not in best.columns]
 
 
-def _check_whole(clock: Clock, names: list[str], whole: list[str], dates: list[str]) -> None:
+def _check_whole(clock: Clock, head: Head, whole: list[str], dates: list[str]) -> None:
     """Refuses times of which other columns hold a part."""
     front, parts = name_words(clock.column)[:-1], list[str]()
-    coarse = clock.form == "%Y-%m-%d" or (clock.form in ("seconds", "minutes", "hours") and not clock.dated)
-    for name in names:
+    day = clock.form == "iso" and len(texts_of(head.cells(clock.columns[-1]))[0]) == 10
+    coarse = day or (clock.form in ("seconds", "minutes", "hours") and not clock.dated)
+    for name in head.names:
         *before, last = name_words(name) or [""]
         if before in ([], front) and ((last in _BELOW and name not in whole) or (last in _ABOVE and coarse) or (
                 clock.form in ("minutes", "hours") and TIMES.get(last) == "seconds")):  # fmt: skip
@@ -168,7 +171,7 @@ def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = Fals
     name = columns[-1]
     cells = head.cells(name) if len(columns) == 1 else joined(head.cells, columns)
     if isinstance(cells, np.ndarray) and cells.dtype.kind == "M":
-        return Clock(columns, Kind(form="iso"), "iso", True)
+        return Clock(columns, Kind(form="iso"), True)
     texts = texts_of(cells)
     if form:
         return _of_form(columns, head, form, texts)
@@ -217,8 +220,7 @@ def _text(columns: tuple[str, ...], form: str, texts: list[str]) -> Clock:
     """The clock of texts in a form."""
     said = "ms since 1970 or ISO text" if form == "iso" else f"a time such as {texts[0][:40] if texts else form}"
     kind = Kind(said, limit=math.inf, form=form, joined=columns if len(columns) > 1 else ())
-    source = iso_written(texts[0]) if form == "iso" and texts else "iso" if "%z" in form else form
-    return Clock(columns, kind, source, not is_clock(form))
+    return Clock(columns, kind, not is_clock(form))
 
 
 def _of_form(columns: tuple[str, ...], head: Head, form: str, texts: list[str]) -> Clock:
@@ -231,7 +233,7 @@ def _of_form(columns: tuple[str, ...], head: Head, form: str, texts: list[str]) 
             if len(columns) == 1 and (
                 one == form or (2 * len(values) >= len(texts) and YEAR_1980 < middle < _YEAR_2036)
             ):
-                return Clock(columns, _count(one, since_1970), one, since_1970 or one in STARTS)
+                return Clock(columns, _count(one, since_1970), since_1970 or one in STARTS)
             continue
         for front in ((), *((date,) for date in found(head.names, "week" if one in WEEKS else "date"))):
             whole = (*front, *columns) if not {*front} & {*columns} else columns
@@ -277,9 +279,9 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
                        f"{values[0]:.15g}, which may be either: say ", {"time_format": "seconds"}, " or ",
                        {"time_format": "gps_seconds"})  # fmt: skip
     if size and (not stated or stated == size):
-        return Clock((name,), _count(size, True), size, True)
+        return Clock((name,), _count(size, True), True)
     if stated:
-        return Clock((name,), _count(stated, False), stated, False)
+        return Clock((name,), _count(stated, False), False)
     bracketed = in_brackets(name)
     cause = (
         f"looks like a clock in one number ({packed})" if (packed := _packed(values))
@@ -294,7 +296,7 @@ def _numeric(name: str, values: Array, sure: bool) -> Clock:
         asks: list[Any] = [part for form in likely for part in (" or ", {"time": name, "time_format": form})][1:]
         raise AskError(f"column {name}: expected seconds since a start or since 1970, received {values[0]:.15g}, "
                        f"which {cause}: say ", *asks, ", or name another column")  # fmt: skip
-    return Clock((name,), _count("seconds", False), "seconds", False)
+    return Clock((name,), _count("seconds", False), False)
 
 
 def _packed(values: Array) -> str:

@@ -143,7 +143,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     public |= dict(zip(("date", "time")[-len(clock.columns) :], clock.columns[-2:], strict=True))
     if noise.columns:
         public["sigma"] = next(iter(noise.columns))
-    source = Source(name, public, clock.form, length, word, lines, noise.argos)
+    source = Source(name, public, length, word, lines, noise.argos)
     return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, (*ignored, *unused))
 
 

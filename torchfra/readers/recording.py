@@ -9,19 +9,16 @@ from numpy.typing import NDArray
 
 from torchfra.geodesy import Origin as Origin
 from torchfra.readers.columns import Array
-from torchfra.readers.times import written
 
 
 @dataclass(frozen=True)
 class Source:
-    """The form of the tracks in a file, table or DataFrame, so that results can be written in the same form."""
+    """The form of the tracks in a file, table or DataFrame, so that results can be written in its units."""
 
     name: str = ""
     """Of the file."""
     columns: dict[str, str] = field(default_factory=dict)
     """Name of the column of each quantity: ``time, x, y, z, latitude, longitude, altitude, id, sigma``."""
-    time: str = "seconds"
-    """Of its times: ``"seconds"``, ``"ms"``, ``"us"``, ``"ns"``, ``"iso"``, or a format of ``datetime.strptime``."""
     unit: float = 1.0
     """Metres in one of its units of length: of x, y and z, or of altitudes beside latitudes."""
     word: str = "target"
@@ -30,10 +27,6 @@ class Source:
     """Lines for a person: which columns were taken, which ignored, feet or metres."""
     argos: bool = False
     """Whether standard deviations are those of classes or ellipses of Argos, which are the noise as they are."""
-
-    def written(self, time: Array) -> list[str]:
-        """Times ``(k,)``, seconds as in ``Recording.time``, as the file writes them; any times, not only its own."""
-        return written(np.asarray(time, dtype=np.float64), self.time)
 
 
 @dataclass(frozen=True, eq=False)

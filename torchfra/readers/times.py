@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ Source: IERS, Bulletin C.
 """
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _ISO = re.compile(
-    r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?:(?P<between>[T ])[0-9]{2}:[0-9]{2}(?P<second>:[0-9]{2})?(?P<part>[.,][0-9]+)?"
+    r"[0-9]{4}-[0-9]{2}-[0-9]{2}(?:[T ][0-9]{2}:[0-9]{2}(?::[0-9]{2})?(?P<part>[.,][0-9]+)?"
     r"(?P<gap> ?)(?P<zone>Z|UTC|GMT|[+-][0-9]{2}(?::?[0-9]{2})?)?)?"
 )
 _MONTHS = ("january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
@@ -58,10 +58,6 @@ _USUAL = re.compile(
 _DIGITS = re.compile("(?:%[YymdjHMS])+(?: (?:%[YymdjHMS])+)*")
 """Forms of numbers whose digits are a date or a clock."""
 _SIZES = {"Y": 4, "j": 3}
-_FAST = {"%Y-%m-%dT%H:%M:": "T", "%Y-%m-%d %H:%M:": " "}
-"""Forms, up to seconds, that numpy writes ten times as fast as ``strftime``; and what is between day and clock."""
-_FOUR_DIGITS = 3 * 10**16
-"""Microseconds to 1970 of years that have four digits."""
 
 
 def per_second(form: str) -> float:
@@ -191,60 +187,5 @@ def _plain_iso(text: str) -> str:
     return text[: found.start("part") if part else found.start("gap")] + (part and f".{part[1:7]:0<6}") + zone
 
 
-def iso_written(text: str) -> str:
-    """The form in which ISO text is written again: with its "T", its seconds and its Z, and with Z for other zones."""
-    found = _ISO.fullmatch(text)
-    if found is None or not found["between"]:
-        return "iso" if found is None else "%Y-%m-%d"
-    zone = found["zone"] or ""
-    if zone not in ("", "UTC", "GMT", "Z"):
-        return "iso"
-    form = f"%Y-%m-%d{found['between']}%H:%M{':%S' if found['second'] else ''}{found['gap']}{zone}"
-    return "iso" if form == "%Y-%m-%dT%H:%M:%SZ" else form
-
-
 def _since_1970(moment: datetime) -> float:
     return ((moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)) - _EPOCH).total_seconds()
-
-
-def written(time: NDArray[np.float64], form: str) -> list[str]:
-    """Times as a file has them.
-
-    Args:
-        time: ``(k,)`` seconds, as ``Recording.time``.
-        form: as ``Source.time``; parts of a second are added to all where a time has them.
-    """
-    if (count := count_of(form)) is not None:
-        per, start = count
-        leaps = np.searchsorted(_LEAPS, time, side="right") if form == "gps_seconds" else 0
-        return _numbers((time - start + leaps) * per, 6 if np.abs(time).max(initial=0.0) > 1e6 else 9, per)
-    if form in WEEKS:
-        since = time - STARTS["gps_seconds"][1] + np.searchsorted(_LEAPS, time, side="right")
-        of_week = _numbers(since % _WEEK * WEEKS[form], 6, WEEKS[form])
-        return [f"{week:.0f} {passed}" for week, passed in zip(since // _WEEK, of_week, strict=True)]
-    micro = np.rint(time * 1e6).astype(np.int64)
-    digits = 0 if not (micro % 1_000_000).any() else 3 if not (micro % 1000).any() else 6
-    form = "%Y-%m-%dT%H:%M:%SZ" if form == "iso" or "%z" in form else re.sub("(?<=%S)[.,]%f", "", form)
-    head, second, tail = form.partition("%S")
-    if head in _FAST and "%" not in tail and np.abs(micro).max(initial=0) < _FOUR_DIGITS:
-        unit = {0: "s", 3: "ms", 6: "us"}[digits]
-        moments = micro.astype("datetime64[us]").astype(f"datetime64[{unit}]").astype(str).tolist()
-        return [moment.replace("T", _FAST[head]) + tail for moment in moments]
-    texts = []
-    for value in micro.tolist():
-        moment = _EPOCH + timedelta(microseconds=value)
-        part = f".{moment.microsecond:06}"[: 1 + digits] if second and digits else ""
-        month = _MONTHS[moment.month - 1].capitalize()
-        first, last = (
-            moment.strftime(half.replace("%B", month).replace("%b", month[:3])) if "%" in half else half
-            for half in (head + second, tail)
-        )
-        texts.append(first + part + last)
-    return texts
-
-
-def _numbers(values: NDArray[np.float64], digits: int, per: float) -> list[str]:
-    """Numbers with as many digits of a second as times have that are exact to a double."""
-    digits = max(0, digits - round(np.log10(per)))
-    texts = [f"{value:.{digits}f}" for value in values.tolist()]
-    return [text.rstrip("0").rstrip(".") for text in texts] if digits else texts

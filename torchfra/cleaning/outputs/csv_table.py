@@ -61,6 +61,8 @@ def _cells(name: str, values: NDArray[Any], more: int) -> tuple[str, list[Any]]:
         # csv of Python 3.10 cannot read "\0".
         quoted = {v: _quoted(str(v).replace("\0", r"\x00")) for v in set(values.tolist())}
         return "%s", [quoted[v] for v in values.tolist()]
+    if name == "time":
+        return "%s", [f"{v:.9f}".rstrip("0").rstrip(".") for v in values.tolist()]
     if name.startswith(("cov_", "std_")):  # of any size: digits follow the value
         form, values = "%.6g" if name.startswith("cov_") else "%.4g", values + 0.0  # none is written as -0
     else:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs import csv_table, geojson, gpx, kml, parquet
+from torchfra.cleaning.outputs import csv_table, gpx, kml, parquet
 from torchfra.cleaning.outputs.metadata import metadata
 from torchfra.cleaning.outputs.points import origin_of
 from torchfra.readers import Recording
@@ -19,11 +19,10 @@ FORMATS: dict[str, Callable[[Sequence[Cleaned]], bytes]] = {
     ".csv": csv_table.encode,
     ".parquet": parquet.encode,
     ".gpx": gpx.encode,
-    ".geojson": geojson.encode,
     ".kml": kml.encode,
 }
 """Encoders of some targets, by the ending of the file."""
-MAPS = (".gpx", ".geojson", ".kml")
+MAPS = (".gpx", ".kml")
 """Formats that hold latitudes and longitudes only."""
 _NEEDS = {".parquet": "pyarrow", ".gpx": "gpxpy"}
 """The package that a format needs."""
@@ -40,7 +39,7 @@ def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
         raise ValueError(f"out: expected a folder or a file ending in {', '.join(FORMATS)}, received {ending!r}")
     package = _NEEDS.get(ending)
     if package is not None and find_spec(package) is None:
-        raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[formats]', or take .csv or .geojson")
+        raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[formats]', or take .csv or .kml")
     if ending in MAPS:
         for recording in recordings:
             origin_of(recording)

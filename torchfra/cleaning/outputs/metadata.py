@@ -24,7 +24,6 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
     return {
         "input": source.name,
         "input_columns": source.columns,
-        "input_time": source.time,
         "metres_per_unit": source.unit,
         "input_notes": list(source.notes),
         "settings": dict(settings),

@@ -7,12 +7,8 @@ from collections.abc import Sequence
 from io import BytesIO
 from typing import IO, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.table import Table, about, columns, united
-from torchfra.readers.times import per_second
 
 _PACKED = "zstd"
 
@@ -26,8 +22,6 @@ def encode(results: Sequence[Cleaned]) -> bytes:
     from pyarrow import parquet
 
     table = united([columns(cleaned) for cleaned in results])
-    if all(per_second(cleaned.recording.source.time) for cleaned in results):
-        table["time"] = _numbers(table["time"])
     file = BytesIO()
     parquet.write_table(_arrow(table), file, compression=_PACKED)
     return file.getvalue()
@@ -45,7 +39,6 @@ class Growing:
         from pyarrow import parquet
 
         self._empty = {name: values[:0] for name, values in columns(like).items()}
-        self._numbers = per_second(like.recording.source.time) > 0
         self._schema = self._arrow([]).schema
         self._writer = parquet.ParquetWriter(file, self._schema, compression=_PACKED)
 
@@ -58,10 +51,7 @@ class Growing:
         self._writer.close()
 
     def _arrow(self, results: Sequence[Cleaned]) -> Any:
-        table = united([self._empty, *(columns(cleaned) for cleaned in results)])
-        if self._numbers:
-            table["time"] = table["time"].astype(np.float64)
-        return _arrow(table)
+        return _arrow(united([self._empty, *(columns(cleaned) for cleaned in results)]))
 
 
 def _arrow(table: Table) -> Any:
@@ -73,8 +63,3 @@ def _arrow(table: Table) -> Any:
         for name, values in table.items()
     }
     return pyarrow.table(arrays, metadata={"torchfra": json.dumps(about(list(table)))})
-
-
-def _numbers(texts: NDArray[np.str_]) -> NDArray[Any]:
-    whole = not any("." in text for text in texts.tolist())
-    return texts.astype(np.int64 if whole else np.float64)

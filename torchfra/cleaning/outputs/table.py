@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.course import course
+from torchfra.cleaning.outputs.times import dates
 from torchfra.geodesy import Origin, to_geodetic
 from torchfra.readers.columns import Array
 
@@ -19,7 +20,7 @@ Table: TypeAlias = dict[str, NDArray[Any]]
 UNITS = {
     "row": "of the input, from 0; empty between its fixes",
     "id": "of the target",
-    "time": "as the input has it",
+    "time": "UTC in ISO 8601, or seconds as the input counts them",
     "seconds": "s since the first fix",
     "latitude": "degrees", "longitude": "degrees", "altitude": "as the input has it",
     "x": "as the input has it; m east of the origin", "y": "as the input has it; m north of the origin",
@@ -40,11 +41,11 @@ def columns(cleaned: Cleaned) -> Table:
     Positions are in the units of the input, all else is in m and s; ``UNITS`` says what each column holds.  Where the
     input has latitudes, x, y and z are m east, north and up of the origin.
     """
-    recording, axes = cleaned.recording, "xyz"[: cleaned.raw.shape[1]]
+    recording, stamps, axes = cleaned.recording, dates(cleaned), "xyz"[: cleaned.raw.shape[1]]
     table: Table = {
         "row": _row(cleaned),
         "id": np.full(len(cleaned.time), recording.name),
-        "time": np.array(recording.source.written(recording.time[0] + cleaned.time)),
+        "time": recording.time[0] + cleaned.time if stamps is None else np.array(stamps),
         "seconds": cleaned.time,
     }
     unit = recording.source.unit if recording.origin is None else 1.0
