@@ -31,7 +31,7 @@ for argument; do
 done
 [ ${#chosen[@]} = 0 ] || tried=("${chosen[@]}")
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-unset PYTHONPATH VIRTUAL_ENV
+unset PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE # setup.sh says why the last
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 export UV_CACHE_DIR=$work/cache UV_PYTHON_DOWNLOADS=never UV_HTTP_TIMEOUT=${UV_HTTP_TIMEOUT:-30}

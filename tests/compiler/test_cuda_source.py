@@ -20,6 +20,9 @@ from short_tracks import SMALL_GPB
 from torchfra import presets, scenarios
 from torchfra.compiler import cuda, jit, step
 from torchfra.compiler.source import Scan
+from torchfra.motion import ConstantVelocity
+from torchfra.scenarios import Tracks
+from torchfra.sensors import Position
 from torchfra.types import CompileError, Gaussian
 
 BEFORE = """
@@ -119,6 +122,16 @@ def of_kind(name, **options):
     return getattr(presets, name)(motion, scenario.sensor, **options), tracks._replace(z=z, u=u)
 
 
+def on_a_line(name, **options):
+    """A filter of a target on a line, whose kernels are small, and tracks with an outlier and gaps."""
+    z = torch.randn(4, 12, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64).cumsum(1)
+    z[0, 3], z[1, 5], z[2, 4:6] = torch.nan, torch.nan, z[2, 4:6] + 60.0
+    z[3, 6:] += 8.0 * torch.arange(6).unsqueeze(-1)
+    prior = Gaussian(torch.zeros(4, 2).double(), torch.eye(2).double())
+    f = getattr(presets, name)(ConstantVelocity(0.5, dims=1), Position(2.0, dims=1), **options)
+    return f, Tracks(z, z, None, prior)
+
+
 def in_precision(tracks, dtype):
     mean, root = tracks.prior
     u = None if tracks.u is None else tracks.u.to(dtype)
@@ -133,8 +146,7 @@ def results(f, tracks, wanted=()):
     return [x.detach() for x in (e.mean, e.scale_tril, e.nis, e.log_likelihood)] + list(gradients)
 
 
-def compare(name, dtype, monkeypatch, **options):
-    f, tracks = of_kind(name, **options)
+def compare(f, tracks, dtype, monkeypatch):
     tracks, fast = in_precision(tracks, dtype), copy.deepcopy(f).compile()
     slow = results(f, tracks, list(f.parameters()))
     monkeypatch.setattr(Scan, "source", lambda scan, narrow=False: scan.cuda())
@@ -153,24 +165,23 @@ def compare(name, dtype, monkeypatch, **options):
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 @pytest.mark.parametrize("name", ["srckf", "alphabeta"])
 def test_a_loop_over_threads_gives_what_the_filter_gives(name, dtype, monkeypatch):
-    compare(name, dtype, monkeypatch, **({"learn": ("q",)} if name == "srckf" else {}))
+    compare(*of_kind(name, **({"learn": ("q",)} if name == "srckf" else {})), dtype, monkeypatch)
 
 
 @needs_gcc
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "options", "dtype"), [
-    ("fra", {"learn": "all", "temperature": 1.0}, torch.float64),
-    ("gpb", SMALL_GPB | {"learn": ("noise_levels",)}, torch.float64),
+@pytest.mark.parametrize(("name", "options"), [
+    ("fra", {"learn": "all", "temperature": 1.0}), ("gpb", SMALL_GPB | {"learn": ("noise_levels",)}),
 ])  # fmt: skip
-def test_filters_of_several_branches_too(name, options, dtype, monkeypatch):
-    compare(name, dtype, monkeypatch, **options)
+def test_filters_of_several_branches_too(name, options, monkeypatch):
+    compare(*on_a_line(name, **options), torch.float64, monkeypatch)
 
 
 @needs_gcc
 @pytest.mark.slow
 def test_a_step_of_interacting_models_that_calls_routines_too(monkeypatch):
     monkeypatch.setattr(step, "_MOST", 10)
-    compare("imm_srckf", torch.float64, monkeypatch)
+    compare(*of_kind("imm_srckf"), torch.float64, monkeypatch)
     assert any("_r1(a, v" in source for source in source_of("imm_srckf", monkeypatch))
 
 

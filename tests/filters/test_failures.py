@@ -1,7 +1,5 @@
 """A track that fails says at which step and why, eager and compiled alike; a gradient that can be finite is."""
 
-import copy
-
 import pytest
 import torch
 
@@ -136,13 +134,3 @@ def test_gradients_of_fading_factors_are_finite_in_any_unit(unit):
     ((estimate.mean / unit).square().sum() + estimate.log_likelihood.sum()).backward()
     assert z.grad.isfinite().all()
     assert all(p.grad.isfinite().all() for p in f.parameters() if p.grad is not None)
-
-
-@pytest.mark.slow
-def test_a_copy_of_a_failing_filter_fails_alike():
-    f = presets.fra(ConstantVelocity(1.0), Position(2.0))
-    z = Z.clone()
-    z[1, 4, 0] = torch.inf
-    slow, fast = f(z, PRIOR), copy.deepcopy(f).compile()(z, PRIOR)
-    assert torch.equal(slow.failed, slow.failure.step >= 0)
-    assert all(torch.equal(a, b) for a, b in zip(slow.failure[:2], fast.failure[:2], strict=True))

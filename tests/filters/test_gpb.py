@@ -411,20 +411,14 @@ def test_what_is_not_measured_says_nothing_about_the_noise():
     assert noise[-1, 0] != noise[4, 0]
 
 
-@pytest.mark.slow
-def test_a_track_is_its_steps_and_smooths_and_compiles_alike():
+def test_a_track_is_its_steps_and_smooths_alike():
     f, z = learned(**FEWER), seen()
     whole, state = f(z, PRIOR), f.init(tree.map_tensors(lambda x: x.expand(3, *x.shape), PRIOR))
     for k in range(z.shape[-2]):
         state, _ = f.step(state, z[:, k])
     alike.close(state.belief.mean, whole.mean[:, -1])
     alike.close(state.noise.log_scale.exp(), whole.info.noise[:, -1])
-    smoothed = f.smooth(z, PRIOR)
-    alike.close(smoothed.mean[:, -1], whole.mean[:, -1])
-    kernels = learned(**FEWER).compile()
-    alike.close(kernels(z, PRIOR).mean, whole.mean)
-    alike.close(kernels(z, PRIOR).info.noise, whole.info.noise)
-    alike.close(kernels.smooth(z, PRIOR).mean, smoothed.mean)
+    alike.close(f.smooth(z, PRIOR).mean[:, -1], whole.mean[:, -1])
 
 
 def test_a_step_of_another_sensor_leaves_what_was_learned_as_it_is():
