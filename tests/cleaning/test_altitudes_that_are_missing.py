@@ -1,7 +1,6 @@
 """A fix without an altitude is written with all else that was recorded of it."""
 
 import csv
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -37,12 +36,3 @@ def test_a_table_has_its_degrees_as_recorded_and_no_altitude(flight):
     np.testing.assert_allclose(raw, expected, atol=1e-8)
     assert [row["raw_altitude"] == "" for row in rows] == [i in WITHOUT for i in range(40)]
     assert rows[WITHOUT[0]]["flag"] == "outlier"
-
-
-def test_a_rejected_one_has_its_degrees_on_every_map(flight):
-    (point,) = ElementTree.parse(track(flight, ".kml")).iterfind(".//{*}Point/{*}coordinates")
-    lon, lat = (float(part) for part in point.text.split(","))
-    assert lat == pytest.approx(47 + 0.025 * WITHOUT[0] + 0.1, abs=1e-3)
-    with track(flight, ".csv").open() as cleaned:
-        row = [*csv.DictReader(cleaned)][WITHOUT[0]]
-    assert [lon, lat] == pytest.approx([float(row["raw_longitude"]), float(row["raw_latitude"])], abs=1e-8)

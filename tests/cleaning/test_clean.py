@@ -182,20 +182,15 @@ def test_a_form_of_digits_is_read_of_numbers_too(walk, dtype):
     np.testing.assert_allclose(cleaned["clean_speed"], same["clean_speed"], rtol=1e-6)
 
 
-class GeoDataFrame(pandas.DataFrame):
-    """A table that can be projected, as of geopandas."""
-
-    def to_crs(self, crs):
-        raise NotImplementedError
-
-
 def test_points_of_a_geodataframe_are_refused_with_the_columns_to_add(walk):
+    geopandas = pytest.importorskip("geopandas")
     time, _, measured = walk
     latitude, longitude, _ = to_geodetic(measured, ORIGIN)
-    points = GeoDataFrame({"time": time, "geometry": "point", "lat": latitude, "lon": longitude})
+    points = geopandas.GeoDataFrame({"time": time}, geometry=geopandas.points_from_xy(longitude, latitude, crs=4326))
     with pytest.raises(ValueError, match=r"hand over data\.assign\(lat=data\.to_crs\(4326\)"):
         torchfra.clean(points)
-    assert np.isfinite(torchfra.clean(points, lat="lat", lon="lon", **settings())["clean_latitude"]).all()
+    data = points.assign(lat=points.to_crs(4326).geometry.y, lon=points.to_crs(4326).geometry.x)
+    assert np.isfinite(torchfra.clean(data, lat="lat", lon="lon", **settings())["clean_latitude"]).all()
 
 
 def test_a_file_and_its_recordings_are_cleaned_to_a_list(walk, tmp_path):

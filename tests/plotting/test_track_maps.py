@@ -1,4 +1,4 @@
-"""Maps hold the cleaned track, its manoeuvres, and rejected fixes where they were recorded."""
+"""Maps hold the cleaned track."""
 
 from xml.etree import ElementTree
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cleaned_tracks import straight
 
-from torchfra.cleaning.outputs import FORMATS, MAPS, check_format, gpx, kml
-from torchfra.cleaning.outputs.kml import GX, KML
+from torchfra.cleaning.outputs import FORMATS, MAPS, check_format
+from torchfra.cleaning.outputs.maps import GX, KML, gpx, kml
 from torchfra.geodesy import to_geodetic
 
 
@@ -16,37 +16,25 @@ def place(of, position):
     return np.stack([longitude, latitude, altitude], 1)
 
 
-def test_gpx_is_read_by_others_with_rows_flags_and_rejected_fixes():
+def test_gpx_is_read_by_others():
     gpxpy = pytest.importorskip("gpxpy", reason="needs gpxpy")
     of = straight(10)
-    file = gpxpy.parse(gpx.encode([of, straight(4, name="other")]).decode())
+    file = gpxpy.parse(gpx([of, straight(4, name="other")]).decode())
     assert [track.name for track in file.tracks] == ["3c6444 DLH1AB", "other"]
     points = file.tracks[0].segments[0].points
     got = np.array([[point.longitude, point.latitude, point.elevation] for point in points])
     np.testing.assert_allclose(got, place(of, of.position), atol=1e-3)
     assert points[3].time.isoformat() == "2024-05-03T10:00:06+00:00"
-    known = {element.tag.rpartition("}")[2]: element.text for element in points[7].extensions}
-    assert (known["row"], known["flag"]) == ("22", "outlier")
-    waypoint = file.waypoints[0]
-    expected = place(of, of.raw[[7]])[0]
-    np.testing.assert_allclose([waypoint.longitude, waypoint.latitude, waypoint.elevation], expected, atol=1e-3)
-    assert "row 22" in waypoint.name
 
 
-def test_kml_has_a_track_with_times_and_values_of_each_point():
+def test_kml_has_a_track_with_times():
     of = straight(10)
-    root = ElementTree.fromstring(kml.encode([of]))
+    root = ElementTree.fromstring(kml([of]))
     (track,) = root.iter(f"{{{GX}}}Track")
     whens = [element.text for element in track.findall(f"{{{KML}}}when")]
     coords = np.array([[float(v) for v in element.text.split()] for element in track.findall(f"{{{GX}}}coord")])
     assert (len(whens), whens[1]) == (10, "2024-05-03T10:00:02Z")
     np.testing.assert_allclose(coords, place(of, of.position), atol=1e-3)
-    arrays = {a.get("name"): [v.text for v in a] for a in root.iter(f"{{{GX}}}SimpleArrayData")}
-    assert arrays["row"][:3] == ["1", "4", "7"]
-    assert all(len(values) == 10 for values in arrays.values())
-    (point,) = root.iter(f"{{{KML}}}Point")
-    got = [float(v) for v in point.find(f"{{{KML}}}coordinates").text.split(",")]
-    np.testing.assert_allclose(got, place(of, of.raw[[7]])[0], atol=1e-3)
 
 
 @pytest.mark.parametrize("ending", MAPS)

@@ -22,8 +22,8 @@ from torchfra.cleaning.outputs.summary import (
     settings_lines,
     summary,
 )
-from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
-from torchfra.pictures import APART, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
+from torchfra.cleaning.outputs.view import SURE, Band, View, beyond, placed, view
+from torchfra.pictures import BLUE, BROWN, GREY, ORANGE, PALE_BLUE, RED
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
 
@@ -40,7 +40,7 @@ h1, p, summary {{ overflow-wrap: anywhere; }}
 table {{ border-collapse: collapse; }}
 th, td {{ padding: .2em .7em; text-align: right; white-space: nowrap; }}
 th:first-child, td:first-child {{ text-align: left; }}
-th {{ cursor: pointer; border-bottom: 1px solid; }}
+th {{ border-bottom: 1px solid; }}
 </style>
 {script}</head>
 <body><h1>{title}</h1>
@@ -58,12 +58,6 @@ document.querySelectorAll("details").forEach(section => {{
   section.addEventListener("toggle", () => draw(section));
   draw(section);
 }});
-document.querySelectorAll("th").forEach((head, column) => head.addEventListener("click", () => {{
-  const body = head.closest("table").tBodies[0], down = head.dataset.down !== "yes";
-  head.dataset.down = down ? "yes" : "no";
-  const key = row => Number(row.cells[column].dataset.key);
-  [...body.rows].sort((a, b) => (down ? -1 : 1) * (key(a) - key(b))).forEach(row => body.append(row));
-}}));
 document.querySelectorAll("a[href^='#']").forEach(link => link.addEventListener("click", () => {{
   document.getElementById(link.hash.slice(1)).open = true;
 }}));
@@ -75,8 +69,6 @@ _LETTERS = 60
 """Width of a panel in a narrow window, in characters."""
 _TOP = 0.52
 """Upper end of the panels below the map, as a share of the height."""
-_MOST_MARKS = 50
-"""Largest number of rejected fixes that are marked at the edge of the map."""
 
 
 def check_script() -> None:
@@ -99,7 +91,7 @@ def script_beside(path: Path) -> Path:
 
 
 def write(results: Sequence[Cleaned], path: Path, *, share: bool = True) -> None:
-    """Writes a page with a map of all targets, and the picture of each; charts are drawn when opened.
+    """Writes a page with a table of all targets, and the chart of each, which is drawn when opened.
 
     Args:
         results: of the targets.
@@ -130,7 +122,7 @@ def page(results: Sequence[Cleaned], beside: Path | None = None) -> str:
         for i, (of, cleaned) in enumerate(zip(every, results, strict=True))
     ]
     if len(results) > 1:
-        sections = [_section("all", "all targets", overview(results), opened=True), _table(results, every), *sections]
+        sections = [_table(results, every), *sections]
     read = dict.fromkeys(note for cleaned in results for note in cleaned.recording.source.notes)
     said = report(results)[1:] if len(results) == 1 else sentences_on_all(results)
     lines = [f"Read: {'; '.join(read)}", *said, *settings_lines(results)] if read else [*said, *settings_lines(results)]
@@ -143,11 +135,11 @@ def page(results: Sequence[Cleaned], beside: Path | None = None) -> str:
 
 
 def _table(results: Sequence[Cleaned], every: Sequence[dict[str, Any]]) -> str:
-    """A row for each target, sorted by a column when its head is clicked."""
+    """A row for each target, which leads to its chart."""
     heads = "".join(f"<th>{name}</th>" for name in (results[0].recording.source.word, *COLUMNS))
     rows = "".join(
-        f'<tr><td data-key="{-i}"><a href="#t{i}">{_text(of["name"])}</a></td>'
-        + "".join(f'<td data-key="{number:.9g}">{_text(text)}</td>' for number, text in cells(of))
+        f'<tr><td><a href="#t{i}">{_text(of["name"])}</a></td>'
+        + "".join(f"<td>{_text(text)}</td>" for text in cells(of))
         + "</tr>"
         for i, of in enumerate(every)
     )
@@ -175,23 +167,19 @@ class Chart(NamedTuple):
 
 
 def chart(cleaned: Cleaned) -> Chart:
-    """A map, and below it speed, altitude, innovations and regimes over time."""
+    """A map, and below it speed and altitude over time."""
     track = view(cleaned)
-    panels: list[tuple[str, list[dict[str, Any]], list[float] | None]] = [
+    panels: list[tuple[str, list[dict[str, Any]], list[float]]] = [
         ("speed, m/s", _band(track, track.speed, 2), [max(0.0, track.speed.limits()[0]), track.speed.limits()[1]])
     ]
     if track.altitude is not None:
         panels.append(("altitude, m", _band(track, track.altitude, 3), [*track.altitude.limits()]))
-    panels.append(("innovation, std", _innovations(track, len(panels) + 2), [0, 1.05 * MOST_STD]))
-    if track.regimes:
-        panels.append(("probability", _regimes(track, len(panels) + 2), None))
     layout = _layout(track.title) | _axes(track, {label: limits for label, _, limits in panels})
-    edge, _, sentence = beyond(track, *track.window)
-    layout["annotations"] = [_words(x, y, "\u25b2", RED) for x, y in edge[:_MOST_MARKS].tolist()] + [
+    layout["annotations"] = [
         _words(middle * track.time[-1], _TOP, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
         for middle, row, kind in placed(track, _LETTERS)
     ]
-    if sentence:
+    if sentence := beyond(track, *track.window)[2]:
         corner = {"xref": "paper", "yref": "paper", "xanchor": "left"}
         layout["annotations"].append(_words(0.0, 1.0, sentence, RED) | corner)
     layout["shapes"] = [
@@ -200,19 +188,6 @@ def chart(cleaned: Cleaned) -> Chart:
         for begin, end in track.shades
     ]  # fmt: skip
     return Chart(_map(track, cleaned) + [line for _, lines, _ in panels for line in lines], layout)
-
-
-def overview(results: Sequence[Cleaned]) -> Chart:
-    """All tracks on one map."""
-    views = [view(cleaned) for cleaned in results]
-    metres = max(track.metres for track in views)
-    data = [
-        _scatter(1, *(track.path * track.metres / metres).T, name=cleaned.recording.name, colour=APART[i % len(APART)])
-        for i, (cleaned, track) in enumerate(zip(results, views, strict=True))
-    ]
-    unit = "km" if metres > 1 else "m"
-    east, north = ({"title": {"text": f"{way}, {unit}"}} for way in ("east", "north"))
-    return Chart(data, _layout(f"{len(results)} tracks") | {"xaxis": east, "yaxis": north | {"scaleanchor": "x"}})
 
 
 def _map(track: View, cleaned: Cleaned) -> list[dict[str, Any]]:
@@ -250,33 +225,12 @@ def _band(track: View, band: Band, number: int) -> list[dict[str, Any]]:
     return drawn
 
 
-def _innovations(track: View, number: int) -> list[dict[str, Any]]:
-    shown, known = np.minimum(track.innovation, MOST_STD), np.isfinite(track.innovation)
-    rejected, high = track.rejected, track.innovation > MOST_STD
-    styles = (
-        (known & ~rejected & ~high, DARK, 3, "circle"), (known & rejected & ~high, RED, 6, "x-thin-open"),
-        (known & ~rejected & high, DARK, 8, "triangle-up"), (known & rejected & high, RED, 8, "triangle-up"),
-    )  # fmt: skip
-    return [
-        _scatter(number, track.time[mask], shown[mask], colour=colour, marks=size, symbol=symbol)
-        for mask, colour, size, symbol in styles
-    ]
-
-
-def _regimes(track: View, number: int) -> list[dict[str, Any]]:
-    colours = [DARK if name == "others" else colour for name, colour in zip(track.regimes, REGIMES, strict=False)]
-    return [
-        _scatter(number, track.time, values, name=name, colour=colour, stackgroup="regimes", fillcolor=colour)
-        for (name, values), colour in zip(track.regimes.items(), colours, strict=False)
-    ]
-
-
 def _scatter(
     number: int, x: NDArray[np.float64], y: NDArray[np.float64], *, colour: str, name: str = "", marks: float = 0,
     symbol: str = "circle", **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """A line, or marks of some size, in the axes of a number; named ones are in the legend."""
-    look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 0 if "stackgroup" in more else 1.5}}
+    look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 1.5}}
     if marks:
         look = {"mode": "markers", "marker": {"color": colour, "size": marks, "symbol": symbol}}
     axis = "" if number == 1 else str(number)
@@ -305,8 +259,8 @@ def _layout(title: str) -> dict[str, Any]:
     }
 
 
-def _axes(track: View, limits: dict[str, list[float] | None]) -> dict[str, Any]:
-    """The axes of the map, and below it a common axis of time of panels, by their labels and limits (None: all)."""
+def _axes(track: View, limits: dict[str, list[float]]) -> dict[str, Any]:
+    """The axes of the map, and below it a common axis of time of panels, by their labels and limits."""
     (left, bottom), (right, top) = track.window
     axes: dict[str, Any] = {
         "xaxis": {"range": [left, right], "zeroline": False, "title": {"text": f"east, {track.unit}"}},

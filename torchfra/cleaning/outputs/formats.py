@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs import csv_table, gpx, kml, parquet
+from torchfra.cleaning.outputs import csv_table, maps, parquet
 from torchfra.cleaning.outputs.metadata import metadata
-from torchfra.cleaning.outputs.points import origin_of
 from torchfra.readers import Recording
 from torchfra.running.atomic_write import write as write_whole
 from torchfra.running.atomic_write import write_json
@@ -18,8 +17,8 @@ from torchfra.running.atomic_write import write_json
 FORMATS: dict[str, Callable[[Sequence[Cleaned]], bytes]] = {
     ".csv": csv_table.encode,
     ".parquet": parquet.encode,
-    ".gpx": gpx.encode,
-    ".kml": kml.encode,
+    ".gpx": maps.gpx,
+    ".kml": maps.kml,
 }
 """Encoders of some targets, by the ending of the file."""
 MAPS = (".gpx", ".kml")
@@ -42,7 +41,7 @@ def check_format(ending: str, recordings: Sequence[Recording] = ()) -> None:
         raise ImportError(f"out: {ending} needs {package}: pip install 'torchfra[formats]', or take .csv or .kml")
     if ending in MAPS:
         for recording in recordings:
-            origin_of(recording)
+            maps.origin_of(recording)
 
 
 def write(results: Sequence[Cleaned], path: Path, settings: Mapping[str, Any]) -> None:

@@ -165,23 +165,19 @@ LEGEND = (
 """What some of these columns hold."""
 
 
-def cells(of: Mapping[str, Any]) -> list[tuple[float, str]]:
-    """For each of ``COLUMNS``, from a ``summary``, a number to sort by and how it is written."""
-    fixes, rejected, unclear, manoeuvres = (
-        (float(n), f"{n:,}") for n in (of["fixes"], of["flags"]["outlier"], of["flags"]["unclear"], len(of["segments"]))
-    )
-    farthest, moved, std = (
-        (x, metres(x)) if math.isfinite(x) else (-1.0, "")
-        for x in (of[key] for key in ("largest_rejected", "median_correction", "median_std"))
-    )
-    sigma = (of["sigma"], sigma_in_words(of["sigma"], of["stated"])) if math.isfinite(of["sigma"]) else (-1.0, "")
-    lasting = of["seconds"], duration(of["seconds"])
-    return [fixes, lasting, rejected, farthest, unclear, manoeuvres, moved, std, sigma]
+def cells(of: Mapping[str, Any]) -> list[str]:
+    """What is written of a ``summary`` for each of ``COLUMNS``; "" for what is not known."""
+    counts = of["fixes"], of["flags"]["outlier"], of["flags"]["unclear"], len(of["segments"])
+    fixes, rejected, unclear, manoeuvres = (f"{n:,}" for n in counts)
+    sizes = of["largest_rejected"], of["median_correction"], of["median_std"]
+    farthest, moved, std = (metres(x) if math.isfinite(x) else "" for x in sizes)
+    sigma = sigma_in_words(of["sigma"], of["stated"]) if math.isfinite(of["sigma"]) else ""
+    return [fixes, duration(of["seconds"]), rejected, farthest, unclear, manoeuvres, moved, std, sigma]
 
 
 def overview(results: Sequence[Cleaned]) -> list[str]:
     """The summary of several tracks: a table with a row for each, and sentences on all."""
-    rows = [[printable(of["name"], 24), *(text for _, text in cells(of))] for of in map(summary, results)]
+    rows = [[printable(of["name"], 24), *cells(of)] for of in map(summary, results)]
     table = text_table([results[0].recording.source.word, *COLUMNS], rows)
     return [table, *LEGEND, *sentences_on_all(results)]
 
