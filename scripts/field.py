@@ -35,6 +35,7 @@ from benchmarks.tracks import beside_peers
 from learned import lorenz
 from lists import check_list
 from peers_field import Job
+from regrets.open_cells import OpenCell
 
 import torchfra
 from torchfra import Gaussian, presets, scenarios
@@ -44,7 +45,6 @@ from torchfra.evaluation import run
 from torchfra.motion import ConstantVelocity, RandomWalk
 from torchfra.running.versions import write_results
 from torchfra.scenarios import Scenario, Tracks
-from torchfra.scenarios.open_cells import OpenCell
 from torchfra.sensors import Position, RangeBearing
 from torchfra.tables import formed_table, significant
 from torchfra.testing.case import drawn as drawn_of_models
@@ -317,7 +317,7 @@ def clutter(options: argparse.Namespace) -> list[Cell]:
 
 
 def drawn(options: argparse.Namespace, runs: int, **cell: Any) -> tuple[Scenario, Tracks]:
-    """Tracks of positions of 200 steps: see ``scenarios.open_cells.OpenCell``."""
+    """Tracks of positions of 200 steps: see ``regrets.open_cells.OpenCell``."""
     scenario = OpenCell(**cell).scenario(steps=200)
     return scenario, scenario.simulate(runs // 4 if options.quick else runs, options.seed)
 

@@ -18,7 +18,7 @@ where every filter that waits for a measurement before it decides has its later 
 they have.  The 95 % interval is of a bootstrap over the runs, which are the same for all filters; a run is lost above
 2000 m, of ranges above 20 m.
 
-With --open so many cells are drawn at random (scenarios.open_cell): motion, sensor, time steps, outliers, jumps and
+With --open so many cells are drawn at random (regrets.open_cells): motion, sensor, time steps, outliers, jumps and
 what is stated wrongly.  One table has them sorted by the ratio of filtered errors, those that are lost first, in
 standard deviations of a measured position, with the NEES of positions per dimension; a line below it says the ratio in
 the median, in nine of ten, in 95 of 100 and at worst.  Others are, unless named, srckf, rsrckf, mr_ckf, hghckf, iaukf,

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from regrets.cells import Cell
+from regrets.open_cells import OpenCell, draw_cell, open_cell
 from regrets.ratios import Errors, batches, interval, label, ratios, regret
 from regrets.smoothed import as_filtered
 from torchfra import metrics, presets
@@ -20,7 +21,7 @@ from torchfra.evaluation import run
 from torchfra.filters import Filter
 from torchfra.motion import Bank
 from torchfra.motion.base import Motion
-from torchfra.scenarios import OpenCell, Scenario, draw_cell, open_cell
+from torchfra.scenarios import Scenario
 from torchfra.tables import printable, text_table
 
 OTHERS = ("srckf", "rsrckf", "mr_ckf", "hghckf", "iaukf", "fra", "imm_srckf")

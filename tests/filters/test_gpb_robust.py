@@ -7,11 +7,11 @@ from functools import partial
 
 import pytest
 import torch
+from regrets.open_cells import OpenCell, open_cell
 
 from torchfra import metrics, presets, scenarios, tree
 from torchfra.association import Clutter, Euclidean
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, aircraft
-from torchfra.scenarios import OpenCell
 from torchfra.sensors import Bearings, Position, RangeBearing, Ranges
 from torchfra.types import Gaussian
 from train.gpb.regimes import regimes
@@ -304,7 +304,7 @@ def test_a_walker_far_from_all_anchors_is_not_lost_where_ranges_state_more_noise
 )
 def test_hypotheses_without_weight_that_fail_leave_the_others_alone(cell, seed, runs, noise):
     """Robots that turn: ranges 2e4 standard deviations too large, and positions 7e5 off, to which nobody jumps."""
-    scenario = scenarios.open_cell(cell, seed=seed)
+    scenario = open_cell(cell, seed=seed)
     tracks = scenario.simulate(20, seed)
     z, u, mean = tracks.z[runs, :70], tracks.u[runs, :70], tracks.prior.mean[runs]
     dt = scenario.dt if isinstance(scenario.dt, float) else scenario.dt[:70]

@@ -10,7 +10,6 @@ from torchfra.scenarios.clutter_many import clutter_many
 from torchfra.scenarios.growth import growth
 from torchfra.scenarios.harbour import Harbour, harbour
 from torchfra.scenarios.law import Law
-from torchfra.scenarios.open_cells import OpenCell, draw_cell, open_cell
 from torchfra.scenarios.ranges import ranges_outliers
 from torchfra.scenarios.recorded import recorded
 from torchfra.scenarios.recorded_ranges import recorded_ranges
@@ -21,7 +20,6 @@ __all__ = [
     "Bound",
     "Harbour",
     "Law",
-    "OpenCell",
     "Scenario",
     "Tracks",
     "adsb_models",
@@ -33,13 +31,11 @@ __all__ = [
     "clutter_crossing",
     "clutter_many",
     "clutter_straight",
-    "draw_cell",
     "growth",
     "harbour",
     "level_then_weave",
     "noise_change",
     "of_tracks",
-    "open_cell",
     "ranges_outliers",
     "recorded",
     "recorded_ranges",

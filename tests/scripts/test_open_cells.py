@@ -6,11 +6,20 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from regrets.open_cells import (
+    KINDS,
+    LONGEST,
+    MOTIONS,
+    SENSORS,
+    SHORTEST,
+    SPACINGS,
+    OpenCell,
+    draw_cell,
+    open_cell,
+)
 
 from torchfra import presets
 from torchfra.metrics import error
-from torchfra.scenarios import OpenCell, draw_cell, open_cell
-from torchfra.scenarios.open_cells import KINDS, LONGEST, MOTIONS, SENSORS, SHORTEST, SPACINGS
 
 SEED, CELLS = 2027, 40
 
