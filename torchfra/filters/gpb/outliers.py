@@ -340,7 +340,8 @@ class Outliers(Part):
         eye, noise = torch.eye(reads, dtype=root.dtype, device=root.device), self._noise(mean)
         belief, log_density = Gaussian(torch.zeros_like(mean), eye.expand_as(root)), torch.zeros_like(mean[..., 0])
         none_measured = torch.ones_like(missing[..., :1, None])
-        weighed, learned = list[Weighed](), list[Tensor]()
+        weighed: list[Weighed] = []
+        learned: list[Tensor] = []
         for b, block in enumerate(self.blocks):
             so_far = Gaussian(mean + apply(root, belief.mean), root @ belief.scale_tril) if b else Gaussian(mean, root)
             whitened, block_missing = compare(so_far, block), missing[..., list(block)]
