@@ -8,13 +8,13 @@ tried=(3.10:2.4.1 3.12:2.7.1 3.13:2.13.0 3.11:newest)
 # Readers but for times, of which each Python reads other forms, cleaning, commands, scripts, training, figures and documents
 # are tested once, by test.sh.
 tests=(
-  import layering presets hessian tria mixture states camera composed_sensors oracles failures autocast predict smoothing
+  import presets hessian tria mixture states camera composed_sensors oracles failures autocast predict smoothing
   ready_tracks jpda_gates jpda_promises times
 )
 gigabytes=8 # of one environment, with what is unpacked on the way
 patience=180 # seconds for one, of which it takes twenty where the registry is quick; who is slow once is not asked again
 
-chosen=() quick=()
+chosen=() how=(-n auto --dist worksteal)
 for argument; do
   case $argument in
     -h | --help)
@@ -24,7 +24,7 @@ for argument; do
       echo "An environment takes $gigabytes GB in TMPDIR as long as it is tried.  Settings of uv, such as UV_INDEX_URL, hold."
       exit
       ;;
-    --quick) quick=(-m "not slow") ;;
+    --quick) how=(-m "not slow") ;; # in one process, as others are at work: each process more imports torch once more
     [0-9]*.[0-9]*:newest | [0-9]*.[0-9]*:[0-9]*.[0-9]*) chosen+=("$argument") ;;
     *) echo "versions: expected PYTHON:TORCH such as 3.12:2.7.1 or 3.11:newest, received $argument" >&2; exit 2 ;;
   esac
@@ -89,8 +89,8 @@ try() {
   files=("${tests[@]/#/tests/*/test_}")
   (
     cd "$work/tree"
-    OMP_NUM_THREADS=1 timeout 600 "$work/venv/bin/python" -m pytest -p no:cacheprovider -n auto --dist worksteal \
-      "${quick[@]}" ${files[@]/%/.py}
+    OMP_NUM_THREADS=1 timeout 600 "$work/venv/bin/python" -m pytest -p no:cacheprovider \
+      "${how[@]}" ${files[@]/%/.py}
   ) || status=$?
   if [ $status = 0 ]; then why=passed; else why="failed (pytest: $status)" failed=1; fi
   said+=("Python $python, torch $torch: $why, $((SECONDS - begin)) s")
