@@ -30,5 +30,5 @@ def test_a_filter_is_one_graph(name, options, make, tracks):
 
 
 def test_a_bank_of_hypotheses_is_one_graph(tracks):
-    f = presets.gpb([ConstantVelocity(0.1), ConstantVelocity(3.0)], Bearings(0.02), **FEWER)
+    f = presets.gpb([ConstantVelocity(0.1), ConstantVelocity(3.0)], Bearings(0.02), **FEWER, noise="stated")
     sees_one_graph(f, tracks.z[:, :1], tracks.prior, tracks.u[:1])

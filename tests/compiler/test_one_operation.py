@@ -6,14 +6,11 @@ import weakref
 
 import pytest
 import torch
-from gpb_cases import FEWER
 from one_graph import needs_one_graph
 from torch import nn
 
-from torchfra import Gaussian, presets
+from torchfra import Gaussian
 from torchfra.compiler import one_operation
-from torchfra.motion import ConstantVelocity
-from torchfra.sensors import Bearings
 from torchfra.tree import flatten
 
 pytestmark = [needs_one_graph, pytest.mark.slow]
@@ -193,11 +190,3 @@ def test_inside_a_transform_the_filter_is_traced_as_before(make, data):
     graph, seen = graph_of(mapped)
     torch.testing.assert_close(graph(z[:, :1]), mapped(z[:, :1]), rtol=1e-9, atol=1e-9)
     assert "torchfra.whole_tracks.default" not in seen[0]
-
-
-def test_a_bank_of_hypotheses_is_one_operation_too(data):
-    z, prior, u = data
-    f = presets.gpb([ConstantVelocity(0.1), ConstantVelocity(3.0)], Bearings(0.02), **FEWER).compile()
-    graph, seen = graph_of(lambda z: f(z, prior, u=u))
-    the_same(graph(z), f(z, prior, u=u))
-    assert seen[0].count("torchfra.whole_tracks.default") == 1

@@ -62,15 +62,6 @@ def test_a_time_step_that_is_a_number_says_what_its_tensor_says(filters, name, e
         assert torch.equal(found.scale_tril, expected.scale_tril), kind
 
 
-@pytest.mark.parametrize("call", ["smooth", "lag"])
-@pytest.mark.parametrize("name", ["srckf", "imm"])
-def test_compiled_smoothing_with_a_number_is_eager_smoothing(filters, name, call):
-    z, prior = far_track()
-    found, expected = (CALLS[call](filters[name, engine], z, prior, 0.1) for engine in ("compiled", "eager"))
-    deviations = expected.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
-    assert ((found.mean - expected.mean).abs() < 1e-4 * deviations).all()
-
-
 def test_a_number_becomes_a_tensor_with_all_its_digits():
     for value in (0.1, np.float64(0.1), [0.1], (0.1,), np.array([0.1]), torch.tensor(0.1, dtype=torch.float64)):
         assert as_tensor(value).dtype == torch.float64

@@ -73,19 +73,6 @@ def test_private_names_are_found_however_they_are_written():
     assert [listed(x) for x in ("torch._decomp.x", "torch._C._nn.gelu", "t._schema")] == [False, False, True]
 
 
-def test_without_torchs_guard_a_ready_step_is_checked_by_the_slower_one(monkeypatch):
-    import importlib
-
-    from torchfra.compiler import forms
-
-    x = torch.zeros(2, 3)
-    monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
-    fits = forms.guard([x])
-    assert fits(torch.ones(2, 3))
-    assert not fits(torch.ones(3, 2))
-    assert not fits(torch.ones(2, 3).double())
-
-
 @pytest.mark.parametrize(("owner", "name", "begins"), [
     (torch.autograd, "_get_sequence_nr", "nothing"), (torch._C, "_current_autograd_node", "test_private_names"),
 ])  # fmt: skip
