@@ -40,12 +40,10 @@ def made(recording, time, position, velocity, rejected=(), segments=TURN):
     steps, d = position.shape
     root = np.tril(np.random.default_rng(1).uniform(0.5, 1.0, (2 * d, 2 * d))) + 3 * np.eye(2 * d)
     wrong = np.isin(np.arange(steps), list(rejected))
-    regime = np.stack([np.where(wrong, 0.5, 0.9), np.where(wrong, 0.5, 0.1)], 1)
     return Cleaned(
         recording, time, np.arange(steps), recording.position, np.concatenate([position, velocity], 1),
         np.broadcast_to(root @ root.T, (steps, 2 * d, 2 * d)).copy(), np.where(wrong, 4e4, float(d)),
         np.where(wrong, 0.99, 0.01), np.full(steps, 0.1), np.where(wrong, "outlier", ""), FOUND, tuple(segments),
-        ("calm constant velocity", "turn +3 deg/s"), regime,
     )  # fmt: skip
 
 

@@ -94,7 +94,7 @@ def test_results_are_the_same_to_the_last_bit_whatever_the_number_of_processes(m
     alone, shared = (clean_tracks(several, jobs=number) for number in (1, 3))
     for one, other in zip(alone, shared, strict=True):
         assert one.recording is other.recording
-        for name in ("mean", "covariance", "nis", "outlier", "manoeuvre", "flag", "regime"):
+        for name in ("mean", "covariance", "nis", "outlier", "manoeuvre", "flag"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
         assert (one.found, one.segments) == (other.found, other.segments)
         values = [

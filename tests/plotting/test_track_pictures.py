@@ -77,10 +77,13 @@ def test_the_band_is_two_standard_deviations_across_to_each_side():
     np.testing.assert_allclose(np.linalg.norm(shown.sides[:, 0] - shown.sides[:, 1], axis=1) * 1000, 4 * std, rtol=1e-3)
 
 
-def test_panels_over_time_are_speed_altitude_innovations_and_regimes():
-    assert panels(figures.cleaned(straight(40))).keys() == {"map", "speed", "altitude", "innovation", "regimes"}
-    flat = replace(straight(40, d=2), regimes=(), regime=np.empty((40, 0)))
-    assert panels(figures.cleaned(flat)).keys() == {"map", "speed", "innovation"}
+def test_panels_over_time_are_speed_altitude_innovations_and_manoeuvres_where_one_is_likely():
+    assert panels(figures.cleaned(straight(40))).keys() == {"map", "speed", "altitude", "innovation"}
+    flat = replace(straight(40, d=2), manoeuvre=np.linspace(0.0, 1.0, 40))
+    shown = panels(figures.cleaned(flat))
+    assert shown.keys() == {"map", "speed", "innovation", "manoeuvre"}
+    (area,) = shown["manoeuvre"].collections
+    assert area.get_paths()[0].get_extents().ymax == 1.0
 
 
 def test_manoeuvres_are_shaded_and_named_once():
@@ -102,15 +105,6 @@ def test_an_innovation_beyond_the_axis_is_at_its_edge_and_counted():
     np.testing.assert_allclose(triangles.get_offsets(), [[14.0, MOST_STD]])
     assert axes.get_title(loc="right") == "1 outside, up to 115"  # sqrt(4e4 / 3)
     assert axes.get_ylim() == (0, MOST_STD)
-
-
-def test_regimes_that_do_not_matter_are_one_area():
-    of = straight(40)
-    rare = np.full((40, 8), 0.005)
-    rare[:, 0], rare[:, 3] = 0.9, 0.07
-    shown = view(replace(of, regimes=tuple("abcdefgh"), regime=rare))
-    assert list(shown.regimes) == ["a", "d", "others"]
-    np.testing.assert_allclose(sum(shown.regimes.values()), rare.sum(1))
 
 
 @pytest.mark.parametrize("change", [
@@ -220,11 +214,3 @@ def test_names_of_many_manoeuvres_do_not_lie_on_each_other():
         middles = sorted(middle for middle, at, _ in found if at == row)
         assert np.diff(middles).min() > len(name) / 76
         assert len(name) / 152 <= middles[0] <= middles[-1] <= 1 - len(name) / 152
-
-
-def test_probabilities_are_drawn_where_another_motion_than_the_usual_one_is_likely():
-    of = straight(40)
-    calm = np.zeros_like(of.regime)
-    calm[:, 0] = 1.0
-    assert "regimes" in panels(figures.cleaned(of))
-    assert "regimes" not in panels(figures.cleaned(replace(of, regime=calm)))

@@ -1,4 +1,4 @@
-"""Filters of the catalogue on recorded tracks: their estimates, and probabilities of outliers and regimes."""
+"""Filters of the catalogue on recorded tracks: their estimates, and probabilities of outliers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchfra.cleaning.batches import Steps, padded
 from torchfra.cleaning.flags import GATE
 from torchfra.cleaning.kinds import UNKNOWN
 from torchfra.cleaning.positions import Settings
-from torchfra.filters import GPB, Filter
+from torchfra.filters import Filter
 from torchfra.motion.bank import Bank, aircraft, people, ships, vehicles
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.sensors.position import Position
@@ -83,42 +83,3 @@ def outlier_of(estimate: Estimate) -> Tensor:
         info = info.filtered.info
     found = getattr(info, "outlier", None)
     return torch.full_like(estimate.nis, torch.nan) if found is None else found.to(estimate.nis).amax(-1)
-
-
-def regimes_of(f: Filter, estimate: Estimate) -> tuple[tuple[str, ...], Tensor]:
-    """Names of the regimes or models of a filter, and their probabilities ``(..., T, R)``; none of a single motion."""
-    info = estimate.info
-    weights = getattr(info, "probabilities", None)
-    if weights is None and isinstance(info, SmoothInfo):
-        weights = getattr(info.filtered.info, "probabilities", None)
-    motions = tuple(f.motion.names) if isinstance(f.motion, Bank) else ()
-    if isinstance(f, GPB) and weights is not None:
-        first, *others = motions
-        motions, weights = (f"calm {first}", f"agile {first}", *others, "jump"), _calm_first(f, weights)
-    if weights is None or not motions:
-        return (), estimate.nis.new_zeros(*estimate.nis.shape, 0)
-    return motions, weights
-
-
-def _calm_first(f: GPB, weights: Tensor) -> Tensor:
-    """Sums of regimes ``(..., R)``: the first motion up to its stated process noise, above it, other motions, jumps.
-
-    A climb is calm but for the vertical noise, which is the stated one.  After a jump a target moves as stated, or is
-    agile.
-    """
-
-    def of(kind: str) -> Tensor:
-        return weights[..., [r for r, regime in enumerate(f.regimes.each) if regime.kind == kind]]
-
-    levels, own, settled = f.regimes.noise_levels(), of("level"), of("settled")
-    calm, agile = (torch.where(chosen, own, 0.0).sum(-1, keepdim=True) for chosen in (levels <= 1, levels > 1))
-    calm = calm + torch.cat([of("climb"), settled[..., :1]], -1).sum(-1, keepdim=True)
-    agile = agile + torch.cat([of("manoeuvre"), settled[..., 1:]], -1).sum(-1, keepdim=True)
-    return torch.cat([calm, agile, of("motion"), of("jump").sum(-1, keepdim=True)], -1)
-
-
-def manoeuvre_of(regimes: Tensor) -> Tensor:
-    """Probability ``(..., T)`` of any regime but the first, the calm one; NaN of filters without regimes."""
-    if not regimes.shape[-1]:
-        return regimes.new_full(regimes.shape[:-1], torch.nan)
-    return 1 - regimes[..., 0]

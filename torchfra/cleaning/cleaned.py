@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -74,7 +74,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cleaned:
-    """A recording after cleaning; ``T`` steps, ``d`` dimensions of space, ``R`` regimes."""
+    """A recording after cleaning; ``T`` steps, ``d`` dimensions of space."""
 
     recording: Recording
     time: Array
@@ -92,15 +92,11 @@ class Cleaned:
     outlier: Array
     """``(T,)`` probability that the fix is an outlier; NaN for filters without such a probability."""
     manoeuvre: Array
-    """``(T,)`` probability of a regime other than the calm one; NaN where unknown."""
+    """``(T,)`` probability of a manoeuvre; NaN of other filters than the default one."""
     flag: NDArray[np.str_]
     """``(T,)`` of ``FLAGS``."""
     found: Found
     segments: tuple[Segment, ...] = ()
-    regimes: tuple[str, ...] = ()
-    """Names of the regimes."""
-    regime: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """``(T, R)`` probabilities of the regimes."""
     parameters: tuple[FilterParameters, ...] = ()
     """Those of the default filter: across the ground, and of the height where there is one."""
 

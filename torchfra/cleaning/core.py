@@ -16,7 +16,7 @@ from torchfra.cleaning.batches import Steps, groups, least_sigma, step_of_height
 from torchfra.cleaning.cleaned import Cleaned, Found
 from torchfra.cleaning.flags import GATE, MATTERS, flags
 from torchfra.cleaning.kinds import KINDS, Kind, check_kind, check_speeds, kind_of
-from torchfra.cleaning.positions import REGIMES, ROW, Answer, Settings, answers, period_of
+from torchfra.cleaning.positions import ROW, Answer, Settings, answers, period_of
 from torchfra.cleaning.process_noise import LONGEST
 from torchfra.cleaning.segments import inside, segments
 from torchfra.cleaning.varying_sigma import with_varying_sigma
@@ -247,14 +247,13 @@ def _as_stated(one: Cleaned, steps: Steps) -> Cleaned:
 
 def _of_answer(recording: Recording, steps: Steps, answer: Answer, found: Found) -> Cleaned:
     """The result of the default filter for a track."""
-    regimes = np.stack([1 - answer.manoeuvre, answer.manoeuvre], 1)
-    result = _result(recording, steps, *answer[:5], found, REGIMES, regimes, answer.height)
+    result = _result(recording, steps, *answer[:5], found, answer.height)
     return replace(result, parameters=answer.parameters)
 
 
 def _result(
     recording: Recording, steps: Steps, mean: Array, covariance: Array, nis: Array, outlier: Array, manoeuvre: Array,
-    found: Found, names: tuple[str, ...], regimes: Array, sigma_of_height: float = math.nan,
+    found: Found, sigma_of_height: float = math.nan,
 ) -> Cleaned:  # fmt: skip
     """A track with its estimates, flags and segments, and its mean NIS; the height's sigma is that of all if NaN."""
     fix = (steps.row >= 0) & ~np.isnan(steps.raw[:, :2]).any(1)  # an altitude may be missing
@@ -278,7 +277,7 @@ def _result(
     if "sigma" in found.estimated:
         found = replace(found, sigma_unsure=found.sigma_unsure or _why_unsure(steps, covariance, found.sigma))
     arrays = mean, covariance, nis, outlier, manoeuvre, flag
-    result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed, names, regimes)
+    result = Cleaned(recording, steps.time, steps.row, steps.raw, *arrays, found, listed)
     if result.failed.all():
         result = replace(result, found=replace(found, failure=f"NaN or infinity in all of {len(steps.time)} steps"))
     return result
@@ -344,7 +343,7 @@ def _by_filter(
     recordings: Sequence[Recording], tracks: Sequence[Steps], every: Sequence[Found], settings: Settings
 ) -> list[Cleaned]:
     """Tracks cleaned by a filter of the catalogue, one batch for each kind of targets."""
-    from torchfra.cleaning.catalogue_filters import BANKS, estimated, make, manoeuvre_of, outlier_of, regimes_of
+    from torchfra.cleaning.catalogue_filters import BANKS, estimated, make, outlier_of
 
     results: dict[int, Cleaned] = {}
     for bank in sorted({found.bank for found in every}):
@@ -358,15 +357,15 @@ def _by_filter(
         f = make(settings.filter, d, sigma, q, period, own or BANKS[bank](q, d, continuous=True))
         smooths, notes = _smooths(f, settings.smooth)
         estimate = estimated(f, part, sigma, settings._replace(smooth=smooths))
-        names, regimes = regimes_of(f, estimate)
-        columns = (estimate.nis, outlier_of(estimate), manoeuvre_of(regimes), regimes)
+        columns = (estimate.nis, outlier_of(estimate), torch.full_like(estimate.nis, math.nan))
         for b, i in enumerate(chosen):
             k = len(tracks[i].time)
             mean, covariance = estimate.mean[b, :k, : 2 * d], estimate.covariance[b, :k, : 2 * d, : 2 * d]
-            nis, outlier, manoeuvre, weights = (x[b, :k].numpy() for x in columns)
+            nis, outlier, manoeuvre = (x[b, :k].numpy() for x in columns)
             found = replace(every[i], smooth=smooths, notes=every[i].notes + notes)
-            results[i] = _result(recordings[i], tracks[i], mean.numpy(), covariance.numpy(), nis, outlier, manoeuvre,
-                                 found, names, weights)  # fmt: skip
+            results[i] = _result(
+                recordings[i], tracks[i], mean.numpy(), covariance.numpy(), nis, outlier, manoeuvre, found
+            )
     return [results[i] for i in range(len(tracks))]
 
 

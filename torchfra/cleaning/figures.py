@@ -15,27 +15,30 @@ from matplotlib.figure import Figure
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
 from torchfra.numbers import Array
-from torchfra.pictures import APART, BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED, REGIMES
-from torchfra.plotting.labels import SIZE, beside, in_free_places, show
+from torchfra.pictures import APART, BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED
+from torchfra.plotting.labels import SIZE, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
 from torchfra.tables import plural
 
 _MANY = 50
 """Rejected fixes whose marks are small, so that the path is seen."""
+_LIKELY = 0.5
+"""Probability of a manoeuvre from which on a track has a panel of it."""
 _LETTERS = 76
 """Letters of a manoeuvre's name that fit in the width of a panel."""
 
 
 def cleaned(track: Cleaned) -> Figure:
-    """A track on a map, and its speed, altitude, innovations and regimes over time.
+    """A track on a map, and its speed, altitude, innovations and the probability of a manoeuvre over time.
 
     A rejected fix is drawn where it was recorded; the map shows the track, and one that is far off is a triangle at its
     edge.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
-    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"regimes"``, which is there if the filter
-    has several and another than the usual one is likely at some time.
+    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"manoeuvre"``, which is there if one is
+    likely at some time.
     """
     shown = view(track)
-    rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation", *(["regimes"] if shown.regimes else [])]
+    rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation"]
+    rows += ["manoeuvre"] if (shown.manoeuvre >= _LIKELY).any() else []
     figure = Figure(figsize=(12, 7), layout="constrained")
     panels = figure.subplot_mosaic([["map", row] for row in rows], width_ratios=[1.15, 1])
     _draw_map(panels["map"], shown)
@@ -43,8 +46,9 @@ def cleaned(track: Cleaned) -> Figure:
     if shown.altitude is not None:
         _draw_band(panels["altitude"], shown, shown.altitude, "altitude, m")
     _draw_innovations(panels["innovation"], shown)
-    if shown.regimes:
-        _draw_regimes(panels["regimes"], shown)
+    if "manoeuvre" in panels:
+        panels["manoeuvre"].fill_between(shown.time, np.nan_to_num(shown.manoeuvre), color=ORANGE, linewidth=0)
+        panels["manoeuvre"].set(ylabel="manoeuvre", ylim=(0, 1))
     _finish_time([panels[row] for row in rows], shown)
     figure.suptitle(words(shown.title, TITLE))
     seen = show(panels["map"], *shown.window)  # about: the layout needs the numbers at its axes, and room above the map
@@ -128,20 +132,12 @@ def _draw_innovations(axes: Axes, track: View) -> None:
     axes.set(ylabel="innovation, std", ylim=(0, top))
 
 
-def _draw_regimes(axes: Axes, track: View) -> None:
-    names = list(track.regimes)
-    colours = [*REGIMES[: len(names) - 1], DARK] if names[-1] == "others" else list(REGIMES[: len(names)])
-    axes.stackplot(track.time, np.nan_to_num(np.array(list(track.regimes.values()))), colors=colours, linewidth=0)
-    beside(axes, dict(zip(names, colours, strict=True)))
-    axes.set(ylabel="probability", ylim=(0, 1))
-
-
 def _finish_time(rows: list[Axes], track: View) -> None:
     """Shades the manoeuvres, and gives all panels the same time."""
     end = track.time[-1] if track.time[-1] > 0 else 1.0
     for axes in rows:
         axes.set_xlim(0, end)  # dots at the ends are seen
-        if axes.get_label() != "regimes":
+        if axes.get_label() != "manoeuvre":
             for begin, last in track.shades:
                 axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
             finish(axes)

@@ -31,7 +31,7 @@ def flags(
         fix: ``(T,)`` which steps have a fix.
         nis: ``(T,)`` normalised innovation squared.
         outlier: ``(T,)`` probability that the fix is an outlier; NaN if the filter has no such probability.
-        manoeuvre: ``(T,)`` probability of a regime other than the calm one; NaN where unknown.
+        manoeuvre: ``(T,)`` probability of a manoeuvre; NaN where unknown.
         listed: ``(T,)`` which steps are in a segment.
         gate: normalised innovation squared that a good fix hardly ever exceeds.
 

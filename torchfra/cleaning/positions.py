@@ -43,7 +43,6 @@ _CALM = 0.05
 hardest acceleration times ten seconds, or while it is below ten times the track's usual level."""
 _LEAST_OF_HEIGHT = 1 / 3
 """Least ratio of the sigma of the height to that across the ground: heights often come in coarse steps."""
-REGIMES = ("calm", "manoeuvre")
 
 
 class Settings(NamedTuple):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.table import columns, united
 
-_DIGITS = {"latitude": 8, "longitude": 8, "outlier": 4, "manoeuvre": 4, "regime": 4}
+_DIGITS = {"latitude": 8, "longitude": 8, "outlier": 4, "manoeuvre": 4}
 """Decimal places, by the words of a column's name; other columns have three."""
 _PLACES = {"x", "y", "z", "latitude", "longitude", "altitude", "residual", "vx", "vy", "vz", "speed", "climb"}
 """Words of columns that have more where the path is finer: a tenth of its standard deviation is written."""

@@ -18,7 +18,7 @@ def metadata(results: Sequence[Cleaned], settings: Mapping[str, Any]) -> dict[st
         results: of one file.
         settings: as they were given.
     """
-    alike = {(one.raw.shape[1], one.recording.origin is None, one.regimes): one for one in results}
+    alike = {(one.raw.shape[1], one.recording.origin is None): one for one in results}
     names = dict.fromkeys(name for one in alike.values() for name in columns(one))
     source = results[0].recording.source
     return {

@@ -48,7 +48,6 @@ def summary(cleaned: Cleaned) -> dict[str, Any]:
         "estimated": sorted(found.estimated),
         "notes": list(found.notes),
         "segments": [segment._asdict() for segment in cleaned.segments],
-        "regimes": list(cleaned.regimes),
     }  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -30,7 +29,7 @@ UNITS = {
     "nis": "normalised innovation squared", "outlier": "probability that the fix is an outlier",
     "outlier_duration": "s since the first of consecutive outliers", "residual": "m from fix to cleaned position",
     "manoeuvre": "probability of a manoeuvre", "flag": "outlier, manoeuvre, unclear, or empty",
-    "regime_": "probability of this motion", "cov_": "covariance, m and m/s", "raw_": "as recorded",
+    "cov_": "covariance, m and m/s", "raw_": "as recorded",
 }  # fmt: skip
 """Descriptions of the columns, by their names or by the beginning of these."""
 
@@ -55,8 +54,6 @@ def columns(cleaned: Cleaned) -> Table:
     table |= {f"v{axis}": cleaned.velocity[:, i] for i, axis in enumerate(axes)} | _course(cleaned)
     own = ("nis", "outlier", "outlier_duration", "residual", "manoeuvre", "flag")
     table |= {name: getattr(cleaned, name) for name in own}
-    plain = [re.sub(r"[^\w+-]+", "_", name) for name in cleaned.regimes]
-    table |= {f"regime_{name}": cleaned.regime[:, i] for i, name in enumerate(plain)}
     return table | _covariance(cleaned, axes)
 
 

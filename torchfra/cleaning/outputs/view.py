@@ -29,12 +29,6 @@ _MOST_OFF = 4.5
 of a Gaussian."""
 _NAME = 40
 """Characters of a target's name in a title."""
-_REGIMES = 5
-"""Largest number of regimes that are shown by themselves, with the calm one."""
-_LEAST_SHARE = 0.01
-"""Mean probability of a regime that is shown by itself."""
-
-
 _UNITS = {"turn": "deg/s", "climb": "m/s", "descend": "m/s"}
 """Units of a manoeuvre's rate, by a word of its kind; the unit of all others is m/s^2."""
 
@@ -88,8 +82,8 @@ class View(NamedTuple):
     """Begin and end in units of ``time``, and a description."""
     shades: list[tuple[float, float]]
     """Begin and end of the time with any manoeuvre."""
-    regimes: dict[str, Array]
-    """Probabilities ``(T,)`` by name, the usual one first; none where no other is likely at any time."""
+    manoeuvre: Array
+    """``(T,)`` its probability; NaN where unknown."""
 
 
 def view(cleaned: Cleaned) -> View:
@@ -116,7 +110,7 @@ def view(cleaned: Cleaned) -> View:
         innovation=np.where(cleaned.row >= 0, np.sqrt(cleaned.nis / d), np.nan),
         manoeuvres=[(of.begin / seconds, of.end / seconds, named(of)) for of in cleaned.segments],
         shades=[(begin / seconds, end / seconds) for begin, end in spans(cleaned.segments)],
-        regimes=_regimes(cleaned),
+        manoeuvre=cleaned.manoeuvre,
     )
 
 
@@ -220,18 +214,3 @@ def without_spikes(values: Array) -> tuple[Array, Array]:
     usual = median.min(0), median.max(0)
     far = (high - low).max() > _SPIKE * (usual[1] - usual[0]).max()
     return usual if far else (low, high)
-
-
-def _regimes(cleaned: Cleaned) -> dict[str, Array]:
-    """Regimes that are likely at some time, and the others as one; empty where that is the usual one alone."""
-    if not cleaned.regimes:
-        return {}
-    known = np.nan_to_num(cleaned.regime)
-    share, most = known.mean(0), known.max(0)
-    matters = [i for i in np.argsort(-share, kind="stable") if i and (share[i] >= _LEAST_SHARE or most[i] >= 0.5)]
-    if not matters:
-        return {}
-    shown = [0, *sorted(matters[: _REGIMES - 1])]
-    named = {cleaned.regimes[i]: cleaned.regime[:, i] for i in shown}
-    rest = [i for i in range(len(cleaned.regimes)) if i not in shown]
-    return named | ({"others": cleaned.regime[:, rest].sum(1)} if rest else {})
