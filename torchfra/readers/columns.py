@@ -14,16 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.numbers import Array as Array
-from torchfra.readers.times import count_of, counted, seconds_of, usual_iso_seconds
+from torchfra.readers.times import count_of, counted, seconds_of
 
 Cells: TypeAlias = Callable[[str], Sequence[Any] | NDArray[Any]]
 """The cells of a column by its name."""
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "nat", "null", "none", "-", "--"}
 """Words for nothing, in small letters, as tables, data bases and spreadsheets write it."""
-_SIGNS_OF_DECIMALS = re.compile(r"[0-9.eE+\- ,]*")
-"""Text of these characters alone is a decimal number to ``float``, or an error."""
-_SIGNS_WITH_COMMAS = re.compile(r"[0-9,eE+\- ;]*")
 _PARTED = re.compile(r"[+-]?[0-9]+(?:[., '\u2019\u00a0\u202f][0-9]{3})*(?:[.,][0-9]*)?")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
@@ -161,13 +158,10 @@ def numbers(cells: Sequence[Any] | NDArray[Any], kind: Kind, name: str, first: i
         return np.where(np.isnat(nano), np.nan, nano.astype(np.int64) / 1e9)
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu" and kind.form and not count_of(kind.form):
         cells = [None if cell != cell else f"{cell:.17g}" for cell in cells.tolist()]  # whose digits are the text
-    if isinstance(cells, np.ndarray):
-        values = cells.astype(np.float64) if cells.dtype.kind in "fiu" else None
+    if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiu" and not kind.words:
+        values = cells.astype(np.float64)
     else:
-        values = _plain(cells, kind)
-    if values is None or kind.words:
-        convert = _converter(kind)
-        values = np.empty(len(cells))
+        convert, values = _converter(kind), np.empty(len(cells))
         for i, cell in enumerate(cells):
             try:
                 values[i] = convert(cell)
@@ -212,20 +206,6 @@ def word_of(cell: Any) -> str:
     """A cell in small letters, and whole numbers without decimals; "" if it is empty."""
     word = f"{cell:g}" if isinstance(cell, float) else str(cell).strip().lower()
     return "" if cell is None or word == "nan" else word
-
-
-def _plain(cells: Sequence[Any], kind: Kind) -> Array | None:
-    """Cells that are all empty or decimal numbers, or usual ISO text, fast; None for others."""
-    if kind.form and not count_of(kind.form):
-        return usual_iso_seconds(cells) if kind.form == "iso" else None
-    try:
-        if kind.decimal == "," and _SIGNS_WITH_COMMAS.fullmatch(";".join(cells)):
-            return np.array([float(cell.replace(",", ".") or "nan") for cell in cells])
-        if kind.decimal == "." and _SIGNS_OF_DECIMALS.fullmatch(",".join(cells)):
-            return np.array([float(cell or "nan") for cell in cells])
-    except (TypeError, ValueError):
-        pass
-    return None
 
 
 def text(cells: Sequence[Any] | NDArray[Any], name: str, known: dict[Any, str], first: int = 0) -> list[str]:

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from datetime import datetime, timezone
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +49,6 @@ _ISO = re.compile(
 _MONTHS = ("january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
            "december")  # fmt: skip
 _WEEKDAYS = re.compile("(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*", re.IGNORECASE)
-_UTC = r"(?: ?Z| ?UTC| ?GMT|\+00:00)?"
-_USUAL = re.compile(
-    rf"(?:(?:[0-9]{{4}}-[0-9]{{2}}-[0-9]{{2}}[T ][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}(?:\.[0-9]{{1,6}})?{_UTC})?\n)*"
-)
-"""Lines of ISO text in UTC, or empty."""
 _DIGITS = re.compile("(?:%[YymdjHMS])+(?: (?:%[YymdjHMS])+)*")
 """Forms of numbers whose digits are a date or a clock."""
 _SIZES = {"Y": 4, "j": 3}
@@ -158,20 +152,6 @@ def _number_of_month(name: re.Match[str]) -> str:
     """The number of the month, of two digits, whose English name begins with a word; the word if there is none."""
     numbers = (number for number, month in enumerate(_MONTHS, 1) if month.startswith(name[0].lower()))
     return next((f"{number:02}" for number in numbers), name[0])
-
-
-def usual_iso_seconds(cells: Sequence[Any]) -> NDArray[np.float64] | None:
-    """Seconds since 1970 of ISO text in UTC, NaN where empty, fast; None if a cell is something else."""
-    try:
-        lines = "".join(f"{cell}\n" for cell in cells) if cells and isinstance(cells[0], str) else ""
-        if not lines or not _USUAL.fullmatch(lines):
-            return None
-        moments = np.array(re.sub(_UTC + "\n", "\n", lines).split("\n")[:-1], "datetime64[us]")
-    except (TypeError, ValueError):
-        return None
-    if len(moments) != len(cells):
-        return None
-    return np.where(np.isnat(moments), np.nan, moments.astype(np.int64) / 1e6)
 
 
 def _plain_iso(text: str) -> str:

@@ -16,8 +16,6 @@ from torchfra.readers.sheets import Sheet, points_sheet
 _COLUMNS = ("time", "latitude", "longitude", "altitude", "id", "hdop")
 Point = tuple[Any, ...]
 """The cells of a fix, in the order of ``_COLUMNS``."""
-_DEEPEST = 64
-"""Elements around another; some ten in files of people."""
 
 
 def xml_sheet(text: str) -> Sheet:
@@ -27,8 +25,10 @@ def xml_sheet(text: str) -> Sheet:
         ValueError: none of these, or it defines entities.
     """
     text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
+    if "<!DOCTYPE" in text:
+        raise ValueError("expected GPX or KML without <!DOCTYPE>, received one that has it")
     try:
-        tree = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Tree()))
+        tree = ElementTree.fromstring(text)
     except (ElementTree.ParseError, UnicodeError) as error:
         raise ValueError(f"expected GPX or KML, received other text ({error})") from error
     if _tag(tree) == "gpx":
@@ -39,25 +39,6 @@ def xml_sheet(text: str) -> Sheet:
         "expected GPX or KML, received other XML: export TCX as GPX, or write points as CSV under time,x,y or "
         "time,lat,lon, as xml2csv.py of SUMO does"
     )
-
-
-class _Tree(ElementTree.TreeBuilder):
-    """Elements without entities, of which none is nested deeper than in any file."""
-
-    depth = 0
-
-    def doctype(self, *_: object) -> None:
-        raise ValueError("expected GPX or KML without <!DOCTYPE>, received one that has it")
-
-    def start(self, *of: Any) -> ElementTree.Element:
-        self.depth += 1
-        if self.depth > _DEEPEST:
-            raise ValueError(f"expected elements within at most {_DEEPEST} others, received more")
-        return super().start(*of)
-
-    def end(self, tag: str) -> ElementTree.Element:
-        self.depth -= 1
-        return super().end(tag)
 
 
 def _gpx_sheet(root: ElementTree.Element) -> Sheet:
