@@ -81,7 +81,7 @@ def test_lorenz_has_every_filter_in_every_setting(run, monkeypatch):
     monkeypatch.setattr(lorenz, "LEARNED_FROM", 2)
     monkeypatch.setattr(lorenz, "BATCH", 2)
     monkeypatch.setattr(lorenz, "fitted", lambda f, tracks, loss: f)  # fits themselves are tested by test_lorenz.py
-    errors = run(lorenz, "--runs", "2", "--network", "1")["errors"]
+    errors = run(lorenz, "--runs", "2", "--network", "1", "--variances", "1")["errors"]
     assert list(errors) == list(settings)
     fitted = {f"{name}, {words}" for name in lorenz.FITTED.split(",") for words in lorenz.LOSSES}
     for of in errors.values():
@@ -110,5 +110,6 @@ def test_peers_targets_has_every_tracker_that_is_installed(run):
 
 
 def test_clean_check_has_every_kind(run):
-    cases = run(clean_check, "--flights", "1", "--runs", "1", "--steps", "12", quiet=())["cases"]
+    few = ["--flights", "1", "--runs", "1", "--steps", "12", "--periods", "5", "--noises", "15"]
+    cases = run(clean_check, *few, quiet=())["cases"]
     assert {case["kind"] for case in cases} == set(clean_check.KINDS) - {"ranges"}  # which are recorded
