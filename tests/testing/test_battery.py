@@ -12,7 +12,7 @@ from short_tracks import SMALL_GPB
 from torchfra import presets
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
-from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn
+from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, RandomWalk
 from torchfra.sensors import Position, Ranges, Sensor
 from torchfra.testing import CHECKS, check_filter
 from torchfra.types import Gaussian
@@ -23,7 +23,7 @@ ELSEWHERE = {
 }  # fmt: skip
 """Filters that are made of what others of the battery have, or go through it in another file."""
 NAMES = [name for name in FILTERS if name not in ELSEWHERE]
-COMPILED = ("gpb", "iaukf", "fra", "imm_srckf", "alphabeta")
+COMPILED = ("iaukf", "fra", "imm_srckf", "alphabeta")
 """Their kernels go through the whole battery; those of high degree: test_huber.py, of all: test_random_settings.py."""
 HOLDS = "where_its_models_hold_it_is_no_worse_than_a_kalman_filter"
 """Is asked of all filters, of more tracks, by test_as_stated.py."""
@@ -54,6 +54,18 @@ def test_every_filter_keeps_what_filters_promise(name, scenario, crossing, reque
     thorough = request.config.getoption("--thorough")
     report = check_filter(f, **tracks, compiled=name in COMPILED or thorough, thorough=thorough, skip=(HOLDS,))
     assert report.of("passed") == report.outcomes
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("asked")
+def test_kernels_of_gpb_keep_it_too(monkeypatch):
+    """Of a target without a velocity, for the compiler's time."""
+    names = [name for name, check in CHECKS.items() if "compiled" in check.ways]
+    for name in names:
+        monkeypatch.setitem(CHECKS, name, CHECKS[name]._replace(ways=("compiled",)))
+    report = check_filter(presets.gpb(RandomWalk(1.0), Position(2.0), **SMALL_GPB), only=names)
+    assert report.of("passed") == report.outcomes
+    assert {outcome.way for outcome in report.outcomes} == {"compiled"}
 
 
 OF_TRACKS = (
