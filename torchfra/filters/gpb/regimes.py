@@ -186,15 +186,15 @@ class Regimes(Part):
         # Of the separate levels those that are lower than all others.
         climbs = [level for i, level in enumerate(own) if level == i] if vertical else []
         self.vertical, landed = tuple(vertical), motions + len(own) + len(climbs)  # the belief of jumps
-        last = (kinds if by_kind else count) - scaled  # the first entry of manoeuvres
+        first = (kinds if by_kind else count) - scaled  # entry of manoeuvres and jumps
         settled = [agile + 1, agile][: min(agile + 1, 2)] if jump_count else []  # levels
         self.each = (
             *(Regime("level", own.get(i, 0), i, i) for i in range(agile + 1)),
             *(Regime("motion", k, agile + 1, agile + (1 if by_kind else k)) for k in range(1, motions)),
             *(Regime("climb", motions + len(own) + i, level, level) for i, level in enumerate(climbs)),
-            *(Regime("manoeuvre", 0, agile, last + i) for i in range(scaled - jump_count)),
-            *(Regime("jump", landed, agile, last + i, 0) for i in range(scaled - jump_count, scaled)),
-            *(Regime("settled", landed, level, last + scaled - 1) for level in settled),
+            *(Regime("manoeuvre", 0, agile, first + i) for i in range(scaled - jump_count)),
+            *(Regime("jump", landed, agile, first + i, source=0) for i in range(scaled - jump_count, scaled)),
+            *(Regime("settled", landed, level, first + scaled - 1) for level in settled),
         )
         """The regimes."""
         self.kinds = [regime.kind for regime in self.each]
@@ -375,7 +375,7 @@ class Regimes(Part):
 
     def _settled(self, x: Tensor, axis: int) -> Tensor:
         """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
-        jumps, settled = (self.kinds.count(kind) for kind in LANDED)
+        jumps, settled = self.kinds.count("jump"), self.kinds.count("settled")
         if not jumps:
             return x
         others, landed = x.split([len(self.each) - jumps - settled, jumps + settled], axis)
@@ -400,7 +400,7 @@ class Regimes(Part):
             first: ``(...)`` whether the measurement is the first, and a jump a prior that is off.
         """
         stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]).square().sum(-1)
-        place, before = (x[..., motion.position].sum(-1) for x in (agile.scale_tril.square().sum(-1), stated))
+        place, before = [x[..., motion.position].sum(-1) for x in (agile.scale_tril.square().sum(-1), stated)]
         seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
         usual = safe_divide(seen * safe_divide(before, place), count).log1p()
         expected = usual.clamp(max=EXPECTED)
