@@ -29,13 +29,11 @@ class WholeTracks(NamedTuple):
 
     def estimate(self, measurements: Measurements, prior: Gaussian) -> Estimate:
         """The filtered estimate."""
-
-        def estimated(measurements: Measurements, prior: Gaussian) -> Estimate:
-            return self._run(measurements, prior, past=False)[0]
-
         measurements = self._needed(measurements, prior)
-        estimate = estimated(measurements, prior)
-        return without_failed_gradients(self.f, estimate, estimate, measurements, prior, estimated)
+        estimate, _, _ = self._run(measurements, prior, past=False)
+        return without_failed_gradients(
+            self.f, estimate, estimate, measurements, prior, lambda z, x: self._run(z, x, past=False)[0]
+        )
 
     def with_past(self, measurements: Measurements, prior: Gaussian) -> Estimate:
         """The filtered estimate with its past for the backward pass."""
@@ -46,13 +44,11 @@ class WholeTracks(NamedTuple):
         self, measurements: Measurements, prior: Gaussian, lag: int | None, filtered: Estimate | None
     ) -> Estimate:
         """The smoothed estimate, by ``lag`` later steps or all, from the ``filtered`` one if there is one."""
-
-        def smoothed(measurements: Measurements, prior: Gaussian, filtered: Estimate | None = None) -> Estimate:
-            return self._back(measurements, prior, lag, filtered)
-
         measurements = self._needed(measurements, prior)
-        estimate = smoothed(measurements, prior, filtered)
-        return without_failed_gradients(self.f, estimate, estimate.info.filtered, measurements, prior, smoothed)
+        estimate = self._back(measurements, prior, lag, filtered)
+        return without_failed_gradients(
+            self.f, estimate, estimate.info.filtered, measurements, prior, lambda z, x: self._back(z, x, lag, None)
+        )
 
     def _needed(self, measurements: Measurements, prior: Gaussian) -> Measurements:
         """The measurements with the inputs that they need alone."""

@@ -626,7 +626,8 @@ class Regimes(Part):
             angles: as in ``Hypotheses.merged``.
         """
         every = Hypotheses(Gaussian(parts.mean, hstack(parts.spread, parts.process_noise)), log_weight)
-        (mean, spread, noise, _), merged = parts, list[Gaussian]()
+        merged: list[Gaussian] = []
+        mean, spread, noise, _ = parts
         for regimes, share in self.merged_from:
             hypotheses, first = every.of(regimes), regimes[0]
             if share and self.belief_of[first] == 0:
