@@ -371,15 +371,15 @@ def test_noise_that_is_stated_right_costs_little():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("least", [0.0, 1.0])
-def test_a_target_that_moves_more_than_stated_is_not_taken_for_noise(least):
+def test_a_target_that_moves_more_than_stated_is_not_taken_for_noise():
     cell = scenarios.as_stated("velocity", index=0.1, q=0.01)
     tracks = cell.simulate(runs=32, seed=73)
-    options = {"noise": "stated"}, {"noise_least": least}
+    options = {"noise": "stated"}, {"noise_least": 0.0}, {"noise_least": 1.0}
     each = (presets.gpb(cell.motion, cell.sensor, **x).compile() for x in options)
-    stated, found = (f(tracks.z, tracks.prior, dt=cell.dt) for f in each)
-    assert position_rmse(found, tracks) < 1.05 * position_rmse(stated, tracks)
-    assert found.info.noise[:, -1].log().mean().exp() < 1.3
+    stated, *others = (f(tracks.z, tracks.prior, dt=cell.dt) for f in each)
+    for found in others:
+        assert position_rmse(found, tracks) < 1.05 * position_rmse(stated, tracks)
+        assert found.info.noise[:, -1].log().mean().exp() < 1.3
 
 
 @pytest.mark.slow

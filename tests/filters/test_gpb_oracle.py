@@ -322,8 +322,10 @@ def test_the_gradient_of_the_probability_is_that_of_small_differences():
 
 @pytest.mark.slow
 def test_compiled_it_says_the_same():
-    z, prior = burst()
-    f = presets.gpb(ConstantVelocity(0.1), Position(3.0), same_offset=0.4, outliers_update=False, **FEWER)
+    """Of a target on a line, for the compiler's time."""
+    z, prior = burst()[0][:, :1], Gaussian(tensor([0.0, 9.0]), torch.diag(tensor([20.0, 8.0])))
+    motion, sensor = ConstantVelocity(0.1, dims=1), Position(3.0, dims=1)
+    f = presets.gpb(motion, sensor, same_offset=0.4, outliers_update=False, **FEWER)
     eager, g = f.smooth(z, prior), f.compile()
     compiled = g.smooth(z, prior)
     assert_close(compiled.mean, eager.mean, rtol=1e-9, atol=1e-9)
